@@ -1,4 +1,4 @@
-"""Arrays by what they hold, for type hints, and dataclasses of arrays of one length."""
+"""Array types for hints, and dataclasses of arrays of one length."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -17,7 +17,7 @@ UInt8Array = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
 Progress = Callable[[int, int], None]
-"""Called with how many of how many pieces of work are done."""
+"""Called with the number of pieces of work that are done, and the number of all."""
 
 Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 

@@ -1,7 +1,8 @@
-"""Errors and warnings: one line each, which says what was found, what was expected, what to do.
+"""Errors and log lines: one line each, with what was found, what was expected and what to do.
 
 Every error is also the builtin error a Python caller would expect, and carries the exit
-code of the command line: 2 for bad input, 1 for a failure.
+code of the command line: 2 for bad input, 1 for a failure. First comes the text of a line, then
+the errors, messages that several files share, and the logging of a process.
 """
 
 import io
@@ -20,7 +21,7 @@ T = TypeVar("T")
 _UNSHOWN = re.compile(
     "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
-"""Control characters, line ends, marks that turn the direction of text, and no characters."""
+"""Control characters, line ends, marks that turn the direction of text, and noncharacters."""
 
 
 def printable(text: str | os.PathLike[str]) -> str:
@@ -38,19 +39,8 @@ def _escaped(letter: str) -> str:
     return f"\\x{ord(letter) - 0xDC00:02x}" if is_byte else ascii(letter)[1:-1]
 
 
-def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
-    """Return the suspicion that the coordinates of places were given in the wrong order.
-
-    The right order is shown: of each pair of numbers the second first.
-    """
-    right = ",".join(
-        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
-    )
-    return f"{names} seem to be swapped: give {right}"
-
-
 class SkylineError(Exception):
-    """Anything Skyline reports on purpose; ``str`` of it is one line for the user."""
+    """Base of Skyline's errors; ``str`` of it is one line for the user."""
 
     exit_code = 1
 
@@ -66,7 +56,7 @@ class InputError(SkylineError, ValueError):
 
 
 class MissingFileError(SkylineError, FileNotFoundError):
-    """A file that was named does not exist."""
+    """A named file does not exist."""
 
     exit_code = 2
 
@@ -86,26 +76,37 @@ class StoreMismatchError(InputError):
 
 
 class ContextError(SkylineError, RuntimeError):
-    """No OpenGL context could be made, or the one at hand cannot do what is needed."""
+    """No OpenGL context could be made, or it lacks memory or a feature."""
 
 
 class FetchError(SkylineError, OSError):
-    """A server that does not answer, or answers with something that cannot be used."""
+    """A server that does not answer, or whose answer cannot be used."""
 
 
 class BuildError(SkylineError, RuntimeError):
-    """A build some of whose jobs failed; what the others made is kept."""
+    """A build some of whose jobs failed; the parts of the others are kept."""
 
 
 def named(what: str, name: str, known: Mapping[str, T]) -> T:
-    """Return one of many by its name; raises `InputError` for a name that is not known."""
+    """Return one of many by its name; raises `InputError` for an unknown name of ``what``."""
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
 
 
+def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
+    """Return a hint that coordinates were given in the wrong order, with the right one.
+
+    Of each pair of numbers the second comes first.
+    """
+    right = ",".join(
+        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
+    )
+    return f"{names} seem to be swapped: give {right}"
+
+
 def library(name: str, extra: str, what: str) -> Any:
-    """Import a library that ``what`` needs; `InputError` names the extra where it is not there."""
+    """Import a library that ``what`` needs; `InputError` names the extra that installs it."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -132,9 +133,7 @@ class _JsonLines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         return json.dumps(
             {
-                "time": datetime.fromtimestamp(record.created, UTC).isoformat(
-                    timespec="milliseconds"
-                ),
+                "time": datetime.fromtimestamp(record.created, UTC).isoformat("T", "milliseconds"),
                 "level": record.levelname.lower(),
                 "message": printable(record.getMessage()),
                 **getattr(record, "facts", {}),
@@ -148,7 +147,7 @@ def as_json() -> bool:
 
 
 def start_logging() -> None:
-    """Send what this process logs to standard error, with what GDAL and Python warn of."""
+    """Send this process's log to standard error, with the warnings of GDAL and Python."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A terminal whose encoding has no degree sign must not end the run.
@@ -156,7 +155,7 @@ def start_logging() -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(_JsonLines() if as_json() else _Lines("%(levelname)s: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
-    # What GDAL cannot read becomes an error of one line; its own words on the way only confuse.
+    # A file that GDAL cannot read becomes an error of one line; GDAL's own lines only confuse.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     if as_json():
         logging.captureWarnings(capture=True)

@@ -1,4 +1,4 @@
-"""Files that are whole or not there."""
+"""Files on disk: written whole or not at all, locks, names that GDAL takes."""
 
 import fcntl
 from pathlib import Path
@@ -29,7 +29,7 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be written ({error.strerror}); name another place for it"
+            f"{path} cannot be written ({error.strerror}); name another path"
         ) from error
     write_whole(path, content)
 

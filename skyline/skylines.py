@@ -45,9 +45,6 @@ class Views(Rows):
     depth_m: FloatArray
     flags: NDArray[np.uint8]
 
-    def __len__(self) -> int:
-        return len(self.heading)
-
     @property
     def width(self) -> int:
         """Number of columns W."""
@@ -63,7 +60,7 @@ class Views(Rows):
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
 
-        They are `skyline.Frame.convergence_deg` less than azimuths from true north.
+        `skyline.Frame.convergence_deg` plus these are the azimuths from true north.
         """
         u = columns_u(self.width)
         turn_deg = 90.0 * self.heading[:, np.newaxis].astype(np.float64)
@@ -110,7 +107,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizons(Rows):
-    """The skylines of N eyes in B bins of azimuth: `bin_azimuths_rad`, unless others were asked."""
+    """The skylines of N eyes in B bins of azimuth, by default those of `bin_azimuths_rad`."""
 
     easting_m: Float64Array
     northing_m: Float64Array

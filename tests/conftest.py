@@ -24,7 +24,7 @@ settings.load_profile("skyline")
 
 @dataclass(frozen=True)
 class Result:
-    """What a command ended with and printed."""
+    """Exit code and output of a command."""
 
     code: int
     out: str
@@ -59,7 +59,7 @@ def no_gl_error():
 @pytest.fixture
 def run_main(monkeypatch, capsys):
     """Return a function that runs a command's main with arguments."""
-    # How long a command takes here must not be in what it says.
+    # How long a command takes here must not change its output.
     monkeypatch.setattr(console, "_SLOW_S", 1e6)
     # A command's name is its script's, also where pytest was started as a module.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None)

@@ -1,7 +1,7 @@
 """Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
 
-Jobs are few and long, so all that is asked of the engine is to run each of them somewhere, again
-where a worker died or a job failed, and to return its result or its error.
+Jobs are few and long. The cluster runs each of them on any worker, tries it again where the worker
+died or the job failed, and returns its result or its error.
 """
 
 import logging
@@ -10,8 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 from uuid import uuid4
 
 from skyline.errors import BuildError, InputError, SkylineError, library
@@ -20,22 +19,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Runner(Protocol):
-    """Does the same work on many items, in any order and anywhere.
-
-    Work and items must be picklable. The runner yields the index of each item as it is done, with
-    the result of the work or the exception that it raised in the end.
-    """
-
-    def __call__(
-        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-    ) -> Iterator[tuple[int, R | Exception]]:
-        """Run ``work`` on every item; ``names`` are the items' names, each of them once."""
-        ...
-
-
 RETRIES = 2
-"""How often a job that raised an error is tried again. A job whose worker died is tried again on
+"""Further attempts at a job that raised an error. A job whose worker died is tried again on
 another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
 _CONNECT_S = 10
@@ -51,6 +36,37 @@ _log = logging.getLogger(__name__)
 # One thread a process does all jobs: an OpenGL context belongs to the thread that made it, and
 # dask may run tasks on several.
 _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
+
+
+class Runner:
+    """Does the same work on many items, on the workers of a dask client.
+
+    Work and items must be picklable.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def __call__(
+        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+    ) -> Iterator[tuple[int, R | Exception]]:
+        """Run ``work`` on every item; ``names`` are the items' names, each of them once.
+
+        Yields the index of each item as it is done, in any order, with the result of the work or
+        the exception that its last attempt raised.
+        """
+        run, submit = uuid4().hex[:8], self._client.submit
+        with warnings.catch_warnings():
+            # Many viewpoints make a large graph, which is sent once.
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            futures = [
+                submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
+                for name, item in zip(names, items, strict=True)
+            ]
+        place = {future.key: index for index, future in enumerate(futures)}
+        # When the client leaves, the scheduler forgets the jobs that were not waited for.
+        for future in _distributed().as_completed(futures):
+            yield place[future.key], _outcome(future)
 
 
 def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
@@ -71,12 +87,12 @@ def local_runner(workers: int) -> Iterator[Runner]:
     Raises `InputError` for fewer than one worker, or where dask is not installed.
     """
     with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
-        yield partial(_run, client)
+        yield Runner(client)
 
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """Start worker processes for the block; yields dask's `LocalCluster`. Raises as above."""
+    """Start worker processes for the block; yields dask's cluster. Raises as `local_runner`."""
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     threads = max((os.cpu_count() or 1) // workers, 1)
@@ -84,9 +100,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
-        # Any free port, this machine alone: the usual one may be another cluster's.
+        # Any free port of this machine alone: another cluster may have the usual one.
         dashboard_address="127.0.0.1:0",
-        # A worker holds one DEM and one part, whatever their number: nothing to guard.
+        # A worker holds one DEM and one part, so no limit is needed.
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         preload=[_IGNORE_CTRL_C, _LOG],
@@ -96,8 +112,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
     try:
         yield cluster
     finally:
-        # On a busy machine dask may give up waiting for workers to end; they end with this process,
-        # and what they did is done.
+        # On a busy machine dask may give up waiting for workers to end; they end with this process.
         with suppress(TimeoutError):
             cluster.close()
 
@@ -121,32 +136,14 @@ def remote_runner(address: str) -> Iterator[Runner]:
     with client:
         if not client.scheduler_info()["workers"]:
             _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
-        yield partial(_run, client)
+        yield Runner(client)
 
 
 def _distributed() -> Any:
     distributed = library("distributed", "cluster", "a run on workers")
-    # It logs every step; `_outcome` returns the errors that matter to a user.
+    # Its log has every step; `_outcome` returns the errors that matter to a user.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed
-
-
-def _run(
-    client: Any, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-) -> Iterator[tuple[int, R | Exception]]:
-    """Do jobs on a cluster; a `Runner` but for the client."""
-    run = uuid4().hex[:8]
-    with warnings.catch_warnings():
-        # A large graph is what many viewpoints are; it is sent once.
-        warnings.filterwarnings("ignore", message="Sending large graph")
-        futures = [
-            client.submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
-            for name, item in zip(names, items, strict=True)
-        ]
-    place = {future.key: index for index, future in enumerate(futures)}
-    # Jobs that nobody waits for any more are forgotten by the scheduler when the client leaves.
-    for future in _distributed().as_completed(futures):
-        yield place[future.key], _outcome(future)
 
 
 def _do_alone(work: Callable[[T], R], item: T) -> R:
@@ -161,7 +158,7 @@ def _outcome(future: Any) -> Any:
     if error is None:
         return future.result()
     if type(error).__name__ == "KilledWorker":
-        return BuildError("its worker died, again and again: out of memory, or a fault of OpenGL")
+        return BuildError("its worker died at every attempt: out of memory, or a fault of OpenGL")
     return error if isinstance(error, Exception) else BuildError(repr(error))
 
 
@@ -196,8 +193,7 @@ def collect(
 def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
     """Yield results in the items' order, each as soon as those before it are there.
 
-    In the place of a job that failed comes its error; `BuildError` for one that is no
-    `SkylineError`.
+    A job that failed yields its error, as a `BuildError` unless it is a `SkylineError`.
     """
     waiting: dict[int, R | Exception] = {}
     due = 0

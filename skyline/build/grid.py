@@ -1,4 +1,4 @@
-"""The uniform grid: what the paper's adaptive planner starts from and is compared with."""
+"""The uniform grid of viewpoints, and the part of a field inside bounds."""
 
 import numpy as np
 
@@ -43,10 +43,7 @@ def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
 
 
 def uniform_grid(
-    field: HeightField,
-    spacing_m: float,
-    bounds_m: Rectangle | None = None,
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+    field: HeightField, spacing_m: float, bounds_m: Rectangle | None = None
 ) -> Viewpoints:
     """Place viewpoints at whole multiples of a spacing in the field's frame.
 
@@ -65,7 +62,7 @@ def uniform_grid(
             "choose a larger spacing or smaller bounds"
         )
     easting, northing = (grid.ravel() for grid in np.meshgrid(cols * spacing_m, rows * spacing_m))
-    eyes, _ = stand_where_possible(field, easting, northing, eye_height_m)
+    eyes, _ = stand_where_possible(field, easting, northing, DEFAULT_EYE_HEIGHT_M)
     if not len(eyes):
         raise InputError(
             f"no viewpoint of a {spacing_m} m grid falls on the surface in easting {west:.0f} to "

@@ -5,8 +5,7 @@ written under its name at once, so a build that is killed loses at most the part
 same command continues with the parts that are missing. Merging sorts the rows: the number of
 workers, the order of the parts, and how often a build was killed change no byte of the store.
 
-Every part is rendered over the whole DEM: how far terrain can rise into a skyline has no bound but
-the DEM's own. What is cut is the work.
+Every part is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
 import time
@@ -27,8 +26,8 @@ from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
+from skyline.store.stored_dem import read_dem_of
 from skyline.store.write import check_folder, partial_beside
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -160,13 +159,10 @@ def build_store(
         advance(0)
         try:
             if runner is not None:
-                rendered = sum(_on_workers(runner, terrain, plan, left, advance))
+                rendered = sum(_on_workers(runner, header, plan, left, advance))
             elif renderer is not None:
                 for part, some in left.items():
-                    columns = renderer.columns(some)
-                    folder.mkdir(exist_ok=True)
-                    write_store(part, renderer.header, columns)
-                    rendered += len(columns[header.sorted_by[0]])
+                    rendered += _write_part(renderer, part, some)
                     advance()
             with merged_rows(parts, folder) as (joint, columns, order):
                 rows = len(order)
@@ -188,7 +184,7 @@ def build_store(
 
 
 def finished_store(path: Path, header: StoreHeader) -> BuildResult:
-    """Return the result of a build whose store is there; raises `StoreMismatchError`."""
+    """Return the result of a finished build; `StoreMismatchError` where its settings differ."""
     with open_store(path) as store:
         refuse_mismatch(
             (store.header, "there"),
@@ -218,17 +214,23 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     return whole
 
 
+def _write_part(renderer: PartRenderer, path: Path, work: Any) -> int:
+    """Render and write a part; return its number of rows."""
+    columns = renderer.columns(work)
+    path.parent.mkdir(exist_ok=True)
+    write_store(path, renderer.header, columns)
+    return len(columns[renderer.header.sorted_by[0]])
+
+
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """The facts that all jobs of a build share."""
+    """The settings that all jobs of a build share."""
 
     build: str
-    """Of no other build."""
+    """Identifies the build."""
     plan: Plan
-    dem_files: tuple[str, ...]
-    """Absolute paths, the same on every machine."""
-    dem_digest: str
-    dem_options: DemOptions
+    header: StoreHeader
+    """Header of the store; it has the DEM's files, by paths that are the same on every machine."""
 
     def write_part(self, item: tuple[Path, Any]) -> int:
         """Render and write a part in a worker; return its number of rows.
@@ -241,48 +243,42 @@ class _Job:
             while _open_here:
                 _open_here.popitem()[1].__exit__()
             _open_here[self.build] = self.plan.opened(self._terrain())
-        renderer = _open_here[self.build]
-        columns = renderer.columns(work)
-        path.parent.mkdir(exist_ok=True)
-        write_store(path, renderer.header, columns)
-        return len(columns[renderer.header.sorted_by[0]])
+        return _write_part(_open_here[self.build], path, work)
 
     def _terrain(self) -> HeightField:
-        terrain = read_dem(self.dem_files, self.dem_options)
-        if terrain.digest != self.dem_digest:
+        try:
+            return read_dem_of(self.header)
+        except StoreMismatchError as error:
             raise StoreMismatchError(
-                f"the DEM here ({', '.join(self.dem_files)}) has digest {terrain.digest[:12]}, the "
-                f"build's has {self.dem_digest[:12]}; workers need the same files and the same "
-                "releases of skyline and its libraries"
-            )
-        return terrain
+                f"{error}; workers need the same files and the same releases of skyline and its "
+                "libraries"
+            ) from error
 
 
 _open_here: dict[str, PartRenderer] = {}
-"""The renderer that this worker has open, by the build."""
+"""The renderer that this worker keeps, by the build."""
 
 
 def _on_workers(
     runner: Runner,
-    terrain: HeightField,
+    header: StoreHeader,
     plan: Plan,
     left: dict[Path, Any],
     finished: Callable[[], None],
 ) -> Sequence[int]:
     """Render and write parts by a runner; return the number of rows of each."""
-    if not terrain.provenance.files:
+    if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
-    options = DemOptions.from_json(terrain.provenance.options)
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
-    job = _Job(uuid4().hex, plan, terrain.provenance.files, terrain.digest, options)
+    job = _Job(uuid4().hex, plan, header)
     names = [part.stem for part in left]
     return collect(runner(job.write_part, list(left.items()), names), names, finished)
 
 
 def _remove(folder: Path) -> None:
-    """Remove parts and what killed builds left, and their folder if nothing else is in it."""
+    """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
     for pattern in ("*-of-*.h5", ".*.partial"):
         for file in folder.glob(pattern):
             file.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Plans of a store: which rows it is made of, in which parts, and how a part is rendered."""
+"""Plans of a store: its rows, its parts, and the renderer of a part."""
 
 import hashlib
 from collections.abc import Callable
@@ -8,9 +8,10 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.build.grid import map_bounds, uniform_grid
-from skyline.build.spacing import AdaptivePlanner, Blocks, blocks_of, check_loss, price_of
+from skyline.build.spacing import AdaptivePlanner, blocks_of, check_loss, price_of
 from skyline.geodesy import Bounds, Curvature
-from skyline.render.horizon import ColumnRenderer, HorizonRenderer, RenderConfig
+from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.render.march import ColumnRenderer
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
@@ -21,11 +22,11 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 DEFAULT_LOSS = 0.2
-"""Of views, for places lying apart; docs/accuracy.md has the cost and the gain of other shares."""
+"""Share of the views that may be lost because places lie apart; docs/accuracy.md has others."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
-"""Some seconds of work without a GPU: all that is lost with a process."""
+"""Sizes of a part: some seconds of work without a GPU, which is lost if the process is killed."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
 """How far a skyline may be from the polyline whose vertices are its keypoints."""
@@ -37,7 +38,7 @@ class PartRenderer:
 
     renderer: ColumnRenderer
     header: StoreHeader
-    """Of the parts, with the renderer's name."""
+    """Header of the parts, with the renderer's name."""
     columns: Callable[[Any], Columns]
     """Returns the rows of a part."""
 
@@ -55,8 +56,8 @@ class PlacePlan:
     Attributes
     ----------
     spacing_m : float, optional
-        Between places of a uniform grid, each of which stands for half of it around itself. By
-        default places are planned; see `skyline.build.spacing`.
+        Distance between the places of a uniform grid, each of which stands for half of it around
+        itself. By default places are planned; see `skyline.build.spacing`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     loss : float
@@ -83,18 +84,17 @@ class PlacePlan:
         }
         return header_of(terrain, settings, self.curvature, holds=PLACES)
 
-    def parts(self, terrain: HeightField) -> list[Viewpoints] | list[Blocks]:
+    def parts(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
         """Return the parts of the store: viewpoints, or blocks of the map.
 
-        Raises `InputError` for bounds or a spacing that suit no grid, and for a loss that is no
-        share.
+        Raises `InputError` for bounds or a spacing that suit no grid, and for a loss outside 0 to
+        1.
         """
         area = map_bounds(terrain, self.bounds_deg)
         if self.spacing_m is not None:
             return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
         check_loss(self.loss)
-        blocks = blocks_of(area)
-        return [blocks[index : index + 1] for index in range(len(blocks))]
+        return blocks_of(area)
 
     def opened(self, terrain: HeightField) -> PartRenderer:
         """Return a renderer of the parts; raises as `price_of`."""
@@ -108,12 +108,12 @@ class PlacePlan:
                 header,
                 lambda eyes: columns_of(header, Places.of(renderer.render(eyes), tolerance_m)),
             )
-        area, eye = map_bounds(terrain, self.bounds_deg), DEFAULT_EYE_HEIGHT_M
-        price = price_of(self.loss, terrain, area, renderer.render, eye)
-        planner = AdaptivePlanner(terrain, renderer.render, area, price, eye)
+        area = map_bounds(terrain, self.bounds_deg)
+        price = price_of(self.loss, terrain, area, renderer.render)
+        planner = AdaptivePlanner(terrain, renderer.render, area, price)
 
-        def columns(blocks: Blocks) -> Columns:
-            places = planner.places(blocks)
+        def columns(block: tuple[int, int]) -> Columns:
+            places = planner.places(block)
             if places is None:
                 return {name: np.zeros(0, row) for name, row in header.specs.items()}
             return columns_of(header, places)
@@ -128,9 +128,9 @@ class RenderingPlan:
     Attributes
     ----------
     viewpoints : Viewpoints
-        At which to render.
+        The eyes of the renderings.
     settings : dict
-        Which viewpoints they are, for the header.
+        Description of the viewpoints, for the header.
     config : RenderConfig
     """
 

@@ -2,41 +2,41 @@
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
 skyline shows whether more places there would pay: whether they save more views than the same
-number would elsewhere. Where they would, the next lattice, twice as dense, is filled in; a place
+number in other squares. Where they would, the next lattice, twice as dense, is filled in; a place
 that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
 each on its own, and the result depends neither on the process that plans a block nor on the order.
 
 A view that is taken between places differs from theirs by as much as its skyline moves, which is
 the spacing over the skyline's distance. The odds that a whole search, refinement included, then
 fails grow with a power of that ratio. The power and the ratio of even odds were fitted to searches
-for made views, 60 degrees wide; docs/method.md has the terrain, and how well the law holds
-elsewhere.
+for made views, 60 degrees wide; docs/method.md has the terrain, and the fit on other terrain.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 Look = Callable[[Viewpoints], Horizons]
-"""Renders viewpoints."""
+"""A function that renders viewpoints."""
 
 _COARSEST_M = 1280.0
 _FINEST_M = 20.0
 _LEVELS = 13
 _SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
-"""Of each level's lattice: the side of the square that each of its places has to itself."""
+"""Spacing of each level's lattice: the side of the square that each place has to itself."""
 
 _DENSITY = 1.0 / _SPACING_M**2
-"""Places a square metre, of each level."""
+"""Places a square metre of each level."""
 
 _ROOTS = 4
 """Squares of the coarsest lattice to a side of a block."""
@@ -50,7 +50,7 @@ _BLIND_LEVEL = 6
 """Level down to which a square is halved when there is no surface to stand on at its corner."""
 
 _SAMPLE = 512
-"""Viewpoints that a price is worked out from."""
+"""Viewpoints from which a price is computed."""
 
 _LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
 """Where fewer of the viewpoints than the first stand on the surface, as many again are tried, up to
@@ -62,31 +62,24 @@ _WINDOWS = 36
 
 _NEAREST_M = 1.0
 _FARTHEST_M = 1e6
-"""Of a skyline; directions without data count as far as this."""
+"""Range of a skyline's distance; directions without data count as the farthest."""
 
 _EVEN_ODDS = 0.72
 """Spacing over distance where half of the views are lost."""
 
 _POWER = 1.55
-"""Of that ratio, in the odds of a loss."""
+"""Power of that ratio in the odds of a loss."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocks(Rows):
-    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it."""
+def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
+    """Return the blocks that meet an area, row by row from the north-west.
 
-    col: Int64Array
-    row: Int64Array
-    """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
-
-
-def blocks_of(area: Rectangle) -> Blocks:
-    """Return the blocks that meet an area, row by row from the north-west."""
+    A block is a square with sides of `BLOCK_M`. Its column and row say at which multiples of that
+    its western and southern sides lie.
+    """
     west, south, east, north = (side / BLOCK_M for side in area)
-    col = np.arange(np.floor(west), np.ceil(east), dtype=np.int64)
-    row = np.arange(np.ceil(north) - 1, np.floor(south) - 1, -1, dtype=np.int64)
-    cols, rows = np.meshgrid(col, row)
-    return Blocks(cols.ravel(), rows.ravel())
+    rows = range(math.ceil(north) - 1, math.floor(south) - 1, -1)
+    return [(col, row) for row in rows for col in range(math.floor(west), math.ceil(east))]
 
 
 def check_loss(loss: float) -> None:
@@ -95,16 +88,14 @@ def check_loss(loss: float) -> None:
         raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
 
 
-def price_of(
-    loss: float, terrain: HeightField, area: Rectangle, look: Look, eye_height_m: float
-) -> float:
-    """Return what a place must save, square metres of views, for a plan to lose at most a share.
+def price_of(loss: float, terrain: HeightField, area: Rectangle, look: Look) -> float:
+    """Return how much a place must save, in square metres, for a plan to lose at most a share.
 
-    It is worked out from viewpoints that are spread over the area. Raises `InputError` for a loss
+    It is computed from viewpoints spread over the area. Raises `InputError` for a loss
     outside (0, 1), or below that of the finest lattice, and for an area of holes.
     """
     check_loss(loss)
-    sample = look(spread_over(terrain, area, eye_height_m))
+    sample = look(spread_over(terrain, area))
     lost = lost_shares(sample.distance_m, _SPACING_M)
     least = float(lost[:, -1].mean())
     if loss < least:
@@ -124,7 +115,7 @@ def price_of(
     return low
 
 
-def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
+def spread_over(terrain: HeightField, area: Rectangle) -> Viewpoints:
     """Return some 64 to 512 viewpoints spread evenly over an area, always the same ones.
 
     Fewer are returned where less than 0.05 % of the area has a surface. Raises `InputError` where
@@ -139,7 +130,7 @@ def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> V
         share = (0.5 + number[:, None] * step) % 1.0
         easting = west + share[:, 0] * (east - west)
         northing = south + share[:, 1] * (north - south)
-        found.append(stand_where_possible(terrain, easting, northing, eye_height_m)[0])
+        found.append(stand_where_possible(terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)[0])
         if sum(map(len, found)) >= _LEAST_SAMPLE:
             break
     eyes = Viewpoints.concatenate(found)
@@ -157,28 +148,19 @@ class AdaptivePlanner:
     The price is that of `price_of`.
     """
 
-    def __init__(
-        self, terrain: HeightField, look: Look, area: Rectangle, price: float, eye_height_m: float
-    ) -> None:
+    def __init__(self, terrain: HeightField, look: Look, area: Rectangle, price: float) -> None:
         self._terrain = terrain
         self._look = look
         self._area = area
         self._price = price
-        self._eye_height_m = eye_height_m
 
-    def places(self, blocks: Blocks) -> Places | None:
-        """Return the places of blocks, in order; None where nobody can stand."""
-        parts = [
-            self._of_block(col * BLOCK_M, row * BLOCK_M)
-            for col, row in zip(blocks.col.tolist(), blocks.row.tolist(), strict=True)
-        ]
-        there = [places for places in parts if places is not None]
-        return Places.concatenate(there) if there else None
+    def places(self, block: tuple[int, int]) -> Places | None:
+        """Return the places of a block, row by row from the north-west.
 
-    def _of_block(self, west_m: float, south_m: float) -> Places | None:
-        """Return the places of a block, row by row from the north-west."""
-        seen = _Seen(west_m, south_m)
-        # Those round about too: what they see says more of the squares at the block's sides.
+        None where no eye can stand.
+        """
+        seen = _Seen(block[0] * BLOCK_M, block[1] * BLOCK_M)
+        # Those round the block too, for the squares at its sides.
         self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
         nodes, kept = _lattice_of_roots(0, _ROOTS), []
         for level in range(_LEVELS):
@@ -192,10 +174,10 @@ class AdaptivePlanner:
         return self._inside([places for places in kept if places is not None])
 
     def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
-        """Render what has not been rendered of nodes (N, 2)."""
+        """Render those of nodes (N, 2) that have not been rendered."""
         left = seen.left(nodes)
         easting, northing = seen.position_m(left)
-        eyes, stands = stand_where_possible(self._terrain, easting, northing, self._eye_height_m)
+        eyes, stands = stand_where_possible(self._terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)
         seen.bar(left[~stands])
         if len(eyes):
             seen.add(left[stands], self._look(eyes))
@@ -237,7 +219,7 @@ class _Seen:
     """The nodes in a block and round about that were looked at, and the places at some of them.
 
     Nodes are columns and rows of the finest lattice, from the block's south-western corner. A node
-    that was looked at has a place, or no surface to stand on; a row is asked of places alone.
+    that was looked at has a place, or no surface to stand on; only places have a row.
     """
 
     def __init__(self, west_m: float, south_m: float) -> None:
@@ -263,7 +245,7 @@ class _Seen:
         self._looked_at[_index(nodes)] = True
 
     def add(self, nodes: Int64Array, horizons: Horizons) -> None:
-        """Note what is seen from nodes (N, 2)."""
+        """Keep the skylines of nodes (N, 2)."""
         at = _index(nodes)
         self._looked_at[at] = self._has_place[at] = True
         self._row[at] = len(self._lost) + np.arange(len(nodes))
@@ -317,7 +299,7 @@ def _lattice_of_roots(first: int, number: int) -> Int64Array:
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2) of a level, each with the one that the next level has beside it."""
+    """Return nodes (N, 2) of a level, each with the node that the next level adds beside it."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:
@@ -328,7 +310,7 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
 
 
 def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return how likely views round N places are lost where they lie S spacings apart, (N, S, 36).
+    """Return the chance that views round N places are lost, (N, S, 36), for each of S spacings.
 
     The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
     the skylines all the way round; NaN where there is no data.
@@ -348,8 +330,8 @@ def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64A
 
 
 def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the share (N, S) of the views round places that is expected to be lost.
+    """Return the expected share (N, S) of lost views round N places, over all directions.
 
-    As `window_losses`, over all directions.
+    Parameters are those of `window_losses`.
     """
     return np.asarray(window_losses(distance_m, spacing_m).mean(axis=2), dtype=np.float64)

@@ -26,10 +26,9 @@ COMMANDS = {
     "Views from a place": {
         "views.horizon": "Give the horizon around places: elevation angle and distance by "
         "azimuth from true north.",
-        "views.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
+        "views.sun": "Print when the sun is above the mountains on a day: CSV of times in UTC "
         "(extra `sun`).",
-        "views.panorama": "Draw what is seen from a place, with the names of the peaks that "
-        "are seen.",
+        "views.panorama": "Draw the view from a place, with the names of the peaks in sight.",
     },
     "Data": {
         "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
@@ -39,7 +38,7 @@ COMMANDS = {
         "fetch.dem": "Elevation data for an area.",
     },
 }
-"""Commands by subject: the module and the name of each, and the first line of its help."""
+"""Commands by subject: module and name of each, and the first line of its own help."""
 
 _MODULES = {
     name: module
@@ -49,7 +48,7 @@ _MODULES = {
 
 
 class _Commands(TyperGroup):
-    """Commands that are loaded when they are called: some need imports of a second."""
+    """Commands that are loaded when they are called: some need a second to import."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name of a command, the command, which is loaded here, and its arguments."""

@@ -1,4 +1,4 @@
-"""``skyline store check repair merge export``: looking after stores."""
+"""``skyline store``: check, repair, merge and export stores."""
 
 import json
 from contextlib import suppress
@@ -12,7 +12,7 @@ from typer import Argument, Option
 from skyline.cli.console import AsJson, print_line
 from skyline.errors import InputError, printable
 from skyline.report.geopackage import write_geopackage
-from skyline.store import CopyReport, check_store, merge_stores, open_store, repair_store
+from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
 
 _DAMAGED = 2
 
@@ -29,11 +29,10 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
     report = check_store(store)
     if as_json:
-        # The exit code is true also where nobody reads this.
+        # The exit code must hold also where the output is not read.
         with suppress(BrokenPipeError):
-            print_line(
-                json.dumps({"store": printable(store), "whole": report.whole, **asdict(report)})
-            )
+            facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
+            print_line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         first = "; ".join(damage.what for damage in report.damage[:3])
@@ -65,13 +64,13 @@ def export(
         Path, Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
     ],
 ) -> None:
-    """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
+    """Write the locations of the places as a GeoPackage for QGIS, with its style (extra `geo`)."""
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
     print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
 
 
-def _print_copied(report: CopyReport, path: Path) -> None:
+def _print_copied(report: StoreReport, path: Path) -> None:
     size = path.stat().st_size
     each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""

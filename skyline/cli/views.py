@@ -1,4 +1,4 @@
-"""``skyline horizon``, ``sun`` and ``panorama``: what is seen from a place."""
+"""``skyline horizon``, ``sun`` and ``panorama``: the view from a place."""
 
 import logging
 from datetime import date
@@ -120,7 +120,7 @@ def sun(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Say when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
+    """Print when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
     try:
         asked = date.fromisoformat(day)
     except ValueError as error:
@@ -159,7 +159,7 @@ def panorama(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Draw what is seen from a place, with the names of the peaks that are seen."""
+    """Draw the view from a place, with the names of the peaks in sight."""
     lonlat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     options = DemOptions(crs=crs, reproject=reproject)
@@ -172,7 +172,7 @@ def panorama(
         gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
         drawn = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
     landscape = drawn.view.landscape
-    _say_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
+    _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
     seen = len(drawn.view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     if drawn.unnamed:
@@ -183,45 +183,46 @@ def panorama(
 def _eyes(
     terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
 ) -> Viewpoints:
-    """Stand eyes at places, and say where they stand if that is not the surface there."""
+    """Stand eyes at places, and print where they stand if that is not the surface there."""
     lon, lat = np.transpose([parse_place(text) for text in at])
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
     )
     for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
-        _say_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
+        _print_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
     return eyes
 
 
-def _say_where(
+def _print_where(
     terrain: HeightField,
     asked: tuple[float, float],
     eye: Viewpoints,
     eye_height_m: float,
     summit_within_m: float | None,
 ) -> None:
-    """Say which point was taken for a place, if it was looked for or is a summit beside it."""
+    """Print the point that was taken for a place, if it is a summit near it."""
     asked_m = np.array(terrain.frame.from_lonlat(*asked))
     stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
-    said = f"{asked[0]:.5f},{asked[1]:.5f}"
+    place = f"{asked[0]:.5f},{asked[1]:.5f}"
     if summit_within_m:
         lon, lat = (float(one[0]) for one in terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
         away_m = np.hypot(eye.easting_m[0] - asked_m[0], eye.northing_m[0] - asked_m[1])
         print_note(
-            f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
+            f"{place}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
             f"{stands_m:.0f} m high and {away_m:.0f} m away"
         )
         return
     surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
     if summit_within_m is None and stands_m - surface_m > 0.01:
         print_note(
-            f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
-            f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"
+            f"{place} is beside a summit of the model: the eye stands as high as it, "
+            f"{stands_m:.0f} m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 "
+            "would have it)"
         )
 
 
 def _warn(found: LocalHorizons) -> None:
-    """Tell where terrain beyond the data may be higher."""
+    """Log a warning where terrain beyond the data may be higher."""
     unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
     if unsure.any():
         _log.warning(

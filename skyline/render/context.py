@@ -1,4 +1,4 @@
-"""The OpenGL context: one a process, made on first use, shared by every renderer, no display.
+"""The OpenGL context without a display: one a process, made on first use, for all renderers.
 
 OpenGL 4.3 is required, for its compute shaders. The order is EGL on a GPU, EGL on Mesa's software
 rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of them alone.
@@ -27,7 +27,7 @@ from skyline.render.osmesa import OsMesaContext
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = ("egl", "osmesa")
-"""In the order they are tried."""
+"""The backends in the order of attempts."""
 
 _DEBIAN_PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 _DRIVER_FACTS = ("VENDOR", "RENDERER", "VERSION")
@@ -43,11 +43,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
-    """The process's OpenGL context, and how it came to be."""
+    """The process's OpenGL context, and the reason for its choice."""
 
     ctx: moderngl.Context
     native: Any
-    """The context of glcontext, or the `OsMesaContext`, that ``ctx`` was made of."""
+    """The context of glcontext, or the `OsMesaContext`, under ``ctx``."""
     backend: str
     """``egl`` or ``osmesa``."""
     device: str
@@ -68,7 +68,7 @@ class GlContext:
 
     @property
     def reason(self) -> str:
-        """Why this context and no other, in words."""
+        """The reason why this context was chosen, one phrase."""
         if self.forced:
             return f"{ENVIRONMENT_VARIABLE}={self.backend} allows no other backend"
         if not self.software:
@@ -79,7 +79,7 @@ class GlContext:
 
 
 class _SharedContext:
-    """Holds the one context, and the process and thread it belongs to."""
+    """The process's one context, with the process and the thread that own it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -158,13 +158,13 @@ acquire_context, release_context = _shared.acquire, _shared.release
 
 @atexit.register
 def _release_at_exit() -> None:
-    # A thread that outlives the interpreter may be rendering: the system cleans up after it.
+    # A thread that outlives the interpreter may be rendering; the system then frees the context.
     with suppress(ContextError):
         _shared.release()
 
 
 def describe_context() -> dict[str, str | bool | list[str]]:
-    """Return the facts of the context and why it was chosen, ready to print or for JSON.
+    """Return the facts of the context and the reason for its choice, for printing and for JSON.
 
     Makes the context if there is none; raises the errors of `acquire_context`.
     """

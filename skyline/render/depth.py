@@ -19,6 +19,7 @@ from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixe
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
+from skyline.render.eyes import in_four_views
 from skyline.render.shaders import compile_program
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
@@ -72,7 +73,7 @@ class DepthRenderer:
                 f"a DEM of {field.cols} x {field.rows} samples at width {width} does not fit this "
                 f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
             )
-        self._rims = _RimFinder(field, self.curvature)
+        self._rims_m = _rims_m(field)
         holes = {"HOLES": "", "HOLE_HEIGHT_M": f"{_HOLE_HEIGHT_M:.1e}"} if field.has_holes else {}
         self._terrain = compile_program(
             ctx, "terrain.vert", "depth.frag", {"TILE": str(TILE_CELLS), **holes}
@@ -147,11 +148,12 @@ class DepthRenderer:
         seen = covered >= 0.0
         tan = np.where(seen, pixels[..., 0], np.float32(np.nan))
         depth = np.where(seen, pixels[..., 1], np.float32(np.nan))
+        eyes, headings = in_four_views(viewpoints)
         return Views(
-            np.repeat(viewpoints.easting_m, len(HEADINGS)),
-            np.repeat(viewpoints.northing_m, len(HEADINGS)),
-            np.repeat(viewpoints.eye_elevation_m, len(HEADINGS)),
-            np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
+            eyes.easting_m,
+            eyes.northing_m,
+            eyes.eye_elevation_m,
+            headings,
             tan,
             depth,
             self._flags(viewpoints, covered, tan),
@@ -161,16 +163,18 @@ class DepthRenderer:
         self, viewpoints: Viewpoints, row: Float32Array, tan: Float32Array
     ) -> NDArray[np.uint8]:
         """Return the flags of (N, W) columns from their covered rows, skylines and rims."""
-        rims = [
-            self._rims.columns(viewpoints, index, heading, self.width)
-            for index in range(len(viewpoints))
-            for heading in HEADINGS
-        ]
-        border, over_hole = (np.stack(columns) for columns in zip(*rims, strict=True))
+        eyes = (viewpoints.easting_m, viewpoints.eye_elevation_m, viewpoints.northing_m)
+        met = []
+        for eye_m in np.stack(eyes, axis=-1):
+            offset_m = self._rims_m - eye_m
+            square_m2 = offset_m[..., 0] ** 2 + offset_m[..., 2] ** 2
+            offset_m[..., 1] -= self.curvature.drop_per_m2 * square_m2
+            met += [_rims_met(offset_m, heading, self.width) for heading in HEADINGS]
+        border, over_hole = (np.stack(columns) for columns in zip(*met, strict=True))
         # Where a border is met, the column crosses data, which end there.
         meets_data = np.isfinite(border)
         # A skyline no higher than the rim behind which the data end may hide more terrain. A
-        # border as high as the skyline may be, given its quantization, may be what it shows.
+        # border as high as the skyline may be, given its quantization, may be the skyline itself.
         lowest = np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(self.width)
         flags = (
             (border >= lowest) * FLAG_TRUNCATED
@@ -280,42 +284,40 @@ def _tiles_in_view(
     return np.ascontiguousarray(tiles[in_view])
 
 
-class _RimFinder:
-    """Projects the rims of a height field into views, in float64."""
+def _rims_m(field: HeightField) -> Float64Array:
+    """Return the ends of the surface's rims in the field's frame, (E, 2, 3): east, up, north."""
+    rims = Triangles.of(field.heights_m).rims()
+    easting_m, northing_m = field.to_map(*rims)
+    return np.stack([easting_m, field.heights_m[rims].astype(np.float64), northing_m], axis=-1)
 
-    def __init__(self, field: HeightField, curvature: Curvature) -> None:
-        self._curvature = curvature
-        rims = Triangles.of(field.heights_m).rims()
-        self._easting_m, self._northing_m = field.to_map(*rims)
-        self._height_m = field.heights_m[rims].astype(np.float64)
 
-    def columns(
-        self, viewpoints: Viewpoints, index: int, heading: int, width: int
-    ) -> tuple[Float64Array, BoolArray]:
-        """Return what the W columns of one view meet.
+def _rims_met(offset_m: Float64Array, heading: int, width: int) -> tuple[Float64Array, BoolArray]:
+    """Return which rims the W columns of one view meet.
 
-        Returns
-        -------
-        border_tan : (W,) float64
-            Greatest v over the rims behind which the data end; -inf where there is none.
-        over_hole : (W,) bool
-            The column crosses a rim from its bare side: it enters the surface again.
-        """
-        east = self._easting_m - viewpoints.easting_m[index]
-        north = self._northing_m - viewpoints.northing_m[index]
-        up = self._height_m - viewpoints.eye_elevation_m[index]
-        up -= self._curvature.drop_per_m2 * (east**2 + north**2)
-        # The eye is left of the way along an edge, on its bare side, where this is positive.
-        entered = np.diff(north)[:, 0] * east[:, 0] - np.diff(east)[:, 0] * north[:, 0] > 0.0
-        ends = np.stack([east, up, north], axis=-1) @ rotation(heading).T
-        edge, column = _columns_crossed(ends[..., 0], ends[..., 2], width)
-        v = _ordinate(ends[edge], columns_u(width)[column])
-        border_tan = np.full(width, -np.inf)
-        leaving = ~entered[edge]
-        np.maximum.at(border_tan, column[leaving], v[leaving])
-        over_hole = np.zeros(width, dtype=bool)
-        over_hole[column[~leaving & np.isfinite(v)]] = True
-        return border_tan, over_hole
+    Parameters
+    ----------
+    offset_m : (E, 2, 3) float64
+        East, up, north of the rims' ends minus the eye, curvature taken off.
+
+    Returns
+    -------
+    border_tan : (W,) float64
+        Greatest v over the rims behind which the data end; -inf where there is none.
+    over_hole : (W,) bool
+        The column crosses a rim from its bare side: it enters the surface again.
+    """
+    east, north = offset_m[..., 0], offset_m[..., 2]
+    # The eye is left of the way along an edge, on its bare side, where this is positive.
+    entered = np.diff(north)[:, 0] * east[:, 0] - np.diff(east)[:, 0] * north[:, 0] > 0.0
+    ends = offset_m @ rotation(heading).T
+    edge, column = _columns_crossed(ends[..., 0], ends[..., 2], width)
+    v = _ordinate(ends[edge], columns_u(width)[column])
+    border_tan = np.full(width, -np.inf)
+    leaving = ~entered[edge]
+    np.maximum.at(border_tan, column[leaving], v[leaving])
+    over_hole = np.zeros(width, dtype=bool)
+    over_hole[column[~leaving & np.isfinite(v)]] = True
+    return border_tan, over_hole
 
 
 def _columns_crossed(x: Float64Array, z: Float64Array, width: int) -> tuple[Int64Array, Int64Array]:

@@ -6,17 +6,31 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.camera import HEADINGS, rotation
-from skyline.render.march import EYE_DTYPE, split_float
 from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
+_EYE_DTYPE = np.dtype(
+    [
+        ("nearest", "<i4", 2),
+        ("offset", "<f4", 2),
+        ("offset_low", "<f4", 2),
+        ("elevation_m", "<f4", 2),
+        ("turn_tan", "<f4", 2),
+    ]
+)
+"""As struct Eye of `horizon.comp`; ``nearest`` is relative to the window.
+
+``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
+may leave the view of 90 degrees.
+"""
+
 _ROUNDING = 3.0 * 2.0**-24
-"""Of a crossing's height in float32, relative to the heights about it."""
+"""Relative rounding error of a crossing's height in float32."""
 
 
 class Eyes:
@@ -26,7 +40,7 @@ class Eyes:
     ----------
     heading : (N,) uint8
     turn_rad : (N,) float64
-        By how much all columns of an eye are turned clockwise.
+        Angle by which all columns of an eye are turned clockwise.
     """
 
     def __init__(
@@ -61,8 +75,8 @@ class Eyes:
         return values[np.argsort(self._order)]
 
     def relative_to(self, window: Window) -> NDArray[np.void]:
-        """Return the sorted eyes for the shaders, (N,) of `EYE_DTYPE`."""
-        eyes = np.zeros(len(self), dtype=EYE_DTYPE)
+        """Return the sorted eyes (N,) as the shader reads them, placed in a window."""
+        eyes = np.zeros(len(self), dtype=_EYE_DTYPE)
         nearest = np.rint(self._place)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
         eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)
@@ -109,6 +123,19 @@ class Eyes:
         last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - place, place - last), 0.0)
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
+
+
+def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, NDArray[np.uint8]]:
+    """Return every eye four times and the headings (4 N,) of its views, north to west."""
+    count = len(viewpoints)
+    heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
+    return viewpoints[np.repeat(np.arange(count), len(HEADINGS))], heading
+
+
+def split_float(values: Float64Array) -> tuple[Float32Array, Float32Array]:
+    """Return the nearest float32 and the remainder."""
+    high = values.astype(np.float32)
+    return high, (values - high).astype(np.float32)
 
 
 def _needs_double(

@@ -1,35 +1,43 @@
-"""Runs the horizon march, the compute shader `horizon.comp`, on the GPU."""
+"""Skylines in columns at any abscissas: marches of the compute shader `horizon.comp` on the GPU.
 
+A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU marches
+each column's ray over a tree of upper bounds and evaluates only what can still be the greatest;
+only v, depth and flags of W columns a view come back.
+"""
+
+import logging
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.render.context import GlContext
+from skyline.errors import ContextError, InputError
+from skyline.geodesy import Curvature
+from skyline.render.context import acquire_context
+from skyline.render.eyes import Eyes, split_float
 from skyline.render.shaders import compile_compute
-from skyline.render.windows import SLOPE_BINS, WindowTextures
+from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
+from skyline.skylines import FLAG_NO_DATA
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
-EYE_DTYPE = np.dtype(
-    [
-        ("nearest", "<i4", 2),
-        ("offset", "<f4", 2),
-        ("offset_low", "<f4", 2),
-        ("elevation_m", "<f4", 2),
-        ("turn_tan", "<f4", 2),
-    ]
-)
-"""As struct Eye of `horizon.comp`; ``nearest`` is relative to the window.
+_log = logging.getLogger(__name__)
 
-``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
-may leave the view of 90 degrees.
-"""
+MAX_SPACING_RATIO = 64.0
 
-NOTHING = np.float32(-1e30)
-"""v of a column that has met no data yet."""
+NEAR_ERROR_PX = 0.02
+"""Largest error of rounding near the eye, in pixels; float64 is used where float32 exceeds it."""
+
+_NOTHING = np.float32(-1e30)
+"""v of a column that has met no data yet, as in the shader."""
+
+_RESIDENT_SAMPLES = 1 << 25
+"""Samples whose windows stay on the GPU, some 43 bytes each."""
 
 _MAX_GROUPS = 65_535
 _MAX_RESULT_BYTES = 1 << 26
@@ -38,83 +46,182 @@ _MANY_EYES = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """The skylines of the columns, (rows, W); elevation_tan is `NOTHING` without data."""
+    """The skylines of N views in W columns, (N, W) each; v and depth are NaN without data."""
 
     elevation_tan: Float32Array
     depth_m: Float32Array
     flags: NDArray[np.uint8]
 
 
-class RayMarcher:
-    """Holds rows of results and raises them by marches on the GPU.
+class ColumnRenderer:
+    """Renders skylines of one height field in columns at any abscissas.
 
     A lane of the shader is a column, and takes many columns in turn.
 
     Parameters
     ----------
-    u : (W,) float64
-        Abscissas of the columns, of magnitude at most 1.
-    tolerance : (W,) float64
-        How far v may fall short of the skyline's in each column; 0 is exact but for float32.
-    spacing_m : (float, float)
-        East, north.
+    u, tolerance : (W,) float64
+        Each column's abscissa, of magnitude at most 1, and how far its v may fall short; 0 is
+        exact but for float32.
+    near_error : float
+        Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
+
+    Raises
+    ------
+    InputError
+        Samples are much longer than wide.
+    ContextError
+        No OpenGL context can be made.
     """
 
     def __init__(
         self,
-        context: GlContext,
+        field: HeightField,
         u: Float64Array,
         tolerance: Float64Array,
-        spacing_m: tuple[float, float],
-        drop_per_m2: float,
+        near_error: float,
+        curvature: Curvature,
     ) -> None:
-        self._context, self._ctx, self._width = context, context.ctx, len(u)
-        self._spacing_m, self._drop_per_m2 = spacing_m, drop_per_m2
+        self.field, self.width, self.curvature = field, len(u), curvature
+        self._near_error = near_error
+        self._spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
+        if max(east, north) > MAX_SPACING_RATIO * min(east, north):
+            raise InputError(
+                f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
+                f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
+            )
+        self._context = acquire_context()
+        self._ctx = self._context.ctx
         self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
+        self._max_views = _MAX_RESULT_BYTES // (12 * self.width)
         self._programs: dict[frozenset[tuple[str, str]], moderngl.ComputeShader] = {}
         aims = np.stack([*split_float(u), tolerance.astype(np.float32)], axis=-1)
         self._aims = self._ctx.texture((len(u), 1), 3, aims, dtype="f4", alignment=1)
         self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._results: tuple[moderngl.Buffer, ...] = ()
-        self._rows = 0
+        self._windows = Window.all_of(field)
+        self._resident: dict[Window, WindowTextures] = {}
 
-    @property
-    def max_rows(self) -> int:
-        """Rows of results that there may be at a time."""
-        return _MAX_RESULT_BYTES // (12 * self._width)
+    def release(self) -> None:
+        """Free this renderer's buffers, textures and programs; the context stays for others."""
+        for buffer in self._results:
+            buffer.release()
+        self._aims.release()
+        for program in self._programs.values():
+            program.release()
+        for window in self._resident.values():
+            window.release()
+        self._results, self._programs, self._resident = (), {}, {}
 
-    def begin(self, rows: int) -> None:
-        """Make room for results; the first march of each row writes all of it."""
-        self._free()
-        self._rows = rows
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def _batches(
+        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
+    ) -> Iterator[tuple[slice, Results]]:
+        """Render in batches that fit the GPU; where one does not, in halves of it.
+
+        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view. Yields
+        the slice of the views in each batch and their skylines; at least one batch, which may be
+        empty. Skylines without data are flagged.
+        """
+        stop = -1
+        while stop < len(viewpoints):
+            start = max(stop, 0)
+            part = slice(start, min(start + self._max_views, len(viewpoints)))
+            try:
+                rows = self._batch(viewpoints[part], heading[part], turn_rad[part])
+            except moderngl.Error as error:
+                if self._max_views == 1:
+                    raise ContextError(
+                        f"the GPU cannot hold one view of {self.width} columns over "
+                        f"{self.field.cols} x {self.field.rows} samples ({error}); free its memory "
+                        "or choose a smaller width"
+                    ) from error
+                self._max_views //= 2
+                _log.warning(
+                    "out of GPU memory (%s); going on with %d views a batch", error, self._max_views
+                )
+            else:
+                yield part, rows
+                stop = part.stop
+
+    def _batch(
+        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
+    ) -> Results:
+        """Render one batch; see `_batches`."""
+        eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
+        self._reserve(len(eyes))
+        for place, window in enumerate(eyes.nearest_first(self._windows)):
+            if place == 0 or self._may_rise(window, eyes):
+                textures, near = self._load(window), eyes.relative_to(window)
+                for rows, facing, double in eyes.groups():
+                    self._march(facing, double, place == 0, textures, near, rows)
+        tan, depth, flags = (
+            eyes.in_order(self._read(index, len(eyes), kind))
+            for index, kind in enumerate(("<f4", "<f4", "<u4"))
+        )
+        missing, nan = tan == _NOTHING, np.float32(np.nan)
+        return Results(
+            np.where(missing, nan, tan),
+            np.where(missing, nan, depth),
+            flags.astype(np.uint8) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0)),
+        )
+
+    def _reserve(self, rows: int) -> None:
+        """Make room for so many rows of results; the first march of each row writes all of it."""
+        for buffer in self._results:
+            buffer.release()
+        self._results = ()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
-        size = max(4 * rows * self._width, 4)
+        size = max(4 * rows * self.width, 4)
         self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
 
-    def run(
+    def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
+        """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""
+        data = self._results[index].read()[: 4 * rows * self.width]
+        return np.frombuffer(data, kind).reshape(rows, self.width)
+
+    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
+        """Return whether a window can raise any skyline found so far."""
+        rows = slice(window.row, window.row + window.rows)
+        cols = slice(window.col, window.col + window.cols)
+        highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
+        if np.isnan(highest_m):
+            return False
+        least = self._read(0, len(eyes), "<f4").min(axis=1)
+        bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
+        return bool((bound > least).any())
+
+    def _load(self, window: Window) -> WindowTextures:
+        """Return a window's textures, which stay while there is room for them."""
+        if window not in self._resident:
+            samples = sum(held.rows * held.cols for held in self._resident)
+            if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
+                while self._resident:
+                    self._resident.pop(next(iter(self._resident))).release()
+            self._resident[window] = WindowTextures(self._ctx, self.field, window)
+        return self._resident[window]
+
+    def _march(
         self,
         heading: int,
         double: bool,
         first: bool,
         window: WindowTextures,
-        eyes: NDArray[np.void],
-        first_row: int,
+        near: NDArray[np.void],
+        rows: slice,
     ) -> None:
-        """March over a window from every eye.
+        """March over a window from the eyes ``near[rows]``, all of which face ``heading``.
 
-        Parameters
-        ----------
-        double : bool
-            Compute crossings in float64.
-        first : bool
-            Whether no march has written these results before.
-        eyes : (N,) of `EYE_DTYPE`
-            The eyes that face ``heading``.
-        first_row : int
-            The first eye's row of the results.
+        Crossings are computed in float64 where ``double``. ``first`` is whether no march has
+        written these rows of the results before.
         """
-        slope_max = window.slope_max[heading % 2]
-        columns = window.columns[heading % 2]
+        eyes = near[rows]
+        slope_max, columns = window.slope_max[heading % 2], window.columns[heading % 2]
         turned = bool(eyes["turn_tan"].any())
         # Rays fall short of slope_max by a column's half: at equal spacings two cells do.
         cells = math.ceil(slope_max * (1.0 if turned else self._widest_u)) + 1
@@ -136,16 +243,16 @@ class RayMarcher:
             "samples": (window.window.cols, window.window.rows),
             "spacing_m": self._spacing_m,
             "columns_end": (columns.width - 1, columns.height - 1),
-            "drop_per_m2": self._drop_per_m2,
+            "drop_per_m2": self.curvature.drop_per_m2,
             "slack_m": self._slack_m(window, eyes),
             "code_m": (window.lowest_m, window.code_step_m),
             "levels": list(window.slabs.levels[heading]),
             "top_level": window.top_level,
             "bins": SLOPE_BINS,
             "slope_max": slope_max,
-            "width": self._width,
+            "width": self.width,
             "run": columns_a_lane,
-            "first_row": first_row,
+            "first_row": rows.start,
         }
         if window.rims:
             textures["rims"] = window.rims.texture
@@ -157,31 +264,13 @@ class RayMarcher:
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
-        groups = math.ceil(self._width / (self._lanes * columns_a_lane))
+        groups = math.ceil(self.width / (self._lanes * columns_a_lane))
         at_once = _MAX_GROUPS // groups
         for first_eye in range(0, len(eyes), at_once):
             _set_uniforms(program, {"first_eye": first_eye})
             program.run(min(at_once, len(eyes) - first_eye) * groups)
         self._ctx.memory_barrier()
         buffer.release()
-
-    def read(self) -> Results:
-        """Return the results."""
-        shape, size = (self._rows, self._width), 4 * self._rows * self._width
-        tan, depth, flags = (result.read()[:size] for result in self._results)
-        return Results(
-            np.frombuffer(tan, np.float32).reshape(shape),
-            np.frombuffer(depth, np.float32).reshape(shape),
-            np.frombuffer(flags, np.uint32).reshape(shape).astype(np.uint8),
-        )
-
-    def release(self) -> None:
-        """Free all buffers, textures and programs on the GPU."""
-        self._free()
-        self._aims.release()
-        for program in self._programs.values():
-            program.release()
-        self._programs = {}
 
     @property
     def _lanes(self) -> int:
@@ -194,13 +283,8 @@ class RayMarcher:
         # With a tolerance the first bounds show in the result, which must not depend on the batch.
         if self._is_exact and eyes < _MANY_EYES:
             longest = max(longest // 8, 1)
-        groups = math.ceil(self._width / (self._lanes * longest))
-        return math.ceil(self._width / (self._lanes * groups))
-
-    def _free(self) -> None:
-        for buffer in self._results:
-            buffer.release()
-        self._results = ()
+        groups = math.ceil(self.width / (self._lanes * longest))
+        return math.ceil(self.width / (self._lanes * groups))
 
     def _program(self, **defines: str) -> moderngl.ComputeShader:
         """Return the march compiled with macros."""
@@ -217,7 +301,16 @@ class RayMarcher:
         samples = np.array([window.window.rows, window.window.cols])
         farthest = np.abs(eyes["nearest"]).max(axis=0) + samples
         reach = float(np.hypot(*(farthest * self._spacing_m[::-1])))
-        return 1e-3 + 1e-6 * (high + self._drop_per_m2 * reach**2)
+        return 1e-3 + 1e-6 * (high + self.curvature.drop_per_m2 * reach**2)
+
+
+def check_tolerance(tolerance: float, unit: str) -> float:
+    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
+    if not (np.isfinite(tolerance) and tolerance >= 0.0):
+        raise InputError(
+            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
+        )
+    return float(tolerance)
 
 
 def _set_uniforms(program: moderngl.ComputeShader, values: dict[str, Any]) -> None:
@@ -225,9 +318,3 @@ def _set_uniforms(program: moderngl.ComputeShader, values: dict[str, Any]) -> No
     for name, value in values.items():
         if name in program:
             program[name] = value
-
-
-def split_float(values: NDArray[np.float64]) -> tuple[Float32Array, Float32Array]:
-    """Return the nearest float32 and the remainder."""
-    high = values.astype(np.float32)
-    return high, (values - high).astype(np.float32)

@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
-from skyline.errors import InputError
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, pixel_size
 from skyline.geodesy import Curvature
-from skyline.render.horizon import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.render.eyes import in_four_views
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
 from skyline.skylines import Horizons, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
-DEFAULT_BINS = 720
 DEFAULT_TOLERANCE_DEG = 0.01
 
 
@@ -44,13 +43,11 @@ class PanoramaRenderer(ColumnRenderer):
     def __init__(
         self,
         field: HeightField,
-        bins: int = DEFAULT_BINS,
+        bins: int,
         curvature: Curvature | None = None,
         tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
     ) -> None:
         self.bins = check_bins(bins)
-        if bins > 4 * MAX_WIDTH:
-            raise InputError(f"{bins} azimuth bins; expected at most {4 * MAX_WIDTH}")
         self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
         azimuth = quadrant_azimuths_rad(bins)
         self._azimuth_rad = azimuth
@@ -87,9 +84,8 @@ class PanoramaRenderer(ColumnRenderer):
         first_bin = np.floor(first / step_rad)
         # Within half a step a column stays in its view of 90 degrees.
         turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
-        heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
-        eyes = viewpoints[np.repeat(np.arange(count), len(HEADINGS))]
-        shape = (count * len(HEADINGS), self.width)
+        eyes, heading = in_four_views(viewpoints)
+        shape = (len(eyes), self.width)
         tan, distance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         flags = np.empty(shape, np.uint8)
         for part, rows in self._batches(eyes, heading, turn):

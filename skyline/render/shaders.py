@@ -10,7 +10,7 @@ from skyline.errors import ContextError, MissingFileError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 SHADER_FOLDERS = (_PACKAGE / "shaders", _PACKAGE.parent / "shaders")
-"""Where shader files lie: in the wheel, or else in the repository."""
+"""The folder of shader files in the wheel, and the one in the repository."""
 
 _VERSION = re.compile(r"^[ \t]*#[ \t]*version\b[^\n]*\n", re.MULTILINE)
 # Mesa and Intel write "0:12(3): error", NVIDIA "0(12) : error", AMD "ERROR: 0:12: "; 0 is the file.

@@ -18,7 +18,7 @@ from skyline.render.context import release_context
 
 T = TypeVar("T")
 
-_URGENT, _PATIENT, _LAST = 0, 1, 2
+_URGENT, _USUAL, _LAST = 0, 1, 2
 _Task = Callable[[], Any]
 
 
@@ -57,7 +57,7 @@ class RenderThread:
         with self._closing:
             if self._closed:
                 raise ContextError("the render thread is closed; make another")
-            self._put(_URGENT if urgent else _PATIENT, future, task)
+            self._put(_URGENT if urgent else _USUAL, future, task)
         return future.result()
 
     def close(self) -> None:

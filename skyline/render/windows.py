@@ -30,13 +30,13 @@ MAX_WINDOW_CELLS = 2048
 SLOPE_BINS = 16
 
 _COLUMN_APRON = 4
-"""As COLUMN_APRON of the shaders."""
+"""Empty columns beside the samples; COLUMN_APRON of the shader."""
 
 _MAX_CODE = 65535
 _TEXELS_A_LINE = 16
 _TREES_A_STACK = 2
 _TREES_AT_ONCE = 2
-"""Built in threads: NumPy lets them run side by side, and each takes its memory."""
+"""Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
 
 _Tree = Sequence[tuple[NDArray[Any], int]]
 """By level: texels (bins, bands, blocks, components), and the blocks before column 0."""
@@ -93,9 +93,9 @@ class WindowTextures:
     columns : 2 moderngl.Texture
         The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
     lowest_m, highest_m : float
-        Of the heights; 0 where there are none.
+        Lowest and highest sample; 0 where there are none.
     code_step_m : float
-        Of the 16-bit heights in ``slabs``: code c stands for ``lowest_m + c * code_step_m``.
+        Step of the 16-bit heights in ``slabs``: code c stands for ``lowest_m + c * code_step_m``.
     slabs : Trees
         Upper bounds of the heights, in this code.
     rims : Trees or None

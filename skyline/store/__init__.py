@@ -1,35 +1,16 @@
 """The store: an HDF5 file of renderings (views with skylines and keypoints) or of places.
 
-A store is a finished file made of finished parts: it is written once, takes its name when its bytes
-are on disk, and is never appended to. `skyline.build.parts` writes the parts and merges them.
+A store is written once, takes its name when its bytes are on disk, and is never appended to.
+`skyline.build.parts` writes the parts of a store and merges them.
 """
 
-from skyline.store.format import (
-    SCHEMA,
-    SCHEMA_VERSION,
-    KeypointColumns,
-    StoreHeader,
-    columns_of,
-)
-from skyline.store.merge import (
-    CopyReport,
-    Damage,
-    StoreReport,
-    check_store,
-    merge_stores,
-    repair_store,
-)
-from skyline.store.read import PlaceMap, RowIndex, Store, is_store, open_store
+from skyline.store.format import StoreHeader, columns_of
+from skyline.store.merge import StoreReport, check_store, merge_stores, repair_store
+from skyline.store.read import PlaceMap, Store, is_store, open_store
 from skyline.store.write import write_store
 
 __all__ = [
-    "SCHEMA",
-    "SCHEMA_VERSION",
-    "CopyReport",
-    "Damage",
-    "KeypointColumns",
     "PlaceMap",
-    "RowIndex",
     "Store",
     "StoreHeader",
     "StoreReport",

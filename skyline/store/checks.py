@@ -1,4 +1,4 @@
-"""Checks that an HDF5 file is a store: damaged, foreign and forged files are told apart."""
+"""Checks that an HDF5 file is a store, and neither damaged, foreign nor forged."""
 
 import json
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
-    """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
+    """Return the header of a store; raises `StoreError` where it is damaged or foreign."""
     if file.userblock_size or not {"schema", "schema_version"} <= set(file.attrs):
         raise _foreign(path)
     _check_version(path, file)
@@ -128,7 +128,7 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
             raise StoreError(f"store {path} lacks {name}; {REBUILD}")
         if not isinstance(link, h5py.HardLink):
             raise StoreError(
-                f"store {path}: {name} is a link to elsewhere, which is not followed; {REBUILD}"
+                f"store {path}: {name} is a link to another place, which is not followed; {REBUILD}"
             )
         node = node[part]
     return node

@@ -1,7 +1,6 @@
 """The format of a store: its header, the layout of its rows, and their checksums.
 
 A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
-The same rows and the same header give the same bytes, see `skyline.store.write`.
 
 HDF5 guards its own structures (object headers, chunk indexes, the superblock) with checksums, and
 each chunk of rows here with another (Fletcher-32), which readers verify as they read. Those find a
@@ -16,17 +15,16 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import HEADINGS, check_width
-from skyline.errors import InputError, StoreMismatchError
+from skyline.camera import check_width
+from skyline.errors import StoreMismatchError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
-from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS
 from skyline.store.places import (
     ALIKE_DEG,
     BINS,
@@ -53,44 +51,45 @@ EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
 
 PLACES_A_CHUNK = 1024
-"""Some 0.7 MB, to be mapped and worked on at a time."""
+"""Places of a chunk, some 0.7 MB, which are mapped and worked on at a time."""
 
 _VIEWS_A_CHUNK = 32
-"""80 kB of skylines at W = 640. Half costs 3 % more bytes, four times saves 1 %, and a single row
-is read by unpacking one chunk."""
+"""Views of a chunk, 80 kB of skylines at W = 640. Half as many cost 3 % more bytes, four times as
+many save 1 %, and a single row is read by unpacking one chunk."""
+
+KEYPOINTS = "features/keypoint_column"
 
 KeypointColumns = NDArray[np.uint16]
 
 Columns = Mapping[str, NDArray[Any]]
 """N rows of several datasets, by the datasets' names, in the types in which they are stored."""
 
-VIEW_SPECS = {
-    "easting_m": ("views/easting", "<f8", "one"),
-    "northing_m": ("views/northing", "<f8", "one"),
-    "eye_elevation_m": ("views/eye_elevation_m", "<f8", "one"),
-    "heading": ("views/heading", "u1", "one"),
-    "elevation_tan": ("views/elevation_tan", "<f4", "width"),
-    "depth_m": ("views/depth_m", "<f4", "width"),
-    "flags": ("views/flags", "u1", "width"),
+_SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
+    RENDERINGS: {
+        "easting_m": ("views/easting", "<f8", ()),
+        "northing_m": ("views/northing", "<f8", ()),
+        "eye_elevation_m": ("views/eye_elevation_m", "<f8", ()),
+        "heading": ("views/heading", "u1", ()),
+        "elevation_tan": ("views/elevation_tan", "<f4", None),
+        "depth_m": ("views/depth_m", "<f4", None),
+        "flags": ("views/flags", "u1", None),
+        "keypoints": (KEYPOINTS, "<u2", (DEFAULT_MAX_KEYPOINTS,)),
+        "checksum": ("views/checksum", "<u4", ()),
+    },
+    PLACES: {
+        "easting_m": ("places/easting", "<f8", ()),
+        "northing_m": ("places/northing", "<f8", ()),
+        "eye_elevation_m": ("places/eye_elevation_m", "<f4", ()),
+        "tolerance_m": ("places/tolerance_m", "<f4", ()),
+        "first_tan": ("places/first_tan", "<f4", ()),
+        "rise": ("places/rise", "i1", (BINS,)),
+        "distance": ("places/distance", "u1", (DISTANCE_BINS,)),
+        "phase": ("places/phase", "u1", (PHASE_BINS,)),
+        "checksum": ("places/checksum", "<u4", ()),
+    },
 }
-"""Field of `Views` -> dataset, its type, and how many values a row has of it."""
-
-KEYPOINTS = "features/keypoint_column"
-CHECKSUM = "views/checksum"
-
-PLACE_SPECS = {
-    "easting_m": ("places/easting", "<f8", "one"),
-    "northing_m": ("places/northing", "<f8", "one"),
-    "eye_elevation_m": ("places/eye_elevation_m", "<f4", "one"),
-    "tolerance_m": ("places/tolerance_m", "<f4", "one"),
-    "first_tan": ("places/first_tan", "<f4", "one"),
-    "rise": ("places/rise", "i1", "rises"),
-    "distance": ("places/distance", "u1", "distances"),
-    "phase": ("places/phase", "u1", "phases"),
-}
-"""Field of `Places` -> dataset and its layout, as in `VIEW_SPECS`."""
-
-PLACE_CHECKSUM = "places/checksum"
+"""By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
+for the width (W,). Keypoints and checksums are fields of neither."""
 
 PLACE_CODING = {
     "bins": BINS,
@@ -106,7 +105,7 @@ PLACE_CODING = {
 """The constants by which the bytes of places become tangents and distances."""
 
 _AT_ONCE_BYTES = 1 << 22
-"""Checksums need rows laid out anew; this many bytes of rows at a time."""
+"""Bytes of rows that are copied at a time for their checksums."""
 
 
 def package_version() -> str:
@@ -119,7 +118,7 @@ def package_version() -> str:
 
 @dataclass(frozen=True, slots=True)
 class StoreHeader:
-    """What a store was built from, and how.
+    """The DEM and the settings that a store was built from.
 
     Attributes
     ----------
@@ -128,9 +127,9 @@ class StoreHeader:
     dem_digest : str
         `HeightField.digest` of the terrain.
     dem_files : tuple of str
-        Absolute paths where the DEM lay.
+        Absolute paths of the DEM at the time of the build.
     config : mapping
-        Settings of the build; anything that JSON holds, keys are strings.
+        Settings of the build, by name; values that JSON can hold.
     renderer : str
         Name of the renderer and of the OpenGL under it; empty before anything is rendered.
     width : int
@@ -143,7 +142,7 @@ class StoreHeader:
     Raises
     ------
     InputError
-        The width is out of range or given for places, or JSON cannot hold the config.
+        The width of renderings is out of range.
     """
 
     frame_wkt: str
@@ -156,56 +155,38 @@ class StoreHeader:
     package_version: str = field(default_factory=package_version, compare=False)
 
     def __post_init__(self) -> None:
-        if self.holds == PLACES:
-            if self.width:
-                raise InputError("a store of places has no width; leave it out")
-        elif self.holds != RENDERINGS:
-            raise InputError(f"a store holds {RENDERINGS} or {PLACES}, not {self.holds!r}")
-        else:
+        if self.holds == RENDERINGS:
             check_width(self.width)
-        try:
-            plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"the store's config cannot be written as JSON ({error}); "
-                "use numbers, strings, lists and mappings"
-            ) from error
         # As it will be read back, so that a stored and a requested config compare equal.
+        plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         object.__setattr__(self, "config", plain)
 
     @property
     def checksum(self) -> str:
         """The dataset of the rows' checksums."""
-        return PLACE_CHECKSUM if self.holds == PLACES else CHECKSUM
+        return _SPECS[self.holds]["checksum"][0]
 
     @property
     def fields(self) -> dict[str, str]:
         """Field of `Views` or `Places` -> dataset, for the kind of rows that the store holds."""
-        specs = PLACE_SPECS if self.holds == PLACES else VIEW_SPECS
-        return {field: name for field, (name, *_) in specs.items()}
+        return {
+            field: name
+            for field, (name, *_) in _SPECS[self.holds].items()
+            if field not in ("keypoints", "checksum")
+        }
 
     @property
     def sorted_by(self) -> list[str]:
         """The datasets by which rows are sorted, and which distinguish one row from another."""
-        return [name for field, name in self.fields.items() if field in (*EYE, "heading")]
+        return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
     def specs(self) -> dict[str, np.dtype[Any]]:
         """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
-        if self.holds == PLACES:
-            held = [*PLACE_SPECS.values(), (PLACE_CHECKSUM, "<u4", "one")]
-        else:
-            keypoints, checksum = (KEYPOINTS, "<u2", "keypoints"), (CHECKSUM, "<u4", "one")
-            held = [*VIEW_SPECS.values(), keypoints, checksum]
-        row_shapes: dict[str, tuple[int, ...]] = {
-            "one": (),
-            "width": (self.width,),
-            "keypoints": (DEFAULT_MAX_KEYPOINTS,),
-            "rises": (BINS,),
-            "distances": (DISTANCE_BINS,),
-            "phases": (PHASE_BINS,),
+        return {
+            name: np.dtype((kind, (self.width,) if shape is None else shape))
+            for name, kind, shape in _SPECS[self.holds].values()
         }
-        return {name: np.dtype((kind, row_shapes[per_row])) for name, kind, per_row in held}
 
     def chunk_rows(self, rows: int) -> int:
         """Return how many rows a chunk of every dataset has, in a store of so many rows."""
@@ -232,22 +213,13 @@ class StoreHeader:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
-    """Raise `InputError` unless a store holds rows of the kind that is wanted."""
-    if header.holds != wanted:
-        raise InputError(
-            f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, which "
-            f"{MADE_BY[wanted]} makes"
-        )
-
-
 def refuse_mismatch(
     one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], subject: str, advice: str
 ) -> None:
     """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
 
-    Each header comes with the place where it was found, for a message that begins with
-    ``subject`` and ends with ``advice``.
+    Each header comes with the words for its place in the message, which begins with ``subject``
+    and ends with ``advice``.
     """
     differences = [
         f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"
@@ -259,9 +231,9 @@ def refuse_mismatch(
 
 
 def _compared(one: StoreHeader, other: StoreHeader) -> Iterator[tuple[str, object, object]]:
-    """Yield name and both values of all that must be equal; paths and releases may differ."""
+    """Yield name and both values of fields that must be equal; paths and releases may differ."""
     if one.holds != other.holds:
-        yield "what it holds", one.holds, other.holds
+        yield "kind of rows", one.holds, other.holds
         return
     if one.frame_wkt != other.frame_wkt:
         names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
@@ -288,33 +260,11 @@ def columns_of(
     ----------
     keypoint_columns : (N, K) uint16, of renderings alone
         Columns of the skylines' polyline vertices, padded with `NO_KEYPOINT`.
-
-    Raises
-    ------
-    InputError
-        Shapes or values that do not fit the store.
     """
     specs = header.specs
     given = {name: getattr(rows, field) for field, name in header.fields.items()}
-    if header.holds == RENDERINGS:
+    if keypoint_columns is not None:
         given[KEYPOINTS] = keypoint_columns
-    for name, values in given.items():
-        expected = (len(rows), *specs[name].shape)
-        if np.shape(values) != expected:
-            raise InputError(
-                f"{name} to store has shape {np.shape(values)}; the store expects {expected}"
-            )
-        if not specs[name].shape and not np.isfinite(values).all():
-            raise InputError(f"{name} to store has values that are not numbers")
-    if header.holds == RENDERINGS:
-        columns = np.asarray(keypoint_columns)
-        if ((columns < 0) | (columns >= header.width) & (columns != NO_KEYPOINT)).any():
-            raise InputError(
-                f"keypoint columns to store lie outside 0 to {header.width - 1}; "
-                f"pad rows with {NO_KEYPOINT}"
-            )
-        if not np.isin(given[header.fields["heading"]], HEADINGS).all():
-            raise InputError(f"a heading to store is not one of {HEADINGS}")
     return {name: np.asarray(given[name], dtype=specs[name].base) for name in given}
 
 
@@ -323,7 +273,7 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
 
     Columns are (N, ...) stored rows by dataset; a column of checksums among them is skipped.
     """
-    names = [name for name in sorted(columns) if name not in (CHECKSUM, PLACE_CHECKSUM)]
+    names = [name for name in sorted(columns) if not name.endswith("/checksum")]
     count = len(columns[names[0]])
     sums = np.zeros(count, dtype=np.uint32)
     if not count:

@@ -1,11 +1,11 @@
 """Merging, checking and repairing stores: every row is compared with its checksum.
 
-What a merged store becomes depends on the set of rows and on what they were built from alone: rows
-are sorted by easting, northing, eye elevation and heading, and equal ones are kept once. So neither
-the order of the parts nor how they were cut changes a byte.
+Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
+are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
+nor on how they were cut.
 
-A file from anywhere may hang or crash HDF5 itself, where its structures were forged together with
-their checksums. `check_store` therefore reads in a process of its own, which may die.
+A file whose structures were forged together with their checksums may hang or crash HDF5 itself.
+`check_store` therefore reads in a process of its own, which may die.
 """
 
 import json
@@ -29,7 +29,7 @@ from skyline.store.read import Store, open_hdf5, open_store
 from skyline.store.write import check_folder, explained, write_store
 
 _BLOCK_ROWS = 1024
-"""A whole number of chunks."""
+"""Rows that are read at a time, a whole number of chunks."""
 
 _LIMIT_S = 60.0
 _LIMIT_S_PER_BYTE = 1e-6
@@ -37,7 +37,7 @@ _LIMIT_S_PER_BYTE = 1e-6
 a second and more on one core of 2020."""
 
 _LIMIT_BY_THE_CLOCK = 30.0
-"""Times as long by the clock, for a check that waits instead of working."""
+"""So many times that limit by the clock, for a check that waits for the disk."""
 
 _EXAMINE = """
 import dataclasses, json, pathlib, resource, sys, time
@@ -50,10 +50,10 @@ json.dump(dataclasses.asdict(examine(pathlib.Path(sys.argv[1]))), sys.stdout)
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something that is not as it was written."""
+    """A difference between a store and the bytes that were written."""
 
     what: str
-    """One line."""
+    """The damage in one line."""
     first_row: int = 0
     rows: int = 0
     """``first_row``, ``rows``: the rows that are unreadable or wrong; no rows where the store as a
@@ -62,14 +62,16 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class StoreReport:
-    """The result of `check_store`."""
+    """The result of `check_store`, `merge_stores` and `repair_store`."""
 
     rows: int
-    """Rows of the store; 0 where it cannot be opened."""
-    damage: tuple[Damage, ...]
-    """Empty for a whole store."""
+    """Rows of the store, or of the new store; 0 where it cannot be opened."""
     holds: str = "rows"
     """``renderings`` or ``places``; ``rows`` where the store cannot be opened."""
+    damage: tuple[Damage, ...] = ()
+    """The damage that was found; `repair_store` leaves these rows out."""
+    duplicates: int = 0
+    """Rows that `merge_stores` left out because the same view or place is there already."""
 
     @property
     def whole(self) -> bool:
@@ -77,23 +79,9 @@ class StoreReport:
         return not self.damage
 
 
-@dataclass(frozen=True, slots=True)
-class CopyReport:
-    """The result of `merge_stores` and `repair_store`."""
-
-    rows: int
-    """In the new store."""
-    holds: str
-    """``renderings`` or ``places``."""
-    duplicates: int = 0
-    """Rows left out because the same view or place is there already."""
-    damage: tuple[Damage, ...] = ()
-    """Rows left out because they are damaged (`repair_store` alone)."""
-
-
 def merge_stores(
     paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
-) -> CopyReport:
+) -> StoreReport:
     """Write the rows of stores into one new store, sorted by location.
 
     Parameters
@@ -116,10 +104,10 @@ def merge_stores(
     with merged_rows(paths, out.parent) as (header, columns, order):
         write_store(out, header, columns, order)
         rows = len(columns[header.checksum])
-    return CopyReport(len(order), header.holds, rows - len(order))
+    return StoreReport(len(order), header.holds, duplicates=rows - len(order))
 
 
-def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
+def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> StoreReport:
     """Write the undamaged rows of a store into a new one, in their order.
 
     Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
@@ -130,7 +118,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
         header = store.header
     with _gathered([(path, len(store))], header, out.parent, damage) as columns:
         write_store(out, header, columns)
-        return CopyReport(len(columns[header.checksum]), header.holds, damage=tuple(damage))
+        return StoreReport(len(columns[header.checksum]), header.holds, tuple(damage))
 
 
 @contextmanager
@@ -143,7 +131,7 @@ def merged_rows(
     """
     stores = []
     for path in paths:
-        # Closed again: there may be more of them than files can be open.
+        # Closed at once: there may be more stores than files can be open.
         with open_store(path) as store:
             stores.append(store)
     for store in stores[1:]:
@@ -155,7 +143,7 @@ def merged_rows(
             "merge stores of one DEM and configuration",
         )
     headers = [store.header for store in stores]
-    # Whatever the stores' order.
+    # Independent of the order of the stores.
     header = replace(
         headers[0],
         dem_files=min(header.dem_files for header in headers),
@@ -208,7 +196,7 @@ def _gathered(
                     if found is not None and damage is None:
                         raise StoreError(
                             f"store {store.path} is damaged: {found.what}; `skyline store "
-                            "repair` saves what is whole"
+                            "repair` saves the whole rows"
                         )
                     if found is not None and damage is not None:
                         damage.append(found)
@@ -267,15 +255,12 @@ def examine(path: Path) -> StoreReport:
     try:
         with open_store(path) as store:
             found = [damage for _, _, damage in whole_rows(store) if damage]
-            return StoreReport(len(store), _joined(found), store.header.holds)
+            return StoreReport(len(store), store.header.holds, _joined(found))
     except SkylineError as error:
         return _unreadable(str(error))
 
 
-Rows = tuple[Columns, NDArray[np.intp], Damage | None]
-
-
-def whole_rows(store: Store) -> Iterator[Rows]:
+def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage | None]]:
     """Yield stored rows block by block: the columns, which of them are whole, and the damage.
 
     A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
@@ -294,7 +279,9 @@ def whole_rows(store: Store) -> Iterator[Rows]:
                     yield {}, np.zeros(0, dtype=np.intp), Damage(str(error), first, last - first)
 
 
-def _compared(store: Store, start: int, stop: int) -> Rows:
+def _compared(
+    store: Store, start: int, stop: int
+) -> tuple[Columns, NDArray[np.intp], Damage | None]:
     """Compare rows with their checksums."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]

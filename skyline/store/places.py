@@ -1,7 +1,7 @@
-r"""Places: what a search compares a photo with, in few bytes each.
+r"""Places: eyes and their skylines in few bytes, which a search compares a photo with.
 
-A place is an eye, its skyline all the way round, how far off that skyline is, and how far around
-the eye it stands for. Places are rendered when a store is built and mapped when it is opened.
+A place is an eye, its skyline all the way round, the skyline's distance, and the distance around
+the eye for which it stands. Places are rendered when a store is built and mapped when it is opened.
 
 A skyline's tangents y are held as rises from bin to bin, one signed byte k each:
 
@@ -10,8 +10,8 @@ A skyline's tangents y are held as rises from bin to bin, one signed byte k each
     y_b = y_{b-1} + \mathrm{sgn}(k_b)\, a\, (e^{c |k_b|} - 1)
 
 A smooth skyline rises little, and small rises have small steps: 0.012 degrees where it is level,
-a thirtieth of the rise where it is steep. Each rise is taken from what the bytes before it have
-come to, so errors do not add up. A rise beyond the greatest, 0.5, is made up for in the bins
+a thirtieth of the rise where it is steep. Each rise is taken from the sum of the bytes before it,
+so errors do not add up. A rise beyond the greatest, 0.5, is made up for in the bins
 that follow. Distances are bytes on a logarithmic scale.
 
 The first comparison of a search needs the rises d between the means of neighbouring runs of bins,
@@ -22,8 +22,8 @@ by a bounded kernel,
 
     k(d, d') = \cos(\omega (d - d')) = \mathrm{Re}\, e^{i \omega d} \overline{e^{i \omega d'}}
 
-so what is far off counts no more than what is off, and the sum over many rises is a product of
-matrices. A phase takes a byte.
+so that a rise that is far off counts no more than one that is a little off, and the sum over many
+rises is a product of matrices. A phase takes a byte.
 """
 
 from collections.abc import Iterator
@@ -45,24 +45,24 @@ Complex64Array = NDArray[np.complex64]
 BINS = 360
 """Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""
 DISTANCE_BINS = 120
-"""Azimuth bins of its distance."""
+"""Azimuth bins of a place's distance."""
 PHASE_BINS = 180
-"""Azimuth bins of its phases."""
+"""Azimuth bins of a place's phases."""
 
 UNKNOWN_RISE = np.int8(-128)
 """A bin without a skyline; the next rise is taken from the last that has one."""
 
 RISE_SIZE, RISE_GROWTH = 0.006, 0.035
-"""a and c."""
+"""a and c of the formula."""
 _MOST = 127
 _SIGNED = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
 _RISES = np.sign(_SIGNED) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(_SIGNED))
 RISES: Float32Array = np.where(_SIGNED == UNKNOWN_RISE, 0.0, _RISES).astype(np.float32)
-"""Of each byte (256,), the bytes read as unsigned; 0 for unknown."""
+"""Rise of each byte (256,), the byte read as unsigned; 0 for unknown."""
 
 NEAREST_M = 1.0
 DISTANCE_STEP = 0.05
-"""Of the natural logarithm of the distance: code 255 is 327 km."""
+"""Step of the natural logarithm of the distance; code 255 is 327 km."""
 _DISTANCES = (NEAREST_M * np.exp(DISTANCE_STEP * (np.arange(256) - 1.0))).astype(np.float32)
 _DISTANCES[0] = np.nan
 
@@ -81,7 +81,7 @@ def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
 
     The first bin's byte is 0; where it has no skyline, the rises begin from 0.
     """
-    # A bin a row: what is worked on together lies together.
+    # A bin a row, so that values that are worked on together lie together.
     y = np.ascontiguousarray(elevation_tan.T)
     known = np.isfinite(y)
     first = np.where(known[0], y[0], np.float32(0.0))
@@ -153,11 +153,11 @@ class Places(Rows):
     Attributes
     ----------
     easting_m, northing_m : (N,) float64
-        Of the eye, in the DEM's frame.
+        The eye, in the DEM's frame.
     eye_elevation_m : (N,) float32
-        Above the DEM's datum.
+        Elevation of the eye above the DEM's datum.
     tolerance_m : (N,) float32
-        How far from the eye, east and north, the place stands for: half the spacing of a grid.
+        Distance from the eye, east and north, for which the place stands: half a grid's spacing.
     first_tan : (N,) float32
         Tangent of the skyline's elevation angle in the first bin.
     rise : (N, 360) int8
@@ -189,7 +189,7 @@ class Places(Rows):
             first,
             rise,
             encode_distance(horizons.distance_m),
-            # Of what the bytes say, so that phases can be made again from a store.
+            # Of the decoded rises, so that phases can be made again from a store.
             encode_phases(decode_rises(first, rise)),
         )
 

@@ -1,4 +1,4 @@
-"""Reading a store: its header, its rows, and its places where they lie in the file."""
+"""Reading a store: its header, its rows, and a map of its places in the file."""
 
 import io
 import mmap
@@ -23,13 +23,11 @@ from skyline.store.format import (
     EYE,
     KEYPOINTS,
     MADE_BY,
-    PLACE_CHECKSUM,
     PLACES,
     RENDERINGS,
     Columns,
     KeypointColumns,
     StoreHeader,
-    check_holds,
     checksums_of_bytes,
 )
 from skyline.store.keypoints import NO_KEYPOINT
@@ -41,7 +39,7 @@ from skyline.terrain.viewpoints import Viewpoints
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
 Offsets = dict[str, NDArray[np.int64]]
-"""Where the chunks of each dataset begin in the file, by the dataset's name."""
+"""Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TAKEN_AT_ONCE = 4096
@@ -51,12 +49,12 @@ _VIEWS_AT_ONCE = 1024
 class PlaceMap:
     """The places of a store, a `skyline.store.places.PlaceSource`; see `Store.places`.
 
-    It holds the file by itself, so the store may be closed, replaced or removed. Pages that are
-    read belong to the system's cache. Memory of its own is the offsets: 72 bytes for 1024 places.
+    It keeps the file open, so the store may be closed, replaced or removed. Pages that are read
+    belong to the system's cache; the map itself takes 72 bytes for 1024 places.
 
-    A file that somebody cuts short is found out before each block and each batch of rows. Where
-    it happens while one of them is being read, the system ends the process (SIGBUS), as with any
-    mapped file. Everything in `skyline.store` replaces stores and never cuts one short.
+    The file's length is checked before each block and each batch of rows. A file that is cut short
+    while one of them is being read makes the system end the process (SIGBUS), as with any mapped
+    file. `skyline.store` replaces stores and never cuts one short.
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
@@ -66,6 +64,7 @@ class PlaceMap:
         self._at = at
         self._types = header.specs
         self._size = header.chunk_rows(places)
+        self._checksum = header.checksum
         # In the order in which their checksums are taken.
         self._fields = sorted(header.fields.items(), key=lambda item: item[1])
         self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
@@ -75,7 +74,7 @@ class PlaceMap:
             if places
         ]
         self._end = max(ends, default=0)
-        # A map of nothing is refused; an empty store has a superblock.
+        # The system maps no empty file, but even an empty store has a superblock.
         self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
         self._check_length(len(self._map))
         data = np.frombuffer(self._map, dtype=np.uint8)
@@ -91,8 +90,8 @@ class PlaceMap:
     def blocks(self) -> Iterator[Places]:
         """Yield all places in order, 1024 at a time (the last time fewer).
 
-        The arrays are read-only and lie in the file: nothing is read before it is looked at, and
-        nothing is verified (see `take`, and `check_store` for all of a store).
+        The arrays are read-only and lie in the file: it is read when an array is, and no checksum
+        is compared (`take` does that, and `check_store` for the whole store).
 
         Raises
         ------
@@ -110,14 +109,14 @@ class PlaceMap:
             yield Places(**fields)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        """Return copies of the places ``rows`` (M,), in order, each held to its checksum.
+        """Return copies of the places ``rows`` (M,), in order, each compared with its checksum.
 
         Raises
         ------
         InputError
             A row that is not there.
         StoreError
-            A place that is not as it was written, or a file that was cut short.
+            A place that differs from its checksum, or a file that was cut short.
         """
         wanted: NDArray[np.intp] = np.asarray(rows, dtype=np.intp)
         if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
@@ -143,15 +142,15 @@ class PlaceMap:
         chunk, row = np.divmod(rows, self._size)
         bytes_of = [
             self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
-            for name in (*(self._record.names or ()), PLACE_CHECKSUM)
+            for name in (*(self._record.names or ()), self._checksum)
         ]
         together = np.concatenate(bytes_of[:-1], axis=1)
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
         if wrong.any():
             raise StoreError(
                 f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
-                "checksum; `skyline store check` says what else, `skyline store repair` saves "
-                "what is whole"
+                "checksum; `skyline store check` lists all damage, `skyline store repair` "
+                "saves the whole rows"
             )
         return together.view(self._record)[:, 0]
 
@@ -169,9 +168,8 @@ class Store:
     Attributes
     ----------
     path : Path
-        Where the store is.
     header : StoreHeader
-        What the store was built from and how.
+        The DEM and the settings of the build.
     """
 
     def __init__(self, path: Path) -> None:
@@ -234,11 +232,12 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self.path, self.header, RENDERINGS)
+        self._expect(RENDERINGS)
         columns = self.stored(index)
         fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
         views = Views(**fields)
-        self._check_headings(views.heading)
+        if (views.heading > HEADINGS[-1]).any():
+            raise self._damaged(f"it has heading {views.heading.max()}, beyond {HEADINGS[-1]}")
         return views
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
@@ -253,14 +252,14 @@ class Store:
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
-        check_holds(self.path, self.header, RENDERINGS)
+        self._expect(RENDERINGS)
         columns = self._read(KEYPOINTS, self._indexed(index))
         if ((columns >= self.header.width) & (columns != NO_KEYPOINT)).any():
             raise self._damaged(f"{KEYPOINTS} names columns beyond {self.header.width - 1}")
         return columns
 
     def eyes(self) -> Viewpoints:
-        """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
+        """Read the eyes of all rows, of a store of either kind; raises as `stored`."""
         rows, names = self._indexed(slice(None)), self.header.fields
         read = {
             field: self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE
@@ -277,7 +276,7 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self.path, self.header, PLACES)
+        self._expect(PLACES)
         if not self._file:
             raise self._closed()
         size = self.header.chunk_rows(len(self))
@@ -299,8 +298,8 @@ class Store:
             ``elevation_deg`` and ``distance_m`` (horizontal), of a store of places by ``place``
             and ``grid_azimuth_deg``, of one of renderings by ``view`` and ``column``, with their
             ``flags``. The coordinate ``azimuth_deg``, of two dimensions, is from true north;
-            ``grid_azimuth_deg`` is from grid north and ``convergence_deg`` what a row's true
-            azimuths are more than its grid azimuths. Also ``lon``, ``lat``, ``easting_m``,
+            ``grid_azimuth_deg`` is from grid north, and ``convergence_deg`` is a row's true azimuth
+            minus its grid azimuth. Also ``lon``, ``lat``, ``easting_m``,
             ``northing_m``, ``eye_elevation_m`` of the eyes, and ``spatial_ref`` (CF), the frame.
 
         Raises
@@ -340,15 +339,19 @@ class Store:
         rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
+    def _expect(self, holds: str) -> None:
+        """Raise `InputError` unless the store has rows of this kind."""
+        if self.header.holds != holds:
+            raise InputError(
+                f"store {self.path} holds {self.header.holds}, not {holds}; name a store of "
+                f"{holds}, which {MADE_BY[holds]} makes"
+            )
+
     def _indexed(self, index: RowIndex) -> NDArray[np.intp]:
         try:
             return np.atleast_1d(np.arange(len(self))[index])
         except IndexError as error:
             raise InputError(f"{error}: store {self.path} has {len(self)} rows") from error
-
-    def _check_headings(self, heading: NDArray[np.uint8]) -> None:
-        if (heading > HEADINGS[-1]).any():
-            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
 
     def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         """Return rows of a dataset in the order wanted; raises `StoreError`."""
@@ -415,7 +418,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is that of a store, however damaged, or of one whose build goes on."""
+    """Whether a path is that of a store, even a damaged or an unfinished one."""
     path = Path(path)
     if parts_folder(path).is_dir():
         return True
@@ -453,7 +456,7 @@ def part_name(holds: str, number: int, total: int) -> str:
 
 
 def _absence(path: Path) -> str:
-    """Return in one line why there is no store at a path."""
+    """Return the reason why there is no store at a path, in one line."""
     folder = parts_folder(path)
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"

@@ -39,9 +39,9 @@ def check_dem(header: StoreHeader, terrain: HeightField) -> None:
 
 
 def curvature_of(header: StoreHeader) -> Curvature:
-    """Return the curvature a store was rendered with; the default where the header has none.
+    """Return the curvature a store was rendered with; the default where the header lacks it.
 
-    Raises `StoreError` where the header has something that is no curvature.
+    Raises `StoreError` where its value in the header is not a curvature.
     """
     stored = header.config.get("curvature")
     if not isinstance(stored, dict):
@@ -51,5 +51,6 @@ def curvature_of(header: StoreHeader) -> Curvature:
         return Curvature(**{name: value for name, value in stored.items() if name in names})
     except (TypeError, ValueError) as error:
         raise StoreError(
-            f"the store's curvature is {stored!r}, which is none ({error}); build it anew"
+            f"the store's curvature is {stored!r}, which is not a curvature ({error}); "
+            "build the store again"
         ) from error

@@ -1,4 +1,4 @@
-"""Writing a store: a finished file, or none.
+"""Writing a store: the file is finished, or it is not there.
 
 A store is written once, from rows that are all there, under a temporary name. It takes its own
 name when its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and
@@ -40,15 +40,15 @@ _LIBVER = ("v110", "v110")
 """Pinned, so that every release of HDF5 since 1.10 reads the file, and its bytes stay the same."""
 
 _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
-"""Of renderings: 2.7 kB instead of 5.1 a skyline of W = 640 with its depths, on Davos. Level 4
-saves 2 % and takes twice as long to read. Places are bytes already that would hardly pack, and
-plain chunks can be mapped."""
+"""Packing of renderings: a skyline of W = 640 with its depths takes 2.7 kB instead of 5.1 on Davos.
+Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
+can be mapped."""
 
 _ALIGNED_BYTES, _ALIGNED_FROM = 64, 1024
 """Chunks of places begin at whole cache lines, for half a byte a place."""
 
 _ROWS_AT_ONCE = 1024
-"""Whole chunks of either kind of rows: a packed chunk that is written twice leaves dead bytes."""
+"""Rows written at once, whole chunks: a packed chunk that is written twice leaves dead bytes."""
 
 
 def write_store(
@@ -117,7 +117,7 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]:
-    """Turn an exception of h5py into one line about the store."""
+    """Turn an exception of h5py into a `StoreError` of one line."""
     try:
         yield
     except SkylineError:
@@ -139,7 +139,7 @@ def _write_header(file: h5py.File, header: StoreHeader) -> None:
     texts = {"schema": SCHEMA, **header.attributes, "header_digest": header.digest}
     file.attrs["schema_version"] = SCHEMA_VERSION
     for name, text in texts.items():
-        # Of a fixed length: HDF5 keeps other texts where no checksum guards them.
+        # HDF5 guards texts of a fixed length alone with a checksum.
         data = text.encode() or b" "
         file.attrs.create(name, np.bytes_(data), dtype=h5py.string_dtype("utf-8", len(data)))
 

@@ -39,22 +39,22 @@ class Block:
 
 def blocks_of(document: Path) -> Iterator[Block]:
     """Yield the fenced blocks of a document."""
-    opened, said, lines = None, None, []
+    opened, comment, lines = None, None, []
     for number, line in enumerate(document.read_text(encoding="utf-8").splitlines(), start=1):
         if opened is None and line.startswith("```"):
             opened, lines = (number, line[3:].strip()), []
         elif opened is not None and line == "```":
-            reason = said[1] if said else None
+            reason = comment[1] if comment else None
             yield Block(document.name, *opened, "\n".join(lines), reason)
-            opened, said = None, None
+            opened, comment = None, None
         elif opened is not None:
             lines.append(line)
         elif line.strip():
-            said = _NOT_RUN.fullmatch(line.strip())
+            comment = _NOT_RUN.fullmatch(line.strip())
 
 
 def references(document: Path) -> list[tuple[str, list[str]]]:
-    """Return the files of the repository a document names, with the names it says they define."""
+    """Return the files of the repository a document names, with the names in each."""
     text = document.read_text(encoding="utf-8")
     return [(path, re.findall(r"`([\w.]+)`", names)) for path, names in _REFERENCE.findall(text)]
 
@@ -76,11 +76,11 @@ def api_names(document: Path) -> list[str]:
 
 
 def import_order(document: Path) -> list[set[str]]:
-    """Return the rows of folders that a page says import only downward, the highest first."""
-    said = next(
-        block.text for block in blocks_of(document) if block.text.startswith("__main__ > cli > ")
+    """Return the layers of folders in a page, the highest first."""
+    shown = next(
+        block.text for block in blocks_of(document) if block.text.startswith("cli, web > ")
     )
-    return [set(re.findall(r"\w+", row)) for row in said.split(">")]
+    return [set(re.findall(r"\w+", row)) for row in shown.split(">")]
 
 
 def defined_in(path: Path) -> set[str]:

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what it makes, and one line for every mistake."""
+"""The command line: the files it makes, and one line for every mistake."""
 
 import json
 import math
@@ -22,7 +22,6 @@ from skyline.cli import COMMANDS, loaded
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
-LISTED = {path.split(".")[1]: about for some in COMMANDS.values() for path, about in some.items()}
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
@@ -57,9 +56,9 @@ def test_a_shell_completes_commands_and_options(run, monkeypatch, typed, at, com
     "name", [path.split(".")[1] for some in COMMANDS.values() for path in some]
 )
 def test_a_command_is_listed_with_the_first_line_of_its_own_help(name):
-    told = {path.split(".")[1]: about for some in COMMANDS.values() for path, about in some.items()}
+    listed = (about for some in COMMANDS.values() for path, about in some.items() if name in path)
     own = loaded(name).help.split("\n\n")[0]
-    assert " ".join(own.split()) == told[name]
+    assert " ".join(own.split()) in listed
 
 
 def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
@@ -102,23 +101,16 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)
 
 
-@pytest.mark.parametrize(
-    ("options", "rows", "holds"),
-    [
-        (("--spacing", "80"), 1804, "places"),
-        (("--spacing", "300"), 121, "places"),
-    ],
-)
-def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path, options, rows, holds):
+def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path):
     out = tmp_path / "store.h5"
-    first = run("build", dem, "-o", out, *options)
+    first = run("build", dem, "-o", out, "--spacing", "300")
     assert first.code == 0, first.err
-    assert f"{rows} {holds}, {rows} of them new" in first.out
-    again = run("build", dem, "-o", out, *options)
+    assert "121 places, 121 of them new" in first.out
+    again = run("build", dem, "-o", out, "--spacing", "300")
     assert again.code == 0, again.err
-    assert f"{rows} {holds}, complete: nothing was left to render" in again.out
+    assert "121 places, complete: nothing was left to render" in again.out
     with open_store(out) as opened:
-        assert (len(opened), opened.header.holds) == (rows, holds)
+        assert (len(opened), opened.header.holds) == (121, "places")
 
 
 def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
@@ -131,21 +123,6 @@ def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
     assert len(eyes.easting_m) > 10
     assert abs(eyes.easting_m - 601_450.0).max() < 450.0 + 30.0
     assert abs(eyes.northing_m - 5_178_350.0).max() < 350.0 + 30.0
-
-
-PLANNED_ALONE = {
-    "--candidate-spacing": 50, "--coverage": 0.9, "--threshold-px": 3, "--seed": 1,
-    "--map": "map.png",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("option", PLANNED_ALONE)
-def test_a_uniform_grid_plans_nothing(run, dem, tmp_path, option):
-    out = tmp_path / "s.h5"
-    done = run("render", dem, "-o", out, "--grid", 900, option, PLANNED_ALONE[option])
-    assert_refused(done, f"error: {option} {PLANNED_ALONE[option]}")
-    assert "give --planner too" in done.err
-    assert not out.exists()
 
 
 def test_places_are_planned_and_drawn(run, dem, tmp_path):
@@ -175,7 +152,7 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
     ]:
         assert_refused(run(*arguments), kinds)
     done = run("store", "merge", store, renderings, "-o", tmp_path / "both.h5")
-    assert_refused(done, "what it holds")
+    assert_refused(done, "kind of rows")
     assert (store.read_bytes(), renderings.read_bytes()) == before
     assert not (tmp_path / "both.h5").exists()
 
@@ -236,7 +213,7 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
     assert "places" in run("info", store).out
 
 
-def test_a_dem_across_the_antimeridian_says_its_bounds_and_takes_them(run, tmp_path):
+def test_bounds_across_the_antimeridian_are_shown_and_accepted(run, tmp_path):
     # The antimeridian lies at easting 819,450 of UTM 60 S there.
     grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
     dem = write_dem(tmp_path / "dem.tif", fractal(110, 120), "EPSG:32760", transform=grid)
@@ -257,13 +234,6 @@ def test_a_dem_across_the_antimeridian_says_its_bounds_and_takes_them(run, tmp_p
     )
     done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
     assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
-
-
-def test_info_gl_says_what_was_chosen_and_why(run):
-    shown = run("info", "--gl")
-    assert shown.code == 0
-    facts = json.loads(run("info", "--gl", "--json").out)
-    assert facts["renderer"] in shown.out
 
 
 @pytest.mark.parametrize("group", ["store", "dem"])
@@ -289,8 +259,8 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert query.returncode == 0, query.stderr
-    said = r": (\S+) (\S+) heading (\S+) from true north confidence [01]\.\d\d$"
-    places = re.findall(said, query.stdout, re.MULTILINE)
+    line = r": (\S+) (\S+) heading (\S+) from true north confidence [01]\.\d\d$"
+    places = re.findall(line, query.stdout, re.MULTILINE)
     assert 1 <= len(places) <= 3
     lat, lon, heading_deg = map(float, places[0])
     assert abs(heading_deg - 140.95) < 1.5  # the grid's 140, and 0.95 of convergence
@@ -300,11 +270,8 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
 
 BAD_CSV = {
     "empty": ("", "is empty"),
-    "header only": ("easting,northing\n", "no viewpoints"),
-    "wrong columns": ("x,y\n1,2\n", "columns are `x,y`"),
     "two eyes": ("easting,northing,eye_height_m,eye_elevation_m\n1,2,3,4\n", "at most one"),
     "not numbers": (f"easting,northing\n{WEST_M},north\n", "expected 2 numbers"),
-    "short row": (f"easting,northing\n{WEST_M}\n", "expected 2 numbers"),
     "off the map": ("easting,northing\n0,0\n", "off the map"),
     "swapped degrees": (
         "lon,lat\n46.75,10.33\n",
@@ -332,39 +299,13 @@ def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, case)
     assert not list(tmp_path.glob("out.h5*"))
 
 
-def test_bad_dems_are_one_line(run, tmp_path):
-    heights = fractal(20, 20)
-    text = tmp_path / "text.tif"
-    text.write_text("not a raster")
-    bands = write_dem(tmp_path / "bands.tif", np.stack([heights, heights], axis=-1))
-    naked = write_dem(tmp_path / "naked.tif", heights, crs=None)
-    out = tmp_path / "out.h5"
-    for path, message in [
-        (tmp_path / "none.tif", "none.tif"),
-        (text, "text.tif"),
-        (bands, "2 bands"),
-        (naked, "--crs"),
-    ]:
-        assert_refused(run("build", path, "-o", out), message)
-    assert not out.exists()
-    assert run("build", naked, "-o", out, "--crs", "EPSG:32632", "--spacing", "200").code == 0
-
-
-def test_viewpoint_on_a_hole_is_refused(run, tmp_path):
-    heights = fractal(80, 80)
-    heights[20:60, 20:60] = np.nan
-    dem = write_dem(tmp_path / "hole.tif", heights, nodata=np.nan)
-    place = csv_of(tmp_path / "v.csv", [f"{WEST_M + 40 * SPACING_M},{NORTH_M - 40 * SPACING_M}"])
-    done = run("render", dem, "--viewpoints", place, "-o", tmp_path / "out.h5")
-    assert_refused(done, "on a hole")
-
-
 def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
     out = tmp_path / "out.h5"
     for arguments, message in [
         (["render", dem, "-o", out], "give one of --viewpoints FILE.csv, --grid"),
         (["render", dem, "-o", out, "--planner", "lpov", "--workers", "2"], "--workers 2 does not"),
         (["render", dem, "-o", out, "--grid", "0"], "spacing is 0.0"),
+        (["render", dem, "-o", out, "--grid", "900", "--seed", "1"], "give --planner too"),
         (["render", dem, "-o", out, "--grid", "500", "--width", "0"], "width is 0"),
         (["build", dem, "-o", out, "--k", "2"], "refraction k is 2.0"),
         (["build", dem, "-o", out, "--spacing", "nan"], "spacing is nan"),
@@ -403,19 +344,20 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, kind, tmp_path, request
     assert store.read_bytes() == before
 
 
-def test_explain_says_what_was_modelled_and_what_it_costs(dem, run):
-    west, south, east, north = read_dem([dem]).bounds_m
-    place = f"{(west + east) / 2},{(south + north) / 2}"
-    told = run("explain", dem, "--at", place, "--tolerance-px", "0.5", "--json")
-    facts = json.loads(told.out)
+def test_explain_gives_the_model_and_its_errors(dem, run):
+    lon, lat = read_dem([dem]).frame.to_lonlat(601_800.0, 5_178_000.0)
+    done = run("explain", dem, "--at", f"{lon:.9f},{lat:.9f}", "--tolerance-px", "0.5", "--json")
+    facts = json.loads(done.out)
+    assert facts["easting_m"] == pytest.approx(601_800.0, abs=0.01)
+    assert facts["northing_m"] == pytest.approx(5_178_000.0, abs=0.01)
     assert facts["curvature"] == "modelled"
     assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] == 0.5
     assert facts["data_reach_m"] > 0.0
-    assert "sight_m" in run("explain", dem, "--at", place).out
+    assert "sight_m" in run("explain", dem, "--at", "601800,5178000").out
 
 
 @pytest.mark.parametrize(
-    ("place", "said"),
+    ("place", "expected"),
     [
         ("5", "easting and northing"),
         ("0,0", "off the map"),
@@ -423,27 +365,13 @@ def test_explain_says_what_was_modelled_and_what_it_costs(dem, run):
         ("5178000,601800", "easting and northing seem to be swapped: give 601800,5178000"),
     ],
 )
-def test_explain_refuses_bad_places(dem, run, place, said):
-    told = run("explain", dem, "--at", place)
-    assert told.code == 2
-    assert said in told.err
+def test_explain_refuses_bad_places(dem, run, place, expected):
+    assert_refused(run("explain", dem, "--at", place), expected)
 
 
-def test_explain_takes_what_looks_like_degrees_for_degrees(run, tmp_path):
+def test_explain_reads_numbers_in_the_range_of_degrees_as_degrees(run, tmp_path):
     """The middle of a DEM in degrees has the metres 0, 0."""
     corner = Affine(1.0 / 3600.0, 0.0, 9.8, 0.0, -1.0 / 3600.0, 46.8)
     dem = write_dem(tmp_path / "dem.tif", fractal(80, 80), "EPSG:4326", transform=corner)
-    told = run("explain", dem, "--at", "46.79,9.81")
-    assert_refused(told, "longitude and latitude seem to be swapped: give 9.81,46.79")
-
-
-def test_explain_takes_degrees_too(dem, run):
-    lon, lat = read_dem([dem]).frame.to_lonlat(601_800.0, 5_178_000.0)
-    by_degrees, by_metres = (
-        run("explain", dem, "--at", place, "--json")
-        for place in (f"{float(lon):.9f},{float(lat):.9f}", "601800,5178000")
-    )
-    assert by_degrees.code == 0, by_degrees.err
-    facts, others = json.loads(by_degrees.out), json.loads(by_metres.out)
-    assert facts["easting_m"] == pytest.approx(others["easting_m"], abs=0.01)
-    assert facts["northing_m"] == pytest.approx(others["northing_m"], abs=0.01)
+    done = run("explain", dem, "--at", "46.79,9.81")
+    assert_refused(done, "longitude and latitude seem to be swapped: give 9.81,46.79")

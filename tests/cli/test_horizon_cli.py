@@ -1,4 +1,4 @@
-"""``skyline horizon``, ``sun`` and ``panorama`` as a user meets them."""
+"""``skyline horizon``, ``sun`` and ``panorama``: output, files and errors."""
 
 import csv
 import io
@@ -35,7 +35,7 @@ def table(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
-def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
+def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places):
     done = run("horizon", dem, "--at", places[0], "--at", places[1])
     assert done.code == 0, done.err
     rows = table(done.out)
@@ -48,12 +48,12 @@ def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
         ("elevation_deg", found.elevation_deg),
         ("distance_m", found.distance_m),
     ):
-        told = [float(row[name]) for row in rows]
-        np.testing.assert_allclose(told, values.ravel(), rtol=1e-5, atol=0.05)
+        written = [float(row[name]) for row in rows]
+        np.testing.assert_allclose(written, values.ravel(), rtol=1e-5, atol=0.05)
     assert rows[720]["lon"] == places[1].split(",")[0]
 
 
-def test_what_takes_long_says_so(run, dem, places, tmp_path, monkeypatch):
+def test_a_long_run_prints_a_line(run, dem, places, tmp_path, monkeypatch):
     monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
     target = tmp_path / "panorama.png"
     assert run("panorama", dem, "--at", places[0], "-o", target).err == (
@@ -74,8 +74,8 @@ def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
     assert rows == bare
     target = tmp_path / "both.json"
     assert run(*common, "--surface", canopy, "-o", target).code == 0
-    (told,) = json.loads(target.read_text())["places"]
-    both = np.array([told["elevation_deg"], told["surface_deg"]])
+    (written,) = json.loads(target.read_text())["places"]
+    both = np.array([written["elevation_deg"], written["surface_deg"]])
     assert (both[1] >= both[0]).all()
     assert_refused(
         run(*common, "--surface", canopy, "-o", tmp_path / "horizon.txt"), "leave --surface out"
@@ -87,11 +87,11 @@ def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     target = tmp_path / "horizons.json"
     done = run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target)
     assert done.code == 0, done.err
-    told = json.loads(target.read_text())["places"]
-    assert len(told) == 3
-    assert told[2]["azimuth_deg"] == list(range(0, 360, 10))
-    assert 0.0 < told[0]["sky_view_factor"] < 1.0
-    assert len(told[1]["elevation_deg"]) == len(told[1]["distance_m"]) == 36
+    written = json.loads(target.read_text())["places"]
+    assert len(written) == 3
+    assert written[2]["azimuth_deg"] == list(range(0, 360, 10))
+    assert 0.0 < written[0]["sky_view_factor"] < 1.0
+    assert len(written[1]["elevation_deg"]) == len(written[1]["distance_m"]) == 36
 
 
 def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp_path):
@@ -116,7 +116,7 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (("--at", "7.0,46.8"), "viewpoint 0 (lon 7.00000, lat 46.80000;"),
         (("--at", "46.8"), "expected LON,LAT in degrees"),
@@ -132,9 +132,9 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
         (("--points", "no.csv"), "no.csv does not exist"),
     ],
 )
-def test_bad_input_is_one_line(run, dem, places, arguments, said):
+def test_bad_input_is_one_line(run, dem, places, arguments, expected):
     arguments = [places[0] if word == AT else word for word in arguments]
-    assert_refused(run("horizon", dem, *arguments), said)
+    assert_refused(run("horizon", dem, *arguments), expected)
 
 
 @pytest.fixture(scope="module")
@@ -150,21 +150,21 @@ def mountain(tmp_path_factory):
 
 @pytest.mark.parametrize("command", [("horizon",), ("sun", "--date", "2026-06-21"),
                                      ("panorama", "-o", "panorama.png")])  # fmt: skip
-def test_it_is_said_which_point_was_taken(run, mountain, tmp_path, monkeypatch, command):
+def test_a_message_names_the_point_that_was_taken(run, mountain, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     dem, (beside, summit) = mountain
-    said = {}
+    printed = {}
     for within in (None, "0", "100"):
         option = () if within is None else ("--summit-within", within)
         done = run(command[0], dem, "--at", beside, *command[1:], *option)
         assert done.code == 0, done.err
-        (said[within],) = done.err.splitlines() or [""]
-    assert said[None].startswith(
+        (printed[within],) = done.err.splitlines() or [""]
+    assert printed[None].startswith(
         f"{beside} is beside a summit of the model: the eye stands as high"
     )
-    assert "3000 m, and not on its slope, 2987 m" in said[None]
-    assert said["0"] == ""
-    assert said["100"] == (
+    assert "3000 m, and not on its slope, 2987 m" in printed[None]
+    assert printed["0"] == ""
+    assert printed["100"] == (
         f"{beside}: the highest point within 100 m is {summit}, 3000 m high and 14 m away"
     )
 

@@ -1,4 +1,4 @@
-"""The notebooks in docs/notebooks/: they run, what they claim is so, and the site shows it."""
+"""The notebooks in docs/notebooks/: they run, their claims hold, and the site shows them."""
 
 import importlib.util
 import os
@@ -20,7 +20,7 @@ SHOWN = {
     "solar-horizon": ("sunrise at", "_files/solar-horizon"),
     "store-accuracy": ("of these right", "_files/store-accuracy"),
 }
-"""Notebook -> what its page has only if it was run."""
+"""Notebook -> text that its page has only if it was run."""
 
 
 def page_of(path):
@@ -37,7 +37,7 @@ def code_of(path):
 
 
 @pytest.mark.slow
-def test_make_docs_runs_the_notebooks_and_shows_what_they_find(tmp_path):
+def test_make_docs_runs_the_notebooks_and_shows_their_results(tmp_path):
     line = re.search(r"^docs:.*\n\t(.*)\$\(IN_VENV\)/mkdocs (.*)$", makefile(), re.M)
     settings = dict(word.split("=") for word in line[1].split())
     done = subprocess.run(
@@ -46,10 +46,10 @@ def test_make_docs_runs_the_notebooks_and_shows_what_they_find(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert {path.stem for path in NOTEBOOKS} == SHOWN.keys()
-    for name, told in SHOWN.items():
+    for name, texts in SHOWN.items():
         page = (tmp_path / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
-        for words in told:
-            assert words in page, name
+        for text in texts:
+            assert text in page, name
         assert not re.search(r'href="[^"]*\.md', page), name
 
 

@@ -92,8 +92,8 @@ def erbs(ghi, up, day):
 
 def test_the_annual_loss_of_the_page_is_that_of_the_plain_computation(valley):
     block = next(block for block in blocks_of(PAGE) if "aoi_projection" in block.text)
-    names, said = {}, StringIO()
-    with chdir(valley), redirect_stdout(said):
+    names, printed = {}, StringIO()
+    with chdir(valley), redirect_stdout(printed):
         exec(compile(block.text, PAGE.name, "exec"), names)
     place = names["place"]
     assert place.elevation_deg[0, 360] == pytest.approx(25.2, abs=1.0)
@@ -102,4 +102,4 @@ def test_the_annual_loss_of_the_page_is_that_of_the_plain_computation(valley):
     )
     assert 0.05 < loss < 0.4
     assert names["loss"] == pytest.approx(loss, abs=0.002)
-    assert f"{100.0 * names['loss']:.1f} %" in said.getvalue()
+    assert f"{100.0 * names['loss']:.1f} %" in printed.getvalue()

@@ -1,4 +1,4 @@
-"""``skyline store``: what it prints and what it ends with."""
+"""``skyline store``: its output and exit codes."""
 
 import json
 
@@ -9,7 +9,7 @@ KINDS = [("store", "places"), ("renderings", "renderings")]
 
 @pytest.fixture(params=KINDS, ids=[holds for _, holds in KINDS])
 def kind(request):
-    """A store of either kind, and what it holds."""
+    """A store, and its kind of rows."""
     name, holds = request.param
     return request.getfixturevalue(name), holds
 

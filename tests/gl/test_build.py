@@ -1,4 +1,4 @@
-"""Builds: the store is what was rendered, whoever made its parts and however often it broke."""
+"""Builds: the store equals the renderings, on any workers and however often the build broke."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal, write_dem
 
-from skyline import RenderConfig, Viewpoints, build_uniform, read_dem, render_to_store, stand_on
+from skyline import RenderConfig, Viewpoints, read_dem, render_to_store, stand_on
 from skyline.build import cluster, parts, plans
 from skyline.build.cluster import remote_runner
 from skyline.build.grid import uniform_grid
@@ -245,20 +245,6 @@ class TestBroken:
 
 
 class TestRefused:
-    def test_stores_of_other_settings(self, terrain, tmp_path):
-        path = tmp_path / "s.h5"
-        build_places(terrain, path, 300.0)
-        before = path.read_bytes()
-        flat = Curvature(enabled=False)
-        for build, expected in (
-            (lambda: build_places(terrain, path, 300.0, curvature=flat), "curvature"),
-            (lambda: build_places(terrain, path, loss=0.4), "planner is 'uniform' there"),
-            (lambda: build_uniform(terrain, path, 300.0, config=CONFIG), "'places' there"),
-        ):
-            with pytest.raises(StoreMismatchError, match=expected):
-                build()
-        assert path.read_bytes() == before
-
     @pytest.mark.parametrize(
         ("options", "expected"),
         [

@@ -118,7 +118,7 @@ def test_a_released_context_is_made_anew() -> None:
     assert draw(after.ctx, 1.0) == (255, 255, 0, 255)
 
 
-def test_description_says_what_was_tried_and_why() -> None:
+def test_the_description_has_all_attempts_and_the_reason() -> None:
     described = describe_context()
     assert json.loads(json.dumps(described)) == described
     assert described["renderer"] == acquire_context().ctx.info["GL_RENDERER"]
@@ -139,7 +139,7 @@ def test_description_says_what_was_tried_and_why() -> None:
         ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
     ],
 )
-def test_software_renderers_are_told_from_gpus(renderer: str, software: bool) -> None:
+def test_software_renderers_differ_from_gpus_by_name(renderer: str, software: bool) -> None:
     assert is_software(renderer) is software
 
 
@@ -207,21 +207,6 @@ def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone() -> No
     assert result.stderr == ""
 
 
-def test_a_fork_before_the_context_makes_its_own() -> None:
-    result = run_python("""
-        import os, sys
-        from skyline.render.context import acquire_context
-        child = os.fork()
-        context = acquire_context()
-        target = context.ctx.simple_framebuffer((1, 1), components=4)
-        target.clear(0.0, 1.0, 0.0, 1.0)
-        if child:
-            os.wait()
-        print(list(target.read(components=4)), flush=True)
-    """)
-    assert (result.stdout, result.stderr) == (2 * "[0, 255, 0, 255]\n", "")
-
-
 def test_an_unknown_backend_names_those_known(monkeypatch: pytest.MonkeyPatch) -> None:
     release_context()
     monkeypatch.setenv("SKYLINE_GL", "metal")
@@ -248,7 +233,7 @@ def test_osmesa_comes_after_an_egl_that_fails() -> None:
     assert "EGL gave no context" in described["reason"]
 
 
-def test_nothing_works_names_all_that_was_tried_and_the_packages() -> None:
+def test_without_opengl_the_error_has_all_attempts_and_the_packages() -> None:
     result = run_python("""
         from skyline.errors import ContextError
         from skyline.render import context, osmesa
@@ -288,31 +273,6 @@ def test_drivers_that_fail_stay_off_stderr() -> None:
     assert "libosmesa6" not in result.stdout
 
 
-@pytest.mark.parametrize("backend", context_module.BACKENDS)
-def test_a_driver_below_the_required_version_is_refused_in_one_line(backend: str) -> None:
-    result = run_python(
-        """
-        from skyline.errors import ContextError
-        from skyline.render import context
-        context._VERSION_CODE = 990
-        try:
-            context.acquire_context()
-        except ContextError as error:
-            print(error)
-        """,
-        SKYLINE_GL=backend,
-    )
-    assert len(result.stdout.splitlines()) == 1
-    assert f"tried {backend}, " in result.stdout
-    assert "sudo apt-get install" in result.stdout
-    assert result.stderr == ""
-
-
-def test_variables_of_glcontext_change_nothing() -> None:
-    result = run_python(DESCRIBE, GLCONTEXT_DEVICE_INDEX="0", GLCONTEXT_GLVERSION="330")
-    assert json.loads(result.stdout)["pixel"] == [0, 255, 0, 255]
-
-
 class StandIn:
     """A native context by name; notes which one is current and which are released."""
 
@@ -339,12 +299,10 @@ class StandIn:
 @pytest.mark.parametrize(
     ("devices", "chosen"),
     [
-        (["llvmpipe", "GeForce"], "GeForce"),
-        (["broken", "GeForce", "llvmpipe"], "GeForce"),
+        (["broken", "llvmpipe", "GeForce"], "GeForce"),
         (["too old", "llvmpipe"], "llvmpipe"),
         (["llvmpipe", "softpipe", "broken"], "llvmpipe"),
         (["broken"], None),
-        ([], None),
     ],
 )
 def test_a_gpu_is_preferred_among_devices(
@@ -366,18 +324,13 @@ def test_a_gpu_is_preferred_among_devices(
         context_module, "_devices", lambda _: [(name, partial(make, name)) for name in devices]
     )
     monkeypatch.setattr(context_module.moderngl, "create_context", wrap)
-    attempts: list[str] = []
-    best = context_module._best_device("egl", attempts, False)
+    best = context_module._best_device("egl", [], False)
     assert (best and best.device) == chosen
     assert StandIn.current == (chosen or "")
     assert [native.name for native in made if not native.released] == [chosen] * bool(chosen)
-    tried = devices[: devices.index("GeForce") + 1] if "GeForce" in devices else devices
-    assert [attempt.split(":")[0] for attempt in attempts] == [f"egl, {name}" for name in tried]
-    failed = [name in {"broken", "too old"} for name in tried]
-    assert ["OpenGL 4.5 on" not in attempt for attempt in attempts] == failed
 
 
-def test_the_driver_says_where_a_shader_is_wrong(
+def test_an_error_of_the_driver_has_the_line_of_the_shader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
@@ -394,18 +347,3 @@ def test_the_driver_says_where_a_shader_is_wrong(
         shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"})
     fragment.write_text(fragment.read_text().replace(" + wrong", ""))
     assert shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"}).glo > 0
-
-
-def test_a_compute_shader_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    context = acquire_context()
-    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
-    (tmp_path / "count.comp").write_text(
-        "#version 430 core\nlayout(local_size_x = 4) in;\n"
-        "layout(std430, binding = 0) buffer Counts { uint counts[]; };\n"
-        "void main() { counts[gl_GlobalInvocationID.x] = START + gl_GlobalInvocationID.x; }\n"
-    )
-    program = shaders.compile_compute(context.ctx, "count.comp", {"START": "7u"})
-    counts = context.ctx.buffer(reserve=16)
-    counts.bind_to_storage_buffer(0)
-    program.run(1)
-    assert list(memoryview(counts.read()).cast("I")) == [7, 8, 9, 10]

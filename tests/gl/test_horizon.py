@@ -5,10 +5,10 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import ContextError, InputError
-from skyline.render import horizon, windows
+from skyline.render import march, windows
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.march import RayMarcher
+from skyline.render.march import ColumnRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -47,32 +47,8 @@ def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):
     whole = render(field, eyes)
     monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
     monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 23)
-    monkeypatch.setattr(horizon, "_RESIDENT_SAMPLES", 2000)
+    monkeypatch.setattr(march, "_RESIDENT_SAMPLES", 2000)
     assert_same(render(field, eyes), whole)
-
-
-def test_windows_that_cannot_rise_are_not_loaded(monkeypatch):
-    monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
-    monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 20)
-    heights = np.zeros((81, 81), dtype=np.float32)
-    heights[2:19, [2, 18]] = heights[[2, 18], 2:19] = 500.0
-    field = field_of(heights, 30.0)
-    with HorizonRenderer(field, 64) as renderer:
-        renderer.render(stand_on(field, easting_m=300.0, northing_m=-300.0))
-        assert [(window.row, window.col) for window in renderer._resident] == [(0, 0)]
-        renderer.render(stand_on(field, easting_m=1200.0, northing_m=-1200.0))
-        assert len(renderer._resident) > 10
-
-
-def test_many_columns_a_lane_or_few(rough, monkeypatch):
-    field, eyes = rough
-    alone = [render(field, eyes[index : index + 1], 640) for index in range(3)]
-    together = render(field, eyes, 640)
-    monkeypatch.setattr(RayMarcher, "_columns_a_lane", lambda self, eyes: 7)
-    odd = render(field, eyes, 640)
-    assert_same(odd, together)
-    for index, views in enumerate(alone):
-        assert_same(views, together[4 * index : 4 * index + 4])
 
 
 def test_single_headings(rough):
@@ -109,47 +85,37 @@ def test_depth_path_agrees_to_its_quantization(rough):
     assert np.abs(difference).max() < QUANTIZATION_PX + EXACT_PX
 
 
-def test_no_viewpoints_give_no_views(rough):
-    field, eyes = rough
-    none = render(field, eyes[:0])
-    assert len(none) == 0
-    assert none.elevation_tan.shape == (0, 160)
-
-
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     field, eyes = rough
-    begin = RayMarcher.begin
+    reserve = ColumnRenderer._reserve
 
     def full(self, rows):
         if rows > 8:
-            raise horizon.moderngl.Error("cannot create buffer")
-        begin(self, rows)
+            raise march.moderngl.Error("cannot create buffer")
+        reserve(self, rows)
 
     whole = render(field, eyes)
-    monkeypatch.setattr(RayMarcher, "begin", full)
+    monkeypatch.setattr(ColumnRenderer, "_reserve", full)
     assert_same(render(field, eyes), whole)
     assert "out of GPU memory" in caplog.text
-    monkeypatch.setattr(RayMarcher, "begin", lambda self, rows: full(self, 9))
+    monkeypatch.setattr(ColumnRenderer, "_reserve", lambda self, rows: full(self, 9))
     with pytest.raises(ContextError, match="cannot hold one view"):
         render(field, eyes)
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
         ({"tolerance_px": -0.1}, "tolerance is -0.1"),
         ({"tolerance_px": np.nan}, "tolerance is nan"),
         ({"width": 0}, "width is 0"),
     ],
 )
-def test_bad_input_is_refused(rough, options, said):
-    with pytest.raises(InputError, match=said):
+def test_bad_input_is_refused(rough, options, expected):
+    with pytest.raises(InputError, match=expected):
         HorizonRenderer(rough[0], **options)
 
 
-def test_bad_headings_and_spacings(rough):
-    field, eyes = rough
-    with HorizonRenderer(field, 16) as renderer, pytest.raises(InputError, match="one of 0, 1"):
-        renderer.render(eyes, [4] * len(eyes))
+def test_samples_much_longer_than_wide_are_refused():
     with pytest.raises(InputError, match="resample the DEM"):
         HorizonRenderer(field_of(np.zeros((3, 3)), 1.0, 100.0))

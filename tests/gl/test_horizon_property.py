@@ -15,7 +15,7 @@ from skyline_bench.truth.agreement import HORIZON, SkylineScene, oracle_truth
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a field and the eyes on it are made of; positions are dyadic, so exact."""
+    """The parameters of a field and of the eyes on it; positions are dyadic, so exact."""
 
     rows: int
     cols: int

@@ -178,28 +178,15 @@ def test_the_largest_window_sees_its_holes():
     assert (horizons.flags & FLAG_HOLE == FLAG_HOLE).all()
 
 
-def test_no_viewpoints_give_no_horizons(rough):
-    field, eyes = rough
-    none = render(field, eyes[:0])
-    assert len(none) == 0
-    assert none.elevation_tan.shape == none.flags.shape == (0, BINS)
-
-
-def test_the_description_names_bins_and_tolerance(rough):
-    with PanoramaRenderer(rough[0], 720, tolerance_deg=0.01) as renderer:
-        assert renderer.description.startswith("horizon 720 azimuths, tolerance 0.01 degrees; ")
-
-
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
         ({"bins": 0}, "0 azimuth bins"),
         ({"bins": 12}, "multiple of 8"),
-        ({"bins": 8 * 16384}, "at most 65536"),
         ({"tolerance_deg": -0.1}, "tolerance is -0.1 degrees"),
         ({"tolerance_deg": np.inf}, "tolerance is inf"),
     ],
 )
-def test_bad_input_is_refused(rough, options, said):
-    with pytest.raises(InputError, match=said):
-        PanoramaRenderer(rough[0], **options)
+def test_bad_input_is_refused(rough, options, expected):
+    with pytest.raises(InputError, match=expected):
+        PanoramaRenderer(rough[0], **{"bins": BINS, **options})

@@ -1,7 +1,7 @@
 """Terrain and photo turned, mirrored or shifted together: so is the answer.
 
-No answer is looked up here. What is held is the relation of two answers, each found in a store of
-its own, which leaves no room for a frame, an axis or a heading the wrong way round.
+No answer is looked up here. The tests compare two answers, each found in a store of its own, which
+leaves no room for a frame, an axis or a heading the wrong way round.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from skyline_bench.queries.synthetic import QueryConfig, make_queries
 SIZE, SPACING_M = 200, 30.0
 HALF_M = (SIZE - 1) / 2.0 * SPACING_M
 SQUARE_M = 600.0
-"""Half the side of what is searched."""
+"""Half the side of the area that is searched."""
 PLACES_M = 50.0
 QUERY = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.02, 0.02), smooth_share=0.0, masked_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0, fov_slack=0.05)
@@ -75,7 +75,7 @@ def plain(heights, queries, tmp_path_factory):
 
 
 def mirrored(query):
-    """Return what the mirror image of the photo shows."""
+    """Return the skyline of the photo's mirror image."""
     row_px, confidence = query.row_px[::-1].copy(), query.confidence[::-1].copy()
     return replace(query, row_px=row_px, confidence=confidence)
 

@@ -1,11 +1,7 @@
 """Both skylines of real terrain: the rasterizer against the oracle, and against others' figures."""
 
-import gzip
-
 import numpy as np
 import pytest
-import rasterio
-from rasterio.transform import from_origin
 from scenes import at_m
 
 from skyline.build.grid import map_bounds
@@ -103,35 +99,3 @@ def test_everest_voids_are_counted_and_make_no_phantom_skyline(shared_data):
     seen = (views.flags == 0) & (truth.flags == 0)
     error_px = (views.elevation_tan - truth.elevation_tan)[seen] * 80.0
     assert np.abs(error_px).max() <= 1.0
-
-
-def test_a_skyline_across_a_seam_is_that_of_the_merged_raster(shared_data, tmp_path):
-    tiles = [shared_data / "california" / f"N37W{lon}.hgt.gz" for lon in (119, 120)]
-    east, west = (
-        np.frombuffer(gzip.decompress(p.read_bytes()), ">i2").reshape(1201, 1201) for p in tiles
-    )
-    # They differ by a metre here and there on the shared border; the tile named first counts.
-    merged = np.concatenate([west[:, :-1], east], axis=1)
-    path = tmp_path / "merged.tif"
-    step = 1.0 / 1200.0
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=merged.shape[1],
-        height=merged.shape[0],
-        count=1,
-        dtype="int16",
-        nodata=-32768,
-        crs="EPSG:4326",
-        transform=from_origin(-120.0 - step / 2.0, 38.0 + step / 2.0, step, step),
-    ) as raster:
-        raster.write(merged.astype(np.int16), 1)
-    mosaic, whole = read_dem(tiles), read_dem([path])
-    np.testing.assert_array_equal(mosaic.heights_m, whole.heights_m)
-    easting, northing = mosaic.frame.from_lonlat([-119.01], [37.6])
-    viewpoints = stand_on(mosaic, easting_m=easting, northing_m=northing)
-    with DepthRenderer(mosaic) as first, DepthRenderer(whole) as second:
-        np.testing.assert_array_equal(
-            first.render(viewpoints).elevation_tan, second.render(viewpoints).elevation_tan
-        )

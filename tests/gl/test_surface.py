@@ -1,4 +1,4 @@
-"""What may stand on the ground: a surface model as an upper bound for the skyline."""
+"""Trees and houses on the ground: a surface model as an upper bound for the skyline."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def forest(bare, canopy):
     return field_of(bare.heights_m + canopy.heights_m)
 
 
-def test_a_surface_and_a_canopy_model_say_the_same(bare, canopy, forest):
+def test_a_surface_and_a_canopy_model_give_the_same_heights(bare, canopy, forest):
     for model in (forest, canopy):
         over = read_surface(model, bare)
         np.testing.assert_allclose(over.heights_m - bare.heights_m, canopy.heights_m, atol=1e-3)
@@ -72,7 +72,7 @@ def test_a_surface_in_another_frame_lies_where_it_is():
     assert bare.to_map(row.mean(), col.mean()) == pytest.approx((600.0, -300.0), abs=15.0)
 
 
-def test_a_surface_of_elsewhere_or_of_another_datum_is_refused(bare, forest):
+def test_a_surface_of_another_area_or_datum_is_refused(bare, forest):
     away = field_of(forest.heights_m, west_m=1e6)
     with pytest.raises(InputError, match="has no height over the DEM"):
         read_surface(away, bare)

@@ -1,4 +1,4 @@
-"""The plan of places: as dense as the skylines are near, the same whoever plans it."""
+"""The plan of places: as dense as the skylines are near, whichever process plans it."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from scenes import field_of
 from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
-    Blocks,
     blocks_of,
     lost_shares,
     price_of,
@@ -22,58 +21,33 @@ SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
 
 EAST, NORTH = np.meshgrid(np.arange(-960.0, 6081.0, 80.0), np.arange(6080.0, -961.0, -80.0))
 """Of samples in a block and round about. The lattices down to a spacing of 80 m lie on them."""
-COL, ROW = EAST // 80.0, NORTH // 80.0
+ROW = NORTH // 80.0
 NODE_M = np.hypot(EAST - 2560.0, NORTH - 2560.0)
 """Distance from a node of the coarsest lattice."""
 RANDOM = np.random.default_rng(2).random(EAST.shape)
 
 HOLES = {
     "none": NODE_M < 0.0,
-    "one sample": NODE_M == 0.0,
-    "the sample in a corner": (EAST == -960.0) & (NORTH == -960.0),
     "a quarter": (EAST < 2560.0) & (NORTH < 2560.0),
-    "half": EAST < 2560.0,
-    "a disc": NODE_M < 1500.0,
-    "all but a disc": NODE_M > 500.0,
     "all but a disc between the coarsest nodes": np.hypot(EAST - 1920.0, NORTH - 1920.0) > 500.0,
-    "all but the corners": np.hypot(EAST % 5120.0, NORTH % 5120.0) > 500.0,
-    "all but one sample": NODE_M > 0.0,
     "all but one sample between the coarsest nodes": (EAST != 1920.0) | (NORTH != 1920.0),
-    "all but one sample round about": (EAST != 0.0) | (NORTH != 5120.0),
-    "all but one cell": np.maximum(np.abs(EAST - 2600.0), np.abs(NORTH - 2600.0)) > 40.0,
     "all but one triangle": NODE_M + (EAST < 2560.0) + (NORTH < 2560.0) > 80.0,
-    "a ring": np.abs(NODE_M - 1500.0) < 300.0,
-    "all but a ring": np.abs(NODE_M - 1300.0) > 150.0,
-    "a checkerboard": (ROW + COL) % 2 == 0,
     "a checkerboard of nodes": (EAST // 160.0 + NORTH // 160.0) % 2 == 0,
-    "a checkerboard of squares": (ROW // 9 + COL // 9) % 2 == 0,
     "every other row": ROW % 2 == 0,
-    "a row": NORTH == 2560.0,
-    "all but a row": NORTH != 2560.0,
-    "all but a column": EAST != 2560.0,
-    "a diagonal": EAST == NORTH,
     "all but a diagonal": EAST != NORTH,
-    "all but the rim": np.maximum(np.abs(EAST - 2560.0), np.abs(NORTH - 2560.0)) < 2400.0,
     "a third, scattered": RANDOM < 0.3,
-    "all but a tenth, scattered": RANDOM < 0.9,
-    "all but a few": RANDOM < 0.99,
     "all": NODE_M >= 0.0,
 }
 
 CUTS = {
     "one sample": np.s_[44:45, 44:45],
-    "one cell": np.s_[44:46, 43:45],
-    "one sample high": np.s_[44:45],
-    "one sample wide": np.s_[:, 44:45],
-    "one cell high": np.s_[44:46],
     "one cell wide": np.s_[:, 43:45],
-    "smaller than a block": np.s_[20:50, 30:60],
     "smaller than the coarsest spacing, between its nodes": np.s_[46:54, 46:54],
 }
 
 
 def looking(distance_m):
-    """Return what renders skylines at a distance that depends on the easting."""
+    """Return a renderer of skylines at a distance that depends on the easting."""
 
     def look(eyes):
         shape = (len(eyes), BINS)
@@ -92,8 +66,12 @@ def looking(distance_m):
 
 
 def planned(terrain, distance_m, price, area=AREA):
-    planner = AdaptivePlanner(terrain, looking(distance_m), area, price, 2.0)
-    return planner.places(blocks_of(area))
+    return joined(AdaptivePlanner(terrain, looking(distance_m), area, price), blocks_of(area))
+
+
+def joined(planner, blocks):
+    parts = [places for block in blocks if (places := planner.places(block)) is not None]
+    return Places.concatenate(parts) if parts else None
 
 
 @pytest.fixture(scope="module")
@@ -140,8 +118,8 @@ class TestPrice:
 
     @pytest.mark.parametrize("loss", [0.05, 0.2, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        price = price_of(loss, plain, AREA, self.look, 2.0)
-        lost = lost_shares(self.look(spread_over(plain, AREA, 2.0)).distance_m, SPACINGS_M)
+        price = price_of(loss, plain, AREA, self.look)
+        lost = lost_shares(self.look(spread_over(plain, AREA)).distance_m, SPACINGS_M)
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -150,29 +128,20 @@ class TestPrice:
         # At the price itself two spacings may cost the same.
         assert lost_at(0.999 * price) <= loss < lost_at(1.001 * price)
 
-    @pytest.mark.parametrize("loss", [0.0, 1.0, -0.1, np.nan])
-    def test_a_loss_is_a_share(self, plain, loss):
-        with pytest.raises(InputError, match=r"expected a share between 0 and 1"):
-            price_of(loss, plain, AREA, self.look, 2.0)
-
-    def test_a_loss_that_no_places_come_down_to(self, plain):
-        with pytest.raises(InputError, match=r"20 m apart, the closest there are, .* larger one"):
-            price_of(1e-4, plain, AREA, self.look, 2.0)
-
     def test_viewpoints_spread_evenly_over_the_area(self, plain):
-        eyes = spread_over(plain, AREA, 2.0)
+        eyes = spread_over(plain, AREA)
         share = np.stack([eyes.easting_m / AREA[2], eyes.northing_m / AREA[3]])
         counted, *_ = np.histogram2d(*share, bins=8)
         assert len(eyes) == 512
         assert (np.abs(counted - 8) <= 3).all()
         with pytest.raises(InputError, match="no viewpoint falls on the surface"):
-            spread_over(plain, (1e6, 1e6, 2e6, 2e6), 2.0)
+            spread_over(plain, (1e6, 1e6, 2e6, 2e6))
 
     def test_viewpoints_are_found_on_a_small_island(self, plain):
         """In an elevation model that is nearly all holes."""
         west, south, east, north = plain.bounds_m
         share = (east - west) * (north - south) / 1e12
-        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5), 2.0)
+        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
         assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
         assert not np.isnan(
             plain.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
@@ -195,8 +164,8 @@ class TestPlan:
         def distance_m(easting):
             return np.where(easting < BLOCK_M, 300.0, 3e4)
 
-        sample = looking(distance_m)(spread_over(plain, AREA, 2.0))
-        price = price_of(0.15, plain, AREA, looking(distance_m), 2.0)
+        sample = looking(distance_m)(spread_over(plain, AREA))
+        price = price_of(0.15, plain, AREA, looking(distance_m))
         places = planned(plain, distance_m, price)
         west = places.easting_m < BLOCK_M
         wanted = SPACINGS_M[
@@ -209,36 +178,28 @@ class TestPlan:
         own_m2 = (2.0 * places.tolerance_m.astype(float)) ** 2
         assert own_m2.sum() == pytest.approx(AREA[2] * AREA[3], rel=1e-6)
 
-    def test_a_plain_takes_less_than_a_place_a_square_kilometre(self, plain):
-        def distance_m(easting):
-            return np.full(len(easting), 3e4)
-
-        price = price_of(0.2, plain, AREA, looking(distance_m), 2.0)
-        places = planned(plain, distance_m, price)
-        assert len(places) <= AREA[2] * AREA[3] / 1e6
-
     def test_blocks_are_planned_each_on_its_own(self, plain):
         def distance_m(easting):
             return 100.0 + np.abs(easting - 4000.0)
 
         whole = planned(plain, distance_m, 300.0)
-        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0, 2.0)
+        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0)
         blocks = blocks_of(AREA)
         assert len(blocks) == 2
-        parts = [planner.places(blocks[np.array([one])]) for one in (1, 0)]
+        parts = [planner.places(blocks[one]) for one in (1, 0)]
         assert positions(parts[0]) | positions(parts[1]) == positions(whole)
         np.testing.assert_array_equal(
             Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
         )
 
-    def test_what_is_rendered_is_kept(self, plain):
+    def test_every_rendering_is_kept(self, plain):
         seen = []
 
         def look(eyes):
             seen.append(len(eyes))
             return looking(lambda easting: np.full(len(easting), 400.0))(eyes)
 
-        places = AdaptivePlanner(plain, look, AREA, 100.0, 2.0).places(blocks_of(AREA))
+        places = joined(AdaptivePlanner(plain, look, AREA, 100.0), blocks_of(AREA))
         # But for the coarsest places round about each block.
         assert sum(seen) - len(places) == 2 * (6 * 6 - 4 * 4)
 
@@ -264,7 +225,7 @@ class TestPlan:
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
 
-    def test_nobody_stands_on_holes_or_outside(self, plain):
+    def test_no_place_is_on_a_hole_or_outside(self, plain):
         area = (2000.0, 1500.0, 5000.0, 4000.0)
         heights = plain.heights_m.copy()
         heights[40:50] = np.nan
@@ -278,5 +239,5 @@ class TestPlan:
         assert places.easting_m.max() <= area[2]
         assert places.northing_m.min() >= area[1]
         assert places.northing_m.max() <= area[3]
-        off = AdaptivePlanner(plain, looking(np.ones_like), (1e6, 1e6, 2e6, 2e6), 1.0, 2.0)
-        assert off.places(Blocks(np.array([200]), np.array([200]))) is None
+        off = AdaptivePlanner(plain, looking(np.ones_like), (1e6, 1e6, 2e6, 2e6), 1.0)
+        assert off.places((200, 200)) is None

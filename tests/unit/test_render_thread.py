@@ -7,7 +7,7 @@ import pytest
 from skyline import ContextError, RenderThread
 
 
-def test_what_is_urgent_goes_before_what_waits():
+def test_urgent_tasks_go_before_waiting_ones():
     done, started, go_on = [], threading.Event(), threading.Event()
 
     def block():
@@ -42,7 +42,7 @@ def test_it_returns_and_raises_what_the_task_does_on_one_thread():
         assert thread.run(lambda: thread.run(lambda: "within")) == "within"
 
 
-def test_it_ends_after_what_waits():
+def test_it_ends_after_the_waiting_tasks():
     thread = RenderThread()
     thread.close()
     thread.close()

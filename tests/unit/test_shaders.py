@@ -32,21 +32,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_every_shader_of_the_repository_loads() -> None:
-    names = [path.name for path in shaders.SHADER_FOLDERS[1].iterdir()]
-    assert names
-    for name in names:
-        assert shaders.load_shader(name).strip()
-
-
-def test_the_wheel_is_looked_at_before_the_repository(folder: Path) -> None:
-    (folder / "second").mkdir()
-    (folder / "second" / "point.vert").write_text("second")
-    (folder / "second" / "only.vert").write_text("only")
-    assert shaders.load_shader("point.vert") == VERTEX
-    assert shaders.load_shader("only.vert") == "only"
-
-
 def test_a_missing_shader_names_both_folders(folder: Path) -> None:
     with pytest.raises(MissingFileError) as caught:
         shaders.load_shader("none.vert")
@@ -76,16 +61,6 @@ def test_messages_of_each_driver_name_file_and_line(folder: Path, words: str) ->
     driver = RefusingDriver("fragment_shader", words)
     with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:2\b.*bad"):
         shaders.compile_program(driver, "point.vert", "a.frag")
-
-
-def test_a_message_of_many_lines_becomes_one(folder: Path) -> None:
-    (folder / "a.comp").write_text("#version 430 core\n")
-    driver = RefusingDriver("compute_shader", "0:7(3): error: syntax error\n0:9(1): error: more")
-    with pytest.raises(ContextError) as caught:
-        shaders.compile_compute(driver, "a.comp")
-    assert str(caught.value) == (
-        "shader a.comp does not compile: a.comp:7: error: syntax error; a.comp:9: error: more"
-    )
 
 
 def test_a_message_without_a_stage_names_all_shaders(folder: Path) -> None:

@@ -37,11 +37,11 @@ def _element(text):
     return element
 
 
-def test_what_is_no_character_at_all_is_escaped():
+def test_surrogates_and_noncharacters_are_escaped():
     assert printable("\ud800\uffff") == r"\ud800\uffff"
 
 
 @pytest.mark.parametrize("kind", [InputError, MissingFileError])
 def test_an_error_is_one_line_whatever_the_file_is_called(kind):
-    said = str(kind(os.fsdecode(b"b\xe4r\nx does not exist")))
-    assert said == r"b\xe4r\nx does not exist"
+    text = str(kind(os.fsdecode(b"b\xe4r\nx does not exist")))
+    assert text == r"b\xe4r\nx does not exist"
