@@ -38,7 +38,7 @@ from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
 from skyline.report.exports import EXPORTS, check_export
 from skyline.report.peaks import read_peaks
-from skyline.terrain.tiles import absolute_name
+from skyline.terrain.rasters import absolute_name
 
 _DEFAULTS = MatchConfig()
 

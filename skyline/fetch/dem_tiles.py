@@ -1,4 +1,4 @@
-"""Elevation tiles of an area: where they lie, and cutting them to bounds for `read_dem`.
+"""Elevation tiles of an area from a server: their addresses, and the parts within bounds.
 
 A source has one address for each degree of latitude and longitude.
 """
@@ -8,7 +8,7 @@ import logging
 import math
 import os
 import string
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -21,10 +21,11 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
+from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError
-from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
+from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, shown, with_remote
 from skyline.files import for_gdal
-from skyline.geodesy import Bounds, check_bounds, width_deg
+from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64
@@ -40,7 +41,7 @@ SOURCES = {
 """Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
 
 MAX_BYTES = 4 << 30
-"""The most that is fetched at a time, unpacked."""
+"""The largest fetch, unpacked."""
 
 _ARC_SECOND_BYTES = 4 * 3600**2
 _MAX_BLOCK_BYTES = 256 << 20
@@ -48,18 +49,14 @@ _TAG = "SKYLINE_FETCH"
 # Bounds this near a pixel's edge are on it, but for rounding.
 _SLACK = 1e-6
 
-Progress = Callable[[int, int], None]
-"""Called with the tiles done and the tiles there are."""
+_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
+"""Of a tile, as SRTM names it: N46E009, S01W070."""
 
 _log = logging.getLogger(__name__)
 
 
-_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
-"""Of a tile, as SRTM has it: N46E009, S01W070."""
-
-
 def _fields(lat: int, lon: int) -> dict[str, int | str]:
-    """Return what a template's fields stand for; the numbers are absolute."""
+    """Return the values of a template's fields for a tile; the numbers are without sign."""
     hemispheres = {"ns": "N" if lat >= 0 else "S", "ew": "E" if lon >= 0 else "W"}
     return {"lat": abs(lat), "lon": abs(lon), **hemispheres}
 
@@ -68,7 +65,7 @@ def _fields(lat: int, lon: int) -> dict[str, int | str]:
 class TileSource:
     """A template of addresses.
 
-    Raises `InputError` for what is no http(s) address, or a field that is none of these.
+    Raises `InputError` unless it is an http(s) address with no other fields than these.
     """
 
     template: str
@@ -94,12 +91,12 @@ class TileSource:
 
     @classmethod
     def named(cls, name: str) -> Self:
-        """Return the source of that name in `SOURCES`, or the one whose template it is."""
+        """Return the source of that name in `SOURCES`; any other name is taken for a template."""
         return cls(SOURCES.get(name, name))
 
     @property
     def tiled(self) -> bool:
-        """Whether there is a file a degree."""
+        """Whether there is one file for each degree, not one over all."""
         return any(field for _, field, _, _ in string.Formatter().parse(self.template))
 
     def url(self, lat: int, lon: int) -> str:
@@ -112,9 +109,9 @@ class TileSource:
         return self.template.format(**fields)
 
     def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
-        """Return latitude and longitude, whole degrees, of the south-west corners of tiles.
+        """Return latitude and longitude of the south-west corners of the tiles within bounds.
 
-        They are those that bounds need, from the south-west, row by row.
+        They are whole degrees, from the south-west, row by row.
 
         Raises `InputError` for bounds that are not numbers in order, or that need more than
         `MAX_TILES`.
@@ -132,24 +129,24 @@ class TileSource:
                 f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
                 "time: choose smaller bounds"
             )
-        return [(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
+        return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
 @dataclass(frozen=True, slots=True)
 class FetchResult:
-    """What a fetch left in its folder."""
+    """The tiles in the folder after a fetch."""
 
     files: tuple[Path, ...]
     """All tiles, from the south-west, row by row."""
     fetched: int
-    """Of these, the ones fetched now; the others were there already."""
+    """How many of these were fetched now; the others were there already."""
     missing: tuple[str, ...]
-    """Tiles that the source does not have: as a rule, sea."""
+    """Tiles that the source does not have, usually sea."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """What is to be read of one tile, and where it goes."""
+    """The part of one tile to read, and the file to write it to."""
 
     url: str
     path: Path
@@ -167,7 +164,8 @@ def fetch_dem(
     bounds_deg: Bounds,
     source: str,
     folder: str | Path,
-    options: HttpOptions | None = None,
+    retries: int = RETRIES,
+    timeout_s: int = TIMEOUT_S,
     progress: Progress | None = None,
 ) -> FetchResult:
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
@@ -184,16 +182,21 @@ def fetch_dem(
         A name of `SOURCES` or a template, see `TileSource`.
     folder : str or Path
         Made where it does not exist. Files are named by their tile: ``N46E009.tif``.
+    retries : int
+        How often a failed request is repeated.
+    timeout_s : int
+        Seconds without an answer after which a request has failed.
+    progress : callable, optional
+        Called with the number of tiles done and of all.
 
     Raises
     ------
     InputError
-        Bounds, source or options out of range, too much at a time, no tile at all, tiles of
-        different spacing, or a file in the way.
+        Bounds or source out of range, too much at a time, no tile at all, tiles of different
+        spacing, or a file in the way.
     FetchError
         A server that fails, after the retries. Nothing of its tile is written.
     """
-    options = options or HttpOptions()
     origin = TileSource.named(source)
     tiles = origin.tiles(bounds_deg)
     folder = Path(folder)
@@ -207,7 +210,7 @@ def fetch_dem(
         name = _NAME.format(**_fields(*tile))
         path = folder / f"{name if origin.tiled else 'dem'}.tif"
         try:
-            cut = _plan(origin.url(*tile), path, bounds_deg, options)
+            cut = _plan(origin.url(*tile), path, bounds_deg, retries, timeout_s)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -225,14 +228,14 @@ def fetch_dem(
     for done, cut in enumerate(cuts):
         if progress:
             progress(done, len(cuts))
-        _fetch(cut, options)
+        _fetch(cut, retries, timeout_s)
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
 
 
-def _plan(url: str, path: Path, bounds_deg: Bounds, options: HttpOptions) -> _Cut | None:
-    """Look at a remote tile and say what to read of it; None where that is there already."""
+def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int) -> _Cut | None:
+    """Return the part of a remote tile to read; None where the file is there already."""
     tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
     if path.exists():
         held = _tag_of(path)
@@ -249,7 +252,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, options: HttpOptions) -> _Cu
         step_deg = (file.transform.a, -file.transform.e)
         return _Cut(url, path, tag, window, step_deg, file.dtypes[0])
 
-    return with_remote(url, options, look)
+    return with_remote(url, look, retries, timeout_s)
 
 
 def _tag_of(path: Path) -> str | None:
@@ -262,7 +265,7 @@ def _tag_of(path: Path) -> str | None:
 
 
 def _check_usable(url: str, file: Any) -> None:
-    """Refuse what is no tile of a DEM in degrees, and what would fill the memory."""
+    """Raise `InputError` unless a file is a DEM in degrees whose parts can be read alone."""
     where, transform = shown(url), file.transform
     if file.count != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
@@ -306,7 +309,7 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
 
 
 def _check_together(cuts: Sequence[_Cut]) -> None:
-    """Refuse what is too much, and tiles that do not make one grid, before anything is read."""
+    """Raise `InputError` for too many bytes, and for tiles that do not make one grid."""
     size_bytes = sum(cut.size_bytes for cut in cuts)
     if size_bytes > MAX_BYTES:
         raise InputError(
@@ -325,13 +328,13 @@ def _check_together(cuts: Sequence[_Cut]) -> None:
                 )
 
 
-def _fetch(cut: _Cut, options: HttpOptions) -> None:
+def _fetch(cut: _Cut, retries: int, timeout_s: int) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
     samples, known = np.empty((height, width), cut.dtype), 0
 
     def read(file: Any) -> bytes:
-        """Read a row of blocks at a time; what was read is kept when a connection fails."""
+        """Read a row of blocks at a time, and keep them when a connection fails."""
         nonlocal known
         block_rows = int(file.block_shapes[0][0])
         while known < height:
@@ -342,7 +345,7 @@ def _fetch(cut: _Cut, options: HttpOptions) -> None:
             known = stop - top
         return _geotiff(samples, cut, file)
 
-    content = with_remote(cut.url, options, read)
+    content = with_remote(cut.url, read, retries, timeout_s)
     partial = cut.path.with_name(f"{cut.path.name}.partial")
     try:
         with partial.open("wb") as target:
@@ -377,7 +380,7 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
         ) as file:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
-            # One tag says whether samples stand for points or areas.
+            # This tag says whether samples stand for points or areas.
             kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
             file.update_tags(**{_TAG: cut.tag}, **kept)
         return bytes(memory.getbuffer())

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, in_turn
 from skyline.photo.exif import NotedPlace
 
 _WRONG_SHARE = 0.05
@@ -76,7 +76,7 @@ class Claim:
         cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
         if self.heading_deg is not None:
             turn = np.degrees(heading_rad) - self.heading_deg
-            off = ((turn + 180.0) % 360.0 - 180.0) / self.heading_sd_deg
+            off = in_turn(turn) / self.heading_sd_deg
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
             right *= 1.0 - _COMPASS_WRONG_SHARE
             cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))

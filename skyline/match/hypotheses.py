@@ -6,6 +6,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray, Rows
 from skyline.errors import InputError
+from skyline.geodesy import in_turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +69,7 @@ class Hypotheses(Rows):
             if not left[index]:
                 continue
             chosen.append(int(index))
-            turn = np.abs((self.heading_deg - self.heading_deg[index] + 180.0) % 360.0 - 180.0)
+            turn = np.abs(in_turn(self.heading_deg - self.heading_deg[index]))
             left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Frame, Rectangle, are_bounds
+from skyline.geodesy import Frame, Rectangle, are_bounds, in_turn
 from skyline.match.claim import Claim
 from skyline.match.hypotheses import Hypotheses
 from skyline.match.screening import turns_within
@@ -150,7 +150,7 @@ class Narrowed:
             turn = self.frame.convergence_deg(
                 easting_m=poses.easting_m, northing_m=poses.northing_m
             )
-            off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
+            off = in_turn(poses.heading_deg + turn - heading)
             held &= np.abs(off) <= slack
         return held
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
+from skyline.geodesy import in_turn
 from skyline.match.claim import Claim, EyeHeight
 from skyline.match.hypotheses import Hypotheses
 from skyline.match.match_config import RefineConfig
@@ -263,7 +264,7 @@ class Refinement:
         self._seen_times += 1
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
-        off = np.abs((turn + 180.0) % 360.0 - 180.0)
+        off = np.abs(in_turn(turn))
         wanted = off < 45.0 + 0.5 * fov_deg[:, np.newaxis] + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(

@@ -5,6 +5,7 @@ from typing import NotRequired, TypedDict, cast
 
 from pyproj import Geod
 
+from skyline.geodesy import in_turn
 from skyline.match.confidence import DISTANCES_M
 from skyline.match.ranking import Candidate
 from skyline.photo.exif import NotedPlace
@@ -154,7 +155,7 @@ def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | No
     if best is not None and noted.lonlat_deg is not None:
         distance_m = float(_WGS84.inv(*noted.lonlat_deg, best.lon, best.lat)[2])
     if best is not None and noted.heading_deg is not None:
-        off_deg = (best.heading_deg - noted.heading_deg + 180.0) % 360.0 - 180.0
+        off_deg = float(in_turn(best.heading_deg - noted.heading_deg))
     return ExifRecord(
         lon=lon,
         lat=lat,

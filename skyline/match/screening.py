@@ -30,6 +30,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows, UInt8Array
+from skyline.geodesy import in_turn
 from skyline.match.progress import tell
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
@@ -228,7 +229,7 @@ def turn_heading_deg(turn: IntArray) -> Float64Array:
 def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
     """Return which turns (B,) look within a slack of a grid azimuth, a turn's width added."""
     axis_deg = turn_heading_deg(np.arange(PHASE_BINS))
-    off_deg = np.abs((axis_deg - heading_deg + 180.0) % 360.0 - 180.0)
+    off_deg = np.abs(in_turn(axis_deg - heading_deg))
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 

@@ -1,8 +1,9 @@
-"""Samples of one CRS to a square metric grid of another, once, with all summits.
+"""Resampling of a grid of one CRS to a square metric grid of another, with all summits kept.
 
-rasterio's own ``reproject`` finds its positions to an eighth of a sample, and before its version
-1.5 no option betters that: 5 m rms on 3 arc-second tiles of California. Here positions are good
-to `POSITION_TOLERANCE` samples, and holes and the antimeridian are treated in plain sight.
+GDAL's ``WarpedVRT`` with a tolerance of 0.001 samples places samples as well and as fast. But its
+cubic convolution overshoots: every summit kept, 4 to 18 % of the summits of Davos, California and
+Everest came out more than 1 m too high, up to 21 m. And its samples depend on the part of the
+target that is asked for, and on its release; blocks here have the samples of the whole, to the bit.
 """
 
 import math
@@ -15,9 +16,9 @@ from pyproj import CRS, Transformer
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, to_wgs84, transformer
-from skyline.terrain.blocks import BLOCK, block_edges
+from skyline.geodesy import Frame, in_turn, to_wgs84, transformer
 from skyline.terrain.cleaning import strips
+from skyline.terrain.heightfield import BLOCK, block_edges
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
@@ -41,7 +42,7 @@ _Window = tuple[slice, slice]
 def local_frame(grid: Grid, crs: CRS) -> Frame:
     """Return the local conformal frame centred on a grid."""
     lon, lat, _ = to_wgs84(crs, *grid.centre)
-    return Frame.local(lon=(lon + 180.0) % 360.0 - 180.0, lat=lat)
+    return Frame.local(lon=float(in_turn(lon)), lat=lat)
 
 
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:

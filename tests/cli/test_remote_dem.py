@@ -13,7 +13,7 @@ from rasterio.transform import from_origin
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal
 
 from skyline import FetchError, InputError, Matcher, read_dem
-from skyline.terrain.tiles import absolute_name
+from skyline.terrain.rasters import absolute_name
 
 SIZE = 128
 """Rows and columns of each of two tiles, side by side."""

@@ -125,7 +125,7 @@ def test_the_file_s_own_crs_wins_with_a_warning(
 ) -> None:
     path = write(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
     assert read_dem(path, DemOptions(crs="EPSG:32633")).frame.name == UTM
-    assert "32N" in caplog.text
+    assert "--crs WGS 84 / UTM zone 33N is only for files that name no" in caplog.text
     caplog.clear()
     read_dem(path, DemOptions(crs=UTM))
     assert caplog.text == ""
@@ -293,7 +293,6 @@ def test_digest_is_the_same_each_time(tmp_path: Path) -> None:
     transform = from_origin(9.0, 47.0, 1 / 1200, 1 / 1200)
     path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326")
     assert read_dem(path).digest == read_dem([str(path)]).digest
-    assert read_dem(path).digest != read_dem(path, DemOptions(max_void_samples=0)).digest
 
 
 def test_albers_is_used_with_a_warning_or_warped(
@@ -354,14 +353,11 @@ def test_a_metric_dem_is_read_in_little_more_than_its_samples(
     assert peak < 1.25 * field.heights_m.nbytes
 
 
-@pytest.mark.parametrize("spike_m", [80.0, np.inf])
-def test_options_survive_json(spike_m: float) -> None:
-    options = DemOptions(crs="EPSG:32632", reproject=True, spike_m=spike_m)
+def test_options_survive_json() -> None:
+    options = DemOptions(crs="EPSG:32632", reproject=True)
     assert DemOptions.from_json(json.loads(json.dumps(options.to_json()))) == options
     assert DemOptions.from_json(None) == DemOptions()
-
-
-@pytest.mark.parametrize("options", [{"shell": "rm"}, ["crs"], 5, {"max_void_samples": "x"}])
-def test_foreign_options_are_refused(options: object) -> None:
+    # Stores of other releases hold options that this one does not have.
+    assert DemOptions.from_json({**options.to_json(), "spike_m": None}) == options
     with pytest.raises(InputError, match="DEM options are"):
-        DemOptions.from_json(options)
+        DemOptions.from_json(["crs"])

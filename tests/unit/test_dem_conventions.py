@@ -394,7 +394,7 @@ def test_the_guide_quotes_the_warnings(tmp_path: Path, caplog: pytest.LogCapture
         assert line in said
 
 
-def test_what_a_file_says_and_leaves_open_is_kept_in_words(tmp_path: Path) -> None:
+def test_conventions_named_and_assumed_are_kept_in_words(tmp_path: Path) -> None:
     path = write(
         tmp_path / "dem.tif", np.ones((9, 9), np.int16), from_origin(6e5, 2.1e6, 30.0, 30.0),
         "EPSG:27572", nodata=-99, tags={"AREA_OR_POINT": "Point"},

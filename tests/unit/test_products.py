@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dem_files import write
 
-from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
+from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, model_of
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import fractal
 
-from skyline.terrain.pyramid import EMPTY, LEAF_STRIPS, SLABS, level_count, slab_levels
+from skyline.terrain.mesh import EMPTY, LEAF_STRIPS, SLABS, level_count, slab_levels
 
 
 def vertices_met(heights, start, slope, first, last):
