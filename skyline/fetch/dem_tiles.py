@@ -6,8 +6,7 @@ A source has one address for each degree of latitude and longitude.
 import json
 import logging
 import math
-import os
-import string
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +21,9 @@ from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
 from skyline.arrays import Progress
-from skyline.errors import FetchError, InputError
+from skyline.errors import InputError
 from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, shown, with_remote
-from skyline.files import for_gdal
+from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.tiles import GRID_TOLERANCE
 
@@ -49,16 +48,9 @@ _TAG = "SKYLINE_FETCH"
 # Bounds this near a pixel's edge are on it, but for rounding.
 _SLACK = 1e-6
 
-_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
-"""Of a tile, as SRTM names it: N46E009, S01W070."""
+_FIELD = re.compile(r"\{(lat|lon|ns|ew)(?::(\d{1,2}d))?\}")
 
 _log = logging.getLogger(__name__)
-
-
-def _fields(lat: int, lon: int) -> dict[str, int | str]:
-    """Return the values of a template's fields for a tile; the numbers are without sign."""
-    hemispheres = {"ns": "N" if lat >= 0 else "S", "ew": "E" if lon >= 0 else "W"}
-    return {"lat": abs(lat), "lon": abs(lon), **hemispheres}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,22 +63,21 @@ class TileSource:
     template: str
     """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
     tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
-    format, as in ``{lat:02d}``. Without any of them the address is one file over all."""
+    width, as in ``{lat:02d}``. Without any of them the address is one file over all."""
 
     def __post_init__(self) -> None:
         try:
-            address = urlsplit(self.url(0, 0))
+            url = self.url(0, 0)
+            address = urlsplit(url)
             usable = address.scheme in ("http", "https") and bool(address.hostname)
-        except (ValueError, KeyError) as error:
-            raise InputError(
-                f"source {self.template!r} is not understood ({error}); expected an address with "
-                "the fields {lat}, {lon}, {ns}, {ew}, e.g. "
-                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
-            ) from error
+            usable &= not set(url) & {"{", "}"}
+        except ValueError:
+            usable = False
         if not usable:
             raise InputError(
-                f"source {self.template!r} is not an http or https address; give one, or the name "
-                f"of a source: {', '.join(SOURCES)}"
+                f"source is {self.template!r}; expected {', '.join(SOURCES)}, or an http or https "
+                "address with no other fields than {lat}, {lon}, {ns}, {ew}, e.g. "
+                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
             )
 
     @classmethod
@@ -97,16 +88,13 @@ class TileSource:
     @property
     def tiled(self) -> bool:
         """Whether there is one file for each degree, not one over all."""
-        return any(field for _, field, _, _ in string.Formatter().parse(self.template))
+        return bool(_FIELD.search(self.template))
 
     def url(self, lat: int, lon: int) -> str:
         """Return the address of the tile with this south-west corner, degrees."""
-        fields = _fields(lat, lon)
-        for _, field, _, conversion in string.Formatter().parse(self.template):
-            # format() would follow attributes and indices of a field, which no template needs.
-            if field is not None and (field not in fields or conversion):
-                raise ValueError(f"unknown field {field!r}")
-        return self.template.format(**fields)
+        ns, ew = _hemispheres(lat, lon)
+        values = {"lat": abs(lat), "lon": abs(lon), "ns": ns, "ew": ew}
+        return _FIELD.sub(lambda field: format(values[field[1]], field[2] or ""), self.template)
 
     def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
         """Return latitude and longitude of the south-west corners of the tiles within bounds.
@@ -130,6 +118,16 @@ class TileSource:
                 "time: choose smaller bounds"
             )
         return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
+
+
+def _hemispheres(lat: int, lon: int) -> tuple[str, str]:
+    return "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
+
+
+def _tile_name(lat: int, lon: int) -> str:
+    """Return the name of a tile, as SRTM names it: N46E009, S01W070."""
+    ns, ew = _hemispheres(lat, lon)
+    return f"{ns}{abs(lat):02d}{ew}{abs(lon):03d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +169,7 @@ def fetch_dem(
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
 
     A tile is written whole or not at all, and one that is there from the same source and bounds is
-    not fetched again, so a fetch that failed goes on where it stopped.
+    not fetched again, so that the same call continues a fetch that failed.
 
     Parameters
     ----------
@@ -193,7 +191,7 @@ def fetch_dem(
     ------
     InputError
         Bounds or source out of range, too much at a time, no tile at all, tiles of different
-        spacing, or a file in the way.
+        spacing, or a file that is in the way or cannot be written.
     FetchError
         A server that fails, after the retries. Nothing of its tile is written.
     """
@@ -207,7 +205,7 @@ def fetch_dem(
     files: list[Path] = []
     missing: list[str] = []
     for tile in tiles:
-        name = _NAME.format(**_fields(*tile))
+        name = _tile_name(*tile)
         path = folder / f"{name if origin.tiled else 'dem'}.tif"
         try:
             cut = _plan(origin.url(*tile), path, bounds_deg, retries, timeout_s)
@@ -345,21 +343,7 @@ def _fetch(cut: _Cut, retries: int, timeout_s: int) -> None:
             known = stop - top
         return _geotiff(samples, cut, file)
 
-    content = with_remote(cut.url, read, retries, timeout_s)
-    partial = cut.path.with_name(f"{cut.path.name}.partial")
-    try:
-        with partial.open("wb") as target:
-            target.write(content)
-            target.flush()
-            os.fsync(target.fileno())
-        partial.replace(cut.path)
-    except OSError as error:
-        raise FetchError(
-            f"{cut.path} cannot be written ({error.strerror}); make room or name another folder, "
-            "then give the same command: what was fetched is kept"
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(cut.path, with_remote(cut.url, read, retries, timeout_s))
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:

@@ -42,7 +42,7 @@ class RequestError(Exception):
     Parameters
     ----------
     reason, advice : str
-        The failure, and what to do about it.
+        The failure, and the next thing to try.
     may_pass : bool
         Whether the same request may succeed later.
     """
@@ -71,7 +71,7 @@ def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
 
 
 def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: int) -> _T:
-    """Open the GeoTIFF at an address and return what ``work`` makes of the rasterio dataset.
+    """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
     After a failed connection ``work`` is called again with the file opened anew: GDAL itself
     repeats only requests that are answered 429, 500, 502, 503 or 504.
@@ -86,7 +86,7 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
 
     def read() -> _T:
         try:
-            # GTiff alone: other drivers follow what a stranger's file refers to.
+            # GTiff alone: other drivers follow references in the file of a stranger.
             with (
                 _environment(retries, timeout_s),
                 rasterio.open(f"/vsicurl/{url}", driver="GTiff") as file,
@@ -146,14 +146,14 @@ def _failure(url: str, error: RasterioError) -> Exception:
             return AbsentError(f"{shown(url)}: there is no such file (HTTP 404)")
         if code in (401, 403):
             advice = (
-                "check that the source is open to you (some servers answer this for what is absent)"
+                "check that the source is open to you (some servers answer this for absent files)"
             )
         elif code == 429 or code >= 500:
-            advice = "give the same command again later: what was fetched is kept"
+            advice = "give the same command again later: fetched tiles are kept"
         return RequestError(f"the server answers HTTP {code}", advice, may_pass)
     if curl := re.search(r"CURL error: (.*?)(;|$)", text):
         advice = (
-            "check the address and the connection, then give the same command: what was fetched is "
+            "check the address and the connection, then give the same command: fetched tiles are "
             "kept"
         )
         return RequestError(f"no answer ({curl[1]})", advice, may_pass)
@@ -162,6 +162,6 @@ def _failure(url: str, error: RasterioError) -> Exception:
         return RequestError(reason, advice, may_pass)
     return RequestError(
         f"the file breaks off or is damaged ({text.rpartition('; ')[2]})",
-        "give the same command again: what was fetched is kept",
+        "give the same command again: fetched tiles are kept",
         may_pass,
     )

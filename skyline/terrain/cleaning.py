@@ -8,8 +8,8 @@ declare, and +inf a sample that no file covers: it is nobody's neighbour and nev
 
 Fill is a constant in place of heights that were never measured, which a DEM does not declare. A
 footprint that was turned or cut is often padded with zeros, for example. Left in, they are a plain
-at sea level below walls of 2,000 m, over which an eye seems to see far. Their rim tells them from a
-lake or the sea: terrain does not rise over water by `STEEPEST` along half of a shore.
+at sea level below walls of 2,000 m, over which an eye seems to see far. They differ from lakes
+and the sea by their rim: terrain does not rise over water by `STEEPEST` along half of a shore.
 """
 
 import logging

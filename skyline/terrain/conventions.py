@@ -1,6 +1,6 @@
 """Conventions of a raster of heights: units, datums, axes, prime meridian, and its kind of surface.
 
-Conventions that a file names are taken. The others are assumed, and a sentence says so.
+Conventions that a file names are taken. The others are assumed, with a warning where that matters.
 """
 
 import math

@@ -97,13 +97,13 @@ def read_dem(
     paths : path or sequence of paths
         Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
         the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
-        they overlap the first named gives the height, what none covers is a hole.
+        they overlap the first named gives the height; samples that none covers are holes.
 
     Returns
     -------
     HeightField
-        float32 heights. Its provenance counts samples of the files: filled and hollow are what
-        the files' voids and the spikes became.
+        float32 heights. Its provenance counts samples of the files: filled and hollow samples were
+        voids or spikes.
 
     Raises
     ------
@@ -111,9 +111,10 @@ def read_dem(
         A path at which there is no file.
     InputError
         Not a raster, not one band, damaged, no (understood) CRS, a CRS that PROJ cannot transform,
-        a unit that is no length, a rotated grid, tiles that do not fit together, no height at all.
+        a unit that is not one of length, a rotated grid, tiles that do not fit together, no height
+        at all.
     FetchError
-        A server that does not have it, or does not answer.
+        A server that has no such file, or does not answer.
     """
     return _height_field(read_files(paths, options), options)
 

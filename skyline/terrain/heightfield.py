@@ -109,8 +109,8 @@ class HeightField:
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
                 "A grid in degrees is read by read_dem, HeightField.from_rasterio or from_xarray"
             )
-        # A private copy, so that the field stays what its digest says; an array that is frozen
-        # already is taken over as it is, since a large DEM must not need twice its memory.
+        # A private copy, so that the digest stays true. A frozen array is taken over as it is: a
+        # large DEM must not need twice its memory.
         if heights.flags.writeable or not (heights.flags.owndata and heights.flags.c_contiguous):
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
@@ -176,7 +176,7 @@ class HeightField:
             ``northing, easting``, in any order, with even coordinates of the samples. Further
             dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
             writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
-            ``add_offset``, ``units`` and ``positive`` among its attributes are heeded.
+            ``add_offset``, ``units`` and ``positive`` among its attributes are applied.
 
         Returns
         -------
@@ -339,7 +339,7 @@ class TerrainBlocks:
     """R x C blocks of a height field, of which only those that an eye may see are made.
 
     An eye sees little of a wide DEM: terrain behind a ridge need not be warped. The place of a
-    block and a height that nothing in it exceeds tell whether an eye may see it. Neighbouring
+    block and a height that nothing in it exceeds decide whether an eye may see it. Neighbouring
     blocks share the samples of their common edge.
     """
 

@@ -81,7 +81,7 @@ class Triangles:
     def entries(self, north: bool, east: bool) -> BoolArray:
         """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
 
-        ``north`` and ``east`` say that the ray goes there rather than south and west.
+        ``north`` and ``east``: whether the ray goes there rather than south and west.
         """
         rows, cols = self.north_east.shape
         marks = np.zeros((rows - 1, cols - 1), dtype=bool)

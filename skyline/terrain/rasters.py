@@ -98,8 +98,8 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
-    What rioxarray notes of a file is taken as it stands, so that a file opened with it gives the
-    same heights. Neither xarray nor rioxarray is imported.
+    The geotransform and CRS that rioxarray notes are used, so that a file opened with it gives the
+    same heights as the file itself. Neither xarray nor rioxarray is imported.
 
     Raises `InputError` for more than one band, dimensions that are not understood, coordinates that
     are missing or not even, no (understood) CRS, numbers that are not real.
@@ -119,7 +119,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
-        # xarray notes what it has decoded already in the encoding, not among the attributes.
+        # Attributes that xarray has applied already are in the encoding instead.
         scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
         for rows in strips(band):
             voids = np.zeros(band[rows].shape, dtype=np.bool_)
@@ -133,7 +133,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
 
 
 def absolute_name(path: str | Path) -> str:
-    """Return an absolute path, or what GDAL opens with the file in it made absolute.
+    """Return an absolute path, or a name of GDAL's with the path in it made absolute.
 
     Raises
     ------

@@ -127,8 +127,8 @@ class Mosaic:
 def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     """Read tiles onto their common grid.
 
-    Where tiles overlap, the first tile that has a height gives it. A warning says by how much they
-    disagree if that is more than `AGREEMENT_M`.
+    Where tiles overlap, the first tile that has a height gives it. A warning gives their
+    disagreement if that is more than `AGREEMENT_M`.
 
     Raises
     ------

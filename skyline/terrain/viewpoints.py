@@ -1,4 +1,4 @@
-"""Viewpoints: where eyes are, as arrays, and from a CSV file."""
+"""Viewpoints: places of eyes on a height field, given as arrays or in a CSV file."""
 
 import csv
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
 MOST_WITHIN_M = 10_000.0
-"""Within so many metres the highest point around an eye is looked for, at most."""
+"""The farthest that the highest point around an eye is looked for."""
 
 _ROUNDING_M = 1e-6
 _PLACES = (("easting", "northing"), ("lon", "lat"))
@@ -57,9 +57,9 @@ def stand_on(
     easting_m, northing_m : array_like, broadcast to (N,), metres in the field's frame
     eye_height_m : array_like, metres above ground, at least 0
     summit_within_m : float or None
-        How far an eye goes, at most, to stand on the highest point around. None leaves eyes where
-        they are, and lifts those that lie within a sample's spacing of a summit of the model to its
-        height (`skyline.terrain.summits.summit_heights_m`).
+        Eyes move to the highest point within this distance. None leaves eyes where they are, and
+        lifts those within a sample's spacing of a summit of the model to its height
+        (`skyline.terrain.summits.summit_heights_m`).
 
     Raises
     ------
@@ -115,7 +115,7 @@ def place_on(
 ) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
 
-    Raises `OffMapError` for a place off the map, and says so where longitude and latitude seem to
+    Raises `OffMapError` for a place off the map, with a hint where longitude and latitude seem to
     be swapped.
     """
     lon, lat = _flat(lon_deg, lat_deg)
@@ -143,8 +143,8 @@ def stand_where_possible(
 ) -> tuple[Viewpoints, BoolArray]:
     """Place eyes as `stand_on` does, but leave out locations off the map or on a hole.
 
-    Returns the eyes, and at which of the locations (N,) they stand. Raises `OffMapError` for an eye
-    height below 0.
+    Returns the eyes, and a mask of the locations (N,) where they stand. Raises `OffMapError` for
+    an eye height below 0.
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
@@ -197,7 +197,7 @@ def _check_ground(
 
 
 def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-    """Return which places lie within bounds, of the places' shape."""
+    """Return a mask of the places within bounds, of the places' shape."""
     west, south, east, north = bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
@@ -235,9 +235,9 @@ def read_viewpoints(
         CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
         (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
     eye_height_m : float
-        Metres above ground where the file does not say.
+        Metres above ground, for files without a column of heights.
     summit_within_m : float or None
-        As of `stand_on`, for eyes whose elevation the file does not give.
+        As in `stand_on`, for files without a column of elevations.
 
     Raises
     ------
