@@ -79,18 +79,17 @@ def fetch_peaks(
 
 def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
     """Return the body of the answer; raises `RequestError`."""
-    advice = "check the address, or give the same command again later"
+    may_pass = True
     try:
         return _post(server, query, timeout_s)
     except HTTPError as error:
-        raise RequestError(
-            f"the server answers HTTP {error.code}", advice, error.code in _PASSING
-        ) from error
+        reason, may_pass = f"the server answers HTTP {error.code}", error.code in _PASSING
     except URLError as error:
-        raise RequestError(f"no answer ({error.reason})", advice, True) from error
+        reason = f"no answer ({error.reason})"
     except (OSError, http.client.HTTPException) as error:
         reason = f"no whole answer ({error or type(error).__name__})"
-        raise RequestError(reason, advice, True) from error
+    # Outside the handlers, so that the error does not keep the connection open.
+    raise RequestError(reason, "check the address, or give the same command again later", may_pass)
 
 
 def _post(server: str, query: bytes, timeout_s: float) -> bytes:
