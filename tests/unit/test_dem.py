@@ -146,33 +146,6 @@ def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bo
         np.testing.assert_array_equal(field.heights_m, heights)
 
 
-def test_feet_become_metres(tmp_path: Path) -> None:
-    path = write(tmp_path / "dem.tif", np.full((3, 3), 1000, np.int16))
-    with rasterio.open(path, "r+") as dataset:
-        dataset.units = ["ft"]
-    np.testing.assert_allclose(read_dem(path).heights_m, 304.8)
-
-
-def test_scale_and_offset_are_applied(tmp_path: Path) -> None:
-    path = write(tmp_path / "dem.tif", np.full((3, 3), 1000, np.int16))
-    with rasterio.open(path, "r+") as dataset:
-        dataset.scales, dataset.offsets = [0.1], [50.0]
-    np.testing.assert_allclose(read_dem(path).heights_m, 150.0)
-
-
-def test_a_crs_in_feet_is_warped(tmp_path: Path) -> None:
-    x, y = 6_500_000.0, 2_300_000.0
-    transform = from_origin(x, y, 100.0, 100.0)
-    heights = plane_grid(60, 60, transform)
-    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:2227"))
-    assert field.spacing_m == 30.0
-    to_frame = Transformer.from_crs("EPSG:2227", field.frame.crs, always_xy=True)
-    easting, northing = to_frame.transform(x + 1234.0, y - 2345.0)
-    assert field.height_at(easting_m=easting, northing_m=northing) == pytest.approx(
-        plane(1234.0, -2345.0), abs=0.05
-    )
-
-
 @pytest.mark.parametrize(
     ("ground", "spacing"),
     [

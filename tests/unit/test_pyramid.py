@@ -84,8 +84,3 @@ def test_marks_and_heights_give_the_same_tree():
         slab_levels(marks, slopes, 2), slab_levels(heights, slopes, 2), strict=True
     ):
         np.testing.assert_array_equal(marked.maxima > 0, high.maxima > EMPTY)
-
-
-@pytest.mark.parametrize(("strips", "levels"), [(0, 1), (16, 1), (17, 2), (128, 2), (8192, 4)])
-def test_levels_hold_all_strips(strips, levels):
-    assert level_count(strips) == levels

@@ -240,7 +240,7 @@ def test_a_prominence_is_how_far_one_must_descend():
     assert prominence_m(two, 50, 59) == pytest.approx(0.0, abs=1.0)
 
 
-def test_eyes_stand_where_they_are_told_to():
+def test_eyes_stay_or_rise_or_move_to_a_summit():
     mountain = cone()
     beside = 40.0, -35.0
     as_is, lifted, moved = (
