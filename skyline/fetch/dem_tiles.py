@@ -22,9 +22,10 @@ from rasterio.windows import transform as transform_of
 
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, shown, with_remote
+from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, with_remote
 from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
+from skyline.terrain.rasters import shown
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64

@@ -11,9 +11,10 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, RequestError, repeated, shown
+from skyline.fetch.remote import RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
+from skyline.terrain.rasters import shown
 
 _MOST_BYTES = 1 << 26
 _PASSING = (429, 500, 502, 503, 504)

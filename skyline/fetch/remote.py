@@ -9,12 +9,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
-from urllib.parse import urlsplit
 
 import rasterio
 from rasterio.errors import RasterioError
 
 from skyline.errors import FetchError
+from skyline.terrain.rasters import shown
 
 RETRIES = 4
 """How often a failed request is repeated by default."""
@@ -96,12 +96,6 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
             raise _failure(url, error) from error
 
     return repeated(url, read, retries)
-
-
-def shown(url: str) -> str:
-    """Return an address without user, password and query, which may be secret."""
-    parts = urlsplit(url)
-    return parts._replace(netloc=parts.netloc.rpartition("@")[2], query="", fragment="").geturl()
 
 
 @contextmanager

@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -23,8 +22,8 @@ from skyline.geodesy import (
 )
 from skyline.terrain.cleaning import clean
 from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
-from skyline.terrain.rasters import array_tile, dataset_tile, open_tile
-from skyline.terrain.tiles import Grid, Mosaic, read_mosaic
+from skyline.terrain.rasters import open_tile
+from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
@@ -149,14 +148,9 @@ def read_files(
     return read_mosaic([open_tile(path, default_crs) for path in paths])
 
 
-def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
-    """Return an open dataset as a height field; see `HeightField.from_rasterio`."""
-    return _height_field(read_mosaic([dataset_tile(dataset, options.default_crs)]), options)
-
-
-def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
-    """Return a DataArray as a height field; see `HeightField.from_xarray`."""
-    return _height_field(read_mosaic([array_tile(data_array, options.default_crs)]), options)
+def dem_of(tile: Tile, options: DemOptions) -> HeightField:
+    """Return a tile as a height field, as `read_dem` returns that of a file."""
+    return _height_field(read_mosaic([tile]), options)
 
 
 def _is_kept(mosaic: Mosaic, options: DemOptions) -> bool:

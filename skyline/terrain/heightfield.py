@@ -159,9 +159,10 @@ class HeightField:
         InputError
             Not one band, no (understood) CRS, a rotated grid, no height at all.
         """
-        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
-        return dem.dem_of_dataset(dataset, options or dem.DemOptions())
+        options = options or dem.DemOptions()
+        return dem.dem_of(rasters.dataset_tile(dataset, options.default_crs), options)
 
     @classmethod
     def from_xarray(cls, data_array: Any, options: "DemOptions | None" = None) -> "HeightField":
@@ -189,9 +190,10 @@ class HeightField:
             Other dimensions, several bands, coordinates missing or not even, no (understood) CRS,
             no height at all.
         """
-        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
-        return dem.dem_of_array(data_array, options or dem.DemOptions())
+        options = options or dem.DemOptions()
+        return dem.dem_of(rasters.array_tile(data_array, options.default_crs), options)
 
     @property
     def rows(self) -> int:

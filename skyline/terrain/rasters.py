@@ -9,8 +9,8 @@ import logging
 import re
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,6 @@ _ON_NETWORKS = {
 _NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 """GDAL asks a server for a dozen files beside the DEM otherwise."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
-"""Of an address: user and password, and the query, which may be a signature."""
 _NO_ANSWER = re.compile(
     r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
 )
@@ -71,14 +70,7 @@ def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
     Raises `InputError`, `MissingFileError` or `FetchError` where it is not a usable DEM.
     """
     source = absolute_name(path)
-
-    def read() -> Iterator[tuple[slice, Float32Array]]:
-        with _opened(source) as dataset:
-            yield from _heights_of_dataset(dataset, tile.vertical.metres)
-
-    with _opened(source) as dataset:
-        tile = _tile_of_dataset(source, dataset, default_crs, read, (source,))
-    return tile
+    return _tile_of(source, lambda: _opened(source), default_crs, (source,))
 
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
@@ -87,12 +79,7 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
     # A warped or virtual dataset does not hold the heights of a file of its name.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
     files = (str(Path(source).absolute()),) if on_disk else ()
-
-    def read() -> Iterator[tuple[slice, Float32Array]]:
-        return _heights_of_dataset(dataset, tile.vertical.metres)
-
-    tile = _tile_of_dataset(source, dataset, default_crs, read, files)
-    return tile
+    return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
 
 
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
@@ -156,6 +143,11 @@ def absolute_name(path: str | Path) -> str:
     raise MissingFileError(f"there is no file {text}; check the path of the DEM")
 
 
+def shown(text: str) -> str:
+    """Return text without what may be secret in its addresses: user, password and query."""
+    return _SECRET.sub("", text)
+
+
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
     """Open a raster; a failure while it is open becomes one error of one line."""
@@ -166,7 +158,7 @@ def _opened(source: str) -> Iterator[Any]:
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
         if "://" in source:
-            source, reason = _SECRET.sub("", source), _SECRET.sub("", reason)
+            source, reason = shown(source), shown(reason)
         if _NO_ANSWER.search(reason):
             raise FetchError(
                 f"{source} cannot be read from its server ({reason}); check the address and "
@@ -207,42 +199,50 @@ def _unpacked(source: str) -> bytes:
     return content
 
 
-def _tile_of_dataset(
-    source: str, dataset: Any, default_crs: CRS | None, read: Any, files: tuple[str, ...]
+def _tile_of(
+    source: str,
+    opened: Callable[[], AbstractContextManager[Any]],
+    default_crs: CRS | None,
+    files: tuple[str, ...],
 ) -> Tile:
-    if dataset.count == 0 and dataset.subdatasets:
-        raise InputError(
-            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
-        )
-    if dataset.count != 1:
-        raise InputError(
-            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
-            "(gdal_translate -b 1)"
-        )
-    if dataset.dtypes[0].startswith("complex"):
-        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
-    crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
-    grid, north_up = _grid_of(source, dataset.transform, dataset.shape)
-    positive = dataset.tags(1).get("positive", "up")
-    vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
-    nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
-    if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
-        nodata = "by a mask"
-    conventions = {
-        **conventions_of(_on_map(source, crs)),
-        **vertical.conventions,
-        "pixel_is": dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower(),
-        "nodata": nodata,
-    }
+    """Return the tile in a rasterio dataset, which is opened now and again to be read."""
+    with opened() as dataset:
+        if dataset.count == 0 and dataset.subdatasets:
+            raise InputError(
+                f"{source} holds several rasters; name one of them: "
+                f"{', '.join(dataset.subdatasets)}"
+            )
+        if dataset.count != 1:
+            raise InputError(
+                f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+                "(gdal_translate -b 1)"
+            )
+        if dataset.dtypes[0].startswith("complex"):
+            raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
+        crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
+        grid, north_up = _grid_of(source, dataset.transform, dataset.shape)
+        positive = dataset.tags(1).get("positive", "up")
+        vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
+        nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
+        if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
+            nodata = "by a mask"
+        conventions = {
+            **conventions_of(_on_map(source, crs)),
+            **vertical.conventions,
+            "pixel_is": dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower(),
+            "nodata": nodata,
+        }
+
+    def read() -> Iterator[tuple[slice, Float32Array]]:
+        with opened() as dataset:
+            scale, offset = dataset.scales[0], dataset.offsets[0]
+            for rows in strips(dataset):
+                window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
+                band = dataset.read(1, window=window, masked=True)
+                voids = np.ma.getmaskarray(band)
+                yield rows, _heights_of(band.data, voids, scale, offset, vertical.metres)
+
     return Tile(source, horizontal(crs), grid, north_up, vertical, conventions, read, files)
-
-
-def _heights_of_dataset(dataset: Any, metres: float) -> Iterator[tuple[slice, Float32Array]]:
-    for rows in strips(dataset):
-        window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
-        band = dataset.read(1, window=window, masked=True)
-        scale, offset = dataset.scales[0], dataset.offsets[0]
-        yield rows, _heights_of(band.data, np.ma.getmaskarray(band), scale, offset, metres)
 
 
 def _heights_of(
