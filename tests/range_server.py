@@ -136,8 +136,8 @@ class Apart:
     address : str
         Without a final slash.
     asked : callable
-        Returns what was asked since it was last called, (method, path, range header) each, and how
-        many bytes of bodies were sent.
+        Returns the requests since the last call, (method, path, range header) each, and the number
+        of bytes of bodies sent.
     """
 
     address: str

@@ -1,4 +1,4 @@
-"""``skyline peaks`` against a server on the loopback address that serves, fails, lies and hangs."""
+"""``skyline peaks`` against a local server that serves, fails, lies and hangs."""
 
 import json
 import threading
@@ -103,7 +103,7 @@ def test_a_failure_that_passes_is_tried_again(run, tmp_path, first):
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "message"),
     [
         ((500, b""), "the server answers HTTP 500, not tried again"),
         ((400, b"no"), "the server answers HTTP 400"),
@@ -129,14 +129,14 @@ def test_a_failure_that_passes_is_tried_again(run, tmp_path, first):
     ],
 )
 def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
-    run, tmp_path, answer, said
+    run, tmp_path, answer, message
 ):
     path = tmp_path / "peaks.geojson"
     path.write_text("as before")
     with overpass([answer]) as (address, _):
         done = fetch(run, address, path, "--retries", "0", "--timeout", "1")
     assert done.code == 1, done
-    assert said in done.err
+    assert message in done.err
     assert done.err.startswith("error: ")
     assert done.err.count("\n") == 1
     assert [file.name for file in tmp_path.iterdir()] == ["peaks.geojson"]

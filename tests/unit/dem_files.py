@@ -41,7 +41,7 @@ def write(
 
 
 def plane(x: AnyArray, y: AnyArray) -> AnyArray:
-    """A height that says where it is: no flip and no shift leaves it the same."""
+    """A height that names its place: every flip and every shift changes it."""
     return 1000.0 + 0.25 * x - 0.5 * y
 
 

@@ -1,4 +1,4 @@
-"""Elevation files: where their samples are, how high, and in what frame."""
+"""Elevation files: places, heights and frames of their samples."""
 
 import gzip
 import json
@@ -85,7 +85,7 @@ def test_degrees_are_warped_to_where_they_belong(
     rng = np.random.default_rng(0)
     lon, lat = rng.uniform(0.02, len(names) - 0.02, 500), rng.uniform(0.02, 0.98, 500)
     easting, northing = field.frame.from_lonlat(west + lon, south + lat)
-    # What is left is the curvature of the plane within a cell of the target.
+    # The remaining difference is the curvature of the plane within a cell of the target.
     np.testing.assert_allclose(
         field.height_at(easting_m=easting, northing_m=northing), degree_plane(lon, lat), atol=0.02
     )

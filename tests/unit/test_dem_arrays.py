@@ -159,11 +159,13 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("said", REFUSED)
-def test_arrays_that_are_no_dem_are_refused_in_one_line(said):
-    options = UTM if said not in ("no coordinate reference system", "is not understood") else None
-    with pytest.raises(InputError, match=said) as refused:
-        HeightField.from_xarray(REFUSED[said], options)
+@pytest.mark.parametrize("message", REFUSED)
+def test_arrays_that_are_no_dem_are_refused_in_one_line(message):
+    options = (
+        UTM if message not in ("no coordinate reference system", "is not understood") else None
+    )
+    with pytest.raises(InputError, match=message) as refused:
+        HeightField.from_xarray(REFUSED[message], options)
     assert "\n" not in str(refused.value)
 
 

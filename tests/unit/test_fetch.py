@@ -63,7 +63,7 @@ def fetch(template, folder, bounds=BOUNDS, retries=2):
 
 
 def expect_heights(result, heights):
-    """Hold what was fetched to the samples it came from."""
+    """Compare fetched tiles with the samples of the server."""
     for path in result.files:
         with rasterio.open(path) as file:
             left = round((file.transform.c + 0.5 / SAMPLES - 9.0) * SAMPLES)
@@ -90,7 +90,7 @@ def test_tiles_are_cut_to_the_bounds_and_make_one_dem(template, server, heights,
     assert server.sent < sum(map(len, server.files.values())) / 2
 
 
-def test_what_is_there_is_not_fetched_again(template, server, tmp_path):
+def test_tiles_that_are_there_are_not_fetched_again(template, server, tmp_path):
     first = fetch(template, tmp_path)
     server.requests.clear()
     assert fetch(template, tmp_path).fetched == 0
@@ -145,7 +145,7 @@ def send_something_else(server):
 
 
 @pytest.mark.parametrize(
-    ("trouble", "said"),
+    ("trouble", "message"),
     [
         (break_off, "breaks off or is damaged"),
         (never_answer, r"no answer \(.*\), tried 2 times"),
@@ -155,9 +155,9 @@ def send_something_else(server):
         (send_something_else, "not a GeoTIFF"),
     ],
 )
-def test_lasting_failures_are_one_line_and_leave_nothing(template, server, tmp_path, trouble, said):
+def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
     trouble(server)
-    with pytest.raises(FetchError, match=said) as caught:
+    with pytest.raises(FetchError, match=message) as caught:
         fetch(template, tmp_path, retries=1)
     assert "http://127.0.0.1" in str(caught.value)
     assert ".tif" in str(caught.value)
@@ -229,16 +229,16 @@ def test_too_many_bytes_are_refused_before_they_are_read(template, server, monke
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"crs": "EPSG:32632"}, "expected degrees"),
         ({"west": 20.0}, "no part of the bounds"),
         ({"step": 1.0 / 500}, "no one grid"),
     ],
 )
-def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, said):
+def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, message):
     server.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         fetch(template, tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -82,7 +82,7 @@ def test_customary_void_values_are_counted(tmp_path: Path, nodata: float | None)
     heights[60:65, 60:65] = -9999.0
     counts = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata)).provenance
     assert (counts.undeclared, counts.filled, counts.hollow, counts.despiked) == (425, 25, 400, 0)
-    declared = read_dem(write(tmp_path / "said.tif", heights, nodata=-32768.0)).provenance
+    declared = read_dem(write(tmp_path / "declared.tif", heights, nodata=-32768.0)).provenance
     assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
 
 

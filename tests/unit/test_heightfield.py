@@ -75,13 +75,13 @@ def test_samples_have_their_heights_and_places_off_the_map_none(shape: tuple[int
 
 
 @pytest.mark.parametrize(
-    ("east_m", "south_m", "said"),
+    ("east_m", "south_m", "message"),
     [(60.0, 60.0, "on a hole of the DEM"), (60.0, -60.0, "off the map"), (-60.0, 60.0, "off the")],
 )
-def test_an_eye_without_ground_is_refused(east_m: float, south_m: float, said: str) -> None:
+def test_an_eye_without_ground_is_refused(east_m: float, south_m: float, message: str) -> None:
     heights = np.zeros((6, 6))
     heights[2, 2] = np.nan
-    with pytest.raises(OffMapError, match=said):
+    with pytest.raises(OffMapError, match=message):
         stand_on(field_of(heights), easting_m=WEST_M + east_m, northing_m=NORTH_M - south_m)
 
 

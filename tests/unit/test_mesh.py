@@ -1,4 +1,4 @@
-"""The tree of slabs bounds what rays meet, and is not far above it."""
+"""The tree of slabs bounds the terrain that rays meet, closely."""
 
 import numpy as np
 import pytest
