@@ -2,7 +2,7 @@
 
 The tree bounds the terrain from above for rays that march over it. Seen along one axis, the field
 is cut across into strips (rows of cells) and these into slabs of 2, 16, 128, 1024 strips. A ray
-drifts sideways by its slope, in cells a strip, so it meets only part of a slab. For each range
+drifts sideways by its slope, in cells per strip, so it meets only part of a slab. For each range
 (bin) of slopes and each block of columns in which a ray crosses the first line of a band of eight
 slabs, the tree holds the greatest height among the samples that such a ray can come near in each
 of the eight: the tightest bound that a single fetch can give.
@@ -150,7 +150,7 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
     values : (lines, columns) float32 or uint8
         Heights, `EMPTY` for holes; or marks, 0 for none. Strips lie between lines.
     slopes : (bins + 1,) float64
-        Increasing bounds of the bins of rays' slopes, columns a line.
+        Increasing bounds of the bins of rays' slopes, columns per line.
     levels : int
         `level_count` of the longer axis.
     """

@@ -277,10 +277,10 @@ def _read_columns(path: Path) -> dict[str, Float64Array]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path} cannot be read as CSV ({error}); {_EXPECTED}") from error
     if not rows:
-        raise InputError(f"{path} is empty; {_EXPECTED} and one row a viewpoint")
+        raise InputError(f"{path} is empty; {_EXPECTED} and one row for each viewpoint")
     header = [name.strip() for name in rows[0]]
     if len(rows) == 1:
-        raise InputError(f"{path} has a header but no viewpoints; give one row a viewpoint")
+        raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
     values = np.empty((len(rows) - 1, len(header)))
     for number, row in enumerate(rows[1:]):
         try:
