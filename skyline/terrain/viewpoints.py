@@ -14,7 +14,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
-MOST_WITHIN_M = 10_000.0
+_MOST_WITHIN_M = 10_000.0
 """The farthest that the highest point around an eye is looked for."""
 
 _ROUNDING_M = 1e-6
@@ -71,9 +71,9 @@ def stand_on(
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
     asked = easting, northing
-    if summit_within_m is not None and not 0.0 <= summit_within_m <= MOST_WITHIN_M:
+    if summit_within_m is not None and not 0.0 <= summit_within_m <= _MOST_WITHIN_M:
         raise InputError(
-            f"summits are looked for within {summit_within_m:g} m; expected 0 to {MOST_WITHIN_M:g}"
+            f"summits are looked for within {summit_within_m:g} m; expected 0 to {_MOST_WITHIN_M:g}"
         )
     if summit_within_m:
         highest = [
@@ -120,12 +120,12 @@ def place_on(
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = frame.from_lonlat(lon, lat)
-    outside = np.flatnonzero(~is_inside(bounds_m, easting, northing))
+    outside = np.flatnonzero(~_is_inside(bounds_m, easting, northing))
     if outside.size:
         first = outside[0]
         west, south, east, north = bounds_m
         box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        is_swapped = is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
+        is_swapped = _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
         raise OffMapError(
             f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "
             f"is off the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
@@ -181,10 +181,10 @@ def _check_ground(
         f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
         f"{northing:.2f}; {missing.size} such) is"
     )
-    if is_inside(field.bounds_m, easting, northing):
+    if _is_inside(field.bounds_m, easting, northing):
         raise OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
-    is_swapped = is_inside(field.bounds_m, northing, easting)
+    is_swapped = _is_inside(field.bounds_m, northing, easting)
     raise OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
         f"{south:.1f} to {north:.1f}: "
@@ -196,7 +196,7 @@ def _check_ground(
     )
 
 
-def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+def _is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
     """Return a mask of the places within bounds, of the places' shape."""
     west, south, east, north = bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)
