@@ -76,7 +76,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show which terrain one skyline depends on, which is left out, and the error of that."""
+    """Show which terrain a skyline depends on, what is left out, and the error of that."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     wanted = "LON,LAT in degrees, or easting and northing in metres"
