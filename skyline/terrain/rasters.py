@@ -295,8 +295,8 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
         return default_crs
     if not crs.equals(default_crs, ignore_axis_order=True):
         _log.warning(
-            "%s is in %s by its own account, which is used; --crs %s is only for files that name "
-            "no coordinate reference system",
+            "%s names its own coordinate reference system, %s, which is used; --crs %s is only for "
+            "files that name none",
             source,
             crs.name,
             default_crs.name,

@@ -125,7 +125,7 @@ def test_the_file_s_own_crs_wins_with_a_warning(
 ) -> None:
     path = write(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
     assert read_dem(path, DemOptions(crs="EPSG:32633")).frame.name == UTM
-    assert "--crs WGS 84 / UTM zone 33N is only for files that name no" in caplog.text
+    assert "--crs WGS 84 / UTM zone 33N is only for files that name none" in caplog.text
     caplog.clear()
     read_dem(path, DemOptions(crs=UTM))
     assert caplog.text == ""
