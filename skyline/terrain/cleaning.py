@@ -4,7 +4,7 @@ A skyline is a maximum, so one bad sample makes a phantom ridge. All functions w
 strip by strip: a field of hundreds of millions of samples costs little more than itself.
 
 While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
-declare, and +inf a sample that no file covers: it is nobody's neighbour and never filled.
+declare, and +inf a sample that no file covers: it is never a neighbour and never filled.
 
 Fill is a constant in place of heights that were never measured, which a DEM does not declare. A
 footprint that was turned or cut is often padded with zeros, for example. Left in, they are a plain
