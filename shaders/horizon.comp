@@ -5,7 +5,7 @@
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
 // oracle of the benchmarks. Along the axis the heading faces the field is cut into strips, one row
 // of cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
-// the greatest height that rays of their slope can meet (skyline/terrain/pyramid.py): one that
+// the greatest height that rays of their slope can meet (skyline/terrain/mesh.py): one that
 // cannot rise above the best crossing so far is passed over whole.
 //
 // Frame: p counts along the heading's axis and grows away from the eye (mirrored for north and

@@ -1,7 +1,7 @@
-"""Map frames: which way is north, where is this in degrees, how far does the Earth drop.
+"""Map frames: places in metres and degrees, the direction of north, the drop of the Earth.
 
 Inside the program a location is (easting, northing) in one metric frame and azimuths are from
-grid north. Whatever a person reads is in degrees of WGS 84 and from true north.
+grid north. People read degrees of WGS 84, and azimuths from true north.
 """
 
 import math
@@ -20,18 +20,18 @@ from skyline.errors import InputError, swapped_in_words
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
 _EDGE_POINTS = 63
-"""Points along each side of a box that is carried to other coordinates, where sides are curved."""
+"""Points along each side of a box that is transformed to other coordinates, where it is curved."""
 
 _WGS84 = Geod(ellps="WGS84")
 _STEP_DEG = 1e-4
 """Of latitude, 11 m: half of the differences by which a projection is derived."""
 _NORTHMOST_DEG = 89.99
-"""Of latitude. There is no north at a pole; what holds a kilometre from it is taken for it."""
+"""Of latitude. There is no north at a pole; the north of a place a kilometre away stands for it."""
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """How far the surface drops below the eye's tangent plane, refraction included.
+    """Drop of the surface below the eye's tangent plane, refraction included.
 
     Attributes
     ----------
@@ -101,21 +101,21 @@ def are_bounds(west: float, south: float, east: float, north: float) -> bool:
 
 
 def width_deg(bounds_deg: Bounds) -> float:
-    """Return how many degrees of longitude a box is wide; 360 where it goes all the way round."""
+    """Return the width of a box in degrees of longitude; 360 where it goes all the way round."""
     west, _, east, _ = bounds_deg
     return east - west if west <= east else east - west + 360.0
 
 
-def in_turn(lon_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
-    """Return longitudes within half a turn of another, [-180, 180) by default."""
-    west_deg = about_deg - 180.0
-    return (np.asarray(lon_deg, dtype=np.float64) - west_deg) % 360.0 + west_deg
+def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
+    """Return angles or longitudes within half a turn of another, [-180, 180) by default."""
+    least_deg = about_deg - 180.0
+    return (np.asarray(angle_deg, dtype=np.float64) - least_deg) % 360.0 + least_deg
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude or latitude without a sign, with one of two names such as EW instead.
+    """Return a longitude or latitude without a sign but with one of two letters such as EW.
 
-    A longitude past the antimeridian has the name of the side that it lies on.
+    A longitude past the antimeridian has the letter of the side on which it lies.
     """
     value = float(in_turn(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
@@ -143,7 +143,7 @@ def horizontal(crs: CRS) -> CRS:
 
 
 def parse_crs(crs: object) -> CRS:
-    """Return the CRS of anything pyproj understands; raises `InputError` for what it does not."""
+    """Return the CRS of anything that pyproj understands; raises `InputError` for anything else."""
     try:
         return CRS.from_user_input(crs)
     except CRSError as error:
@@ -171,7 +171,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return longitude and latitude (WGS 84) of a point of a CRS, and in words how well they hold.
+    """Return longitude and latitude (WGS 84) of a point of a CRS, and their accuracy in words.
 
     Raises `InputError` where PROJ knows no transformation.
     """
@@ -189,9 +189,9 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return by how many degrees a place lies outside of the area that a CRS is made for.
+    """Return by how many degrees a place lies outside the area for which a CRS is made.
 
-    It is 0 inside the box of the area, and for a CRS of which no area is known.
+    It is 0 inside the box of the area, and for a CRS without a known area.
     """
     authority = crs.to_authority()
     area = CRS.from_authority(*authority).area_of_use if authority else None
@@ -241,7 +241,7 @@ class Frame:
 
     @property
     def name(self) -> str:
-        """The name a person knows the frame by."""
+        """The frame's code, such as EPSG:32632, or its name."""
         authority = self.crs.to_authority()
         return ":".join(authority) if authority else str(self.crs.name)
 

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 
 @dataclass
 class Behaviour:
-    """How the server answers, and what it was asked.
+    """Answers of the server, and the requests that it has had.
 
     Attributes
     ----------
@@ -52,19 +52,19 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_body=True)
 
     def _answer(self, with_body: bool) -> None:
-        told, path = self.server.behaviour, self.path
-        told.requests.append((self.command, path, self.headers.get("Range")))
-        if told.delay_s:
-            told.stopping.wait(told.delay_s)
-        if told.failures > 0:
-            told.failures -= 1
+        behaviour, path = self.server.behaviour, self.path
+        behaviour.requests.append((self.command, path, self.headers.get("Range")))
+        if behaviour.delay_s:
+            behaviour.stopping.wait(behaviour.delay_s)
+        if behaviour.failures > 0:
+            behaviour.failures -= 1
             self._refuse(500)
-        elif path in told.status:
-            self._refuse(told.status[path])
-        elif path not in told.files:
+        elif path in behaviour.status:
+            self._refuse(behaviour.status[path])
+        elif path not in behaviour.files:
             self._refuse(404)
         else:
-            self._send(told, told.files[path], with_body)
+            self._send(behaviour, behaviour.files[path], with_body)
 
     def _refuse(self, status: int) -> None:
         body = b"<html>no</html>"
@@ -74,7 +74,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
 
-    def _send(self, told: Behaviour, content: bytes, with_body: bool) -> None:
+    def _send(self, behaviour: Behaviour, content: bytes, with_body: bool) -> None:
         asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range") or "")
         first, last = 0, len(content) - 1
         if asked:
@@ -92,11 +92,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if not with_body:
             return
-        if told.truncate > 0:
-            told.truncate -= 1
+        if behaviour.truncate > 0:
+            behaviour.truncate -= 1
             body = body[: len(body) // 2]
             self.close_connection = True
-        told.sent += len(body)
+        behaviour.sent += len(body)
         self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
@@ -136,8 +136,8 @@ class Apart:
     address : str
         Without a final slash.
     asked : callable
-        Returns what was asked since it was last called, (method, path, range header) each, and how
-        many bytes of bodies were sent.
+        Returns the requests since the last call, (method, path, range header) each, and the number
+        of bytes of bodies sent.
     """
 
     address: str

@@ -33,8 +33,8 @@ COMMANDS = {
     "Data": {
         "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
         "info.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "info.explain": "Show which terrain a skyline depends on, what is left out, and what "
-        "error that makes.",
+        "info.explain": "Show which terrain a skyline depends on, what is left out, and the "
+        "error of that.",
         "fetch.dem": "Elevation data for an area.",
     },
 }

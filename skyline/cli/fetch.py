@@ -9,12 +9,10 @@ from typer import Option
 from skyline.cli.console import on_interrupt, parse_bounds, print_line, progress_bar
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
-from skyline.fetch.remote import HttpOptions
-
-_HTTP = HttpOptions()
+from skyline.fetch.remote import RETRIES, TIMEOUT_S
 
 Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
-Retries = Annotated[int, Option(help="How often to repeat a failed request.")]
+Retries = Annotated[int, Option(min=0, max=100, help="How often to repeat a failed request.")]
 
 dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
 
@@ -38,10 +36,10 @@ def fetch(
             "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
         ),
     ] = "copernicus",
-    retries: Retries = _HTTP.retries,
+    retries: Retries = RETRIES,
     timeout: Annotated[
-        int, Option(metavar="SECONDS", help="How long to wait for an answer.")
-    ] = _HTTP.timeout_s,
+        int, Option(metavar="SECONDS", min=1, max=3600, help="How long to wait for an answer.")
+    ] = TIMEOUT_S,
 ) -> None:
     """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
 
@@ -52,9 +50,8 @@ def fetch(
     on_interrupt(
         "the tiles that were fetched are kept, and the same command continues with the others"
     )
-    options = HttpOptions(retries=retries, timeout_s=timeout)
     with progress_bar("fetching tiles") as progress:
-        done = fetch_dem(bounds, source, folder, options, progress)
+        done = fetch_dem(bounds, source, folder, retries, timeout, progress)
     held = sum(path.stat().st_size for path in done.files)
     print_line(
         f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
@@ -69,12 +66,12 @@ def peaks(
         str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
     ],
     output: Annotated[Path, Option("--output", "-o", metavar="FILE", help="The GeoJSON to write.")],
-    retries: Retries = _HTTP.retries,
+    retries: Retries = RETRIES,
     timeout: Annotated[
-        int, Option(metavar="SECONDS", help="How long to wait for the whole answer.")
-    ] = _HTTP.timeout_s,
+        int,
+        Option(metavar="SECONDS", min=1, max=3600, help="How long to wait for the whole answer."),
+    ] = TIMEOUT_S,
 ) -> None:
     """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
-    options = HttpOptions(retries=retries, timeout_s=timeout)
-    count = fetch_peaks(parse_bounds(bbox), server, output, options)
+    count = fetch_peaks(parse_bounds(bbox), server, output, retries, timeout)
     print_line(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")

@@ -1,4 +1,4 @@
-"""``skyline info`` and ``skyline explain``: what a DEM or a store is, and what a skyline needs."""
+"""``skyline info`` and ``skyline explain``: facts of a DEM or a store, and of one skyline."""
 
 import json
 from dataclasses import replace
@@ -27,17 +27,9 @@ from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
 from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
+from skyline.terrain.conventions import model_of
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.products import model_of
-from skyline.terrain.scene_bounds import (
-    BLOCK_CELLS,
-    COARSER_STEPS,
-    coarser_step,
-    curvature_bound_px,
-    share_beyond,
-    sight_range_m,
-)
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -54,7 +46,7 @@ def info(
     path: Annotated[
         list[str] | None, Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store.")
     ] = None,
-    gl: Annotated[bool, Option("--gl", help="Say which OpenGL is used and why.")] = False,
+    gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used and why.")] = False,
     as_json: AsJson = False,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -84,7 +76,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show which terrain a skyline depends on, what is left out, and what error that makes."""
+    """Show which terrain a skyline depends on, what is left out, and the error of that."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     wanted = "LON,LAT in degrees, or easting and northing in metres"
@@ -135,8 +127,8 @@ def _describe_terrain(field: HeightField) -> Facts:
 
 
 def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) -> Facts:
-    """Return what is modelled for one viewpoint, what is left out, and at what cost."""
-    # What the tolerance leaves out shows only in skylines that were rendered without it.
+    """Return the terrain that is modelled for one viewpoint and left out, and the error of that."""
+    # Only a skyline rendered without a tolerance shows the error that the tolerance makes.
     exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
     given = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
@@ -146,7 +138,7 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig)
     sight_m = sight_range_m(terrain, float(eye.eye_elevation_m[0]), drop_per_m2)
     short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
     depth_m = exact.depth_m
-    facts: Facts = {
+    return {
         "easting_m": float(eye.easting_m[0]),
         "northing_m": float(eye.northing_m[0]),
         "eye_elevation_m": float(eye.eye_elevation_m[0]),
@@ -164,14 +156,39 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig)
         "passed_over_bound_px": config.tolerance_px,
         "passed_over_measured_px": float(short / pixel_size(config.width)),
     }
-    tolerance = config.tolerance_px * pixel_size(config.width)
-    for step in COARSER_STEPS if min(terrain.rows, terrain.cols) > BLOCK_CELLS else ():
-        deviation_m, share = coarser_step(terrain, eye, step, tolerance)
-        facts[f"every_{step}_samples"] = (
-            f"deviates by {deviation_m:.1f} m in the median block; within the tolerance in "
-            f"{100.0 * share:.1f} % of blocks; not used: all samples are kept"
-        )
-    return facts
+
+
+def curvature_bound_px(reach_m: float, drop_per_m2: float, width: int) -> float:
+    """Return the greatest error of a skyline without curvature, in px of ``width`` columns.
+
+    ``reach_m`` is the distance of the farthest sample.
+    """
+    # v changes by drop d^2 / z, and d is at most the root of 2 times z.
+    return float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width)
+
+
+def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float) -> float:
+    """Return the distance beyond which nothing rises over the dip horizon; inf on a flat Earth.
+
+    From e above the lowest ground the line of sight that grazes it touches at sqrt(e / drop) and
+    meets the highest sample, H above, at sqrt(H / drop) farther on.
+    """
+    if drop_per_m2 == 0.0:
+        return float(np.inf)
+    lowest, highest = field.height_range_m
+    above_m = max(eye_elevation_m - lowest, 0.0)
+    return float((np.sqrt(above_m) + np.sqrt(highest - lowest)) / np.sqrt(drop_per_m2))
+
+
+def share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:
+    """Return the share of the samples that lie farther from one eye."""
+    row, col = field.to_grid(easting_m=eye.easting_m[0], northing_m=eye.northing_m[0])
+    south = (np.arange(field.rows) - row) * field.spacing_north_m
+    east = (np.arange(field.cols) - col) * field.spacing_east_m
+    half_chord = np.sqrt(np.maximum(distance_m**2 - south**2, 0.0))
+    within = np.searchsorted(east, half_chord, "right") - np.searchsorted(east, -half_chord)
+    within[np.abs(south) > distance_m] = 0
+    return float(1.0 - within.sum() / (field.rows * field.cols))
 
 
 def describe_store(path: str) -> Facts:

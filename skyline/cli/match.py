@@ -41,7 +41,7 @@ from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import read_peaks
-from skyline.terrain.tiles import absolute_name
+from skyline.terrain.rasters import absolute_name
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""

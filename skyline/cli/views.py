@@ -30,9 +30,8 @@ from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
 from skyline.solar.local_horizons import LocalHorizons
-from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.dem import DemOptions, read_blocks, read_dem
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, TerrainBlocks
 from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,

@@ -1,4 +1,4 @@
-"""Elevation tiles of an area: where they lie, and cutting them to bounds for `read_dem`.
+"""Elevation tiles of an area from a server: their addresses, and the parts within bounds.
 
 A source has one address for each degree of latitude and longitude.
 """
@@ -6,9 +6,8 @@ A source has one address for each degree of latitude and longitude.
 import json
 import logging
 import math
-import os
-import string
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -21,10 +20,12 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
-from skyline.errors import FetchError, InputError
-from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
-from skyline.files import for_gdal
-from skyline.geodesy import Bounds, check_bounds, width_deg
+from skyline.arrays import Progress
+from skyline.errors import InputError
+from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, with_remote
+from skyline.files import for_gdal, write_whole
+from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
+from skyline.terrain.rasters import shown
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64
@@ -40,7 +41,7 @@ SOURCES = {
 """Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
 
 MAX_BYTES = 4 << 30
-"""The most that is fetched at a time, unpacked."""
+"""The largest fetch, unpacked."""
 
 _ARC_SECOND_BYTES = 4 * 3600**2
 _MAX_BLOCK_BYTES = 256 << 20
@@ -48,73 +49,58 @@ _TAG = "SKYLINE_FETCH"
 # Bounds this near a pixel's edge are on it, but for rounding.
 _SLACK = 1e-6
 
-Progress = Callable[[int, int], None]
-"""Called with the tiles done and the tiles there are."""
+_FIELD = re.compile(r"\{(lat|lon|ns|ew)(?::(\d{1,2}d))?\}")
 
 _log = logging.getLogger(__name__)
-
-
-_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
-"""Of a tile, as SRTM has it: N46E009, S01W070."""
-
-
-def _fields(lat: int, lon: int) -> dict[str, int | str]:
-    """Return what a template's fields stand for; the numbers are absolute."""
-    hemispheres = {"ns": "N" if lat >= 0 else "S", "ew": "E" if lon >= 0 else "W"}
-    return {"lat": abs(lat), "lon": abs(lon), **hemispheres}
 
 
 @dataclass(frozen=True, slots=True)
 class TileSource:
     """A template of addresses.
 
-    Raises `InputError` for what is no http(s) address, or a field that is none of these.
+    Raises `InputError` unless it is an http(s) address with no other fields than these.
     """
 
     template: str
     """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
     tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
-    format, as in ``{lat:02d}``. Without any of them the address is one file over all."""
+    width, as in ``{lat:02d}``. Without any of them the address is one file over all."""
 
     def __post_init__(self) -> None:
         try:
-            address = urlsplit(self.url(0, 0))
+            url = self.url(0, 0)
+            address = urlsplit(url)
             usable = address.scheme in ("http", "https") and bool(address.hostname)
-        except (ValueError, KeyError) as error:
-            raise InputError(
-                f"source {self.template!r} is not understood ({error}); expected an address with "
-                "the fields {lat}, {lon}, {ns}, {ew}, e.g. "
-                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
-            ) from error
+            usable &= not set(url) & {"{", "}"}
+        except ValueError:
+            usable = False
         if not usable:
             raise InputError(
-                f"source {self.template!r} is not an http or https address; give one, or the name "
-                f"of a source: {', '.join(SOURCES)}"
+                f"source is {self.template!r}; expected {', '.join(SOURCES)}, or an http or https "
+                "address with no other fields than {lat}, {lon}, {ns}, {ew}, e.g. "
+                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
             )
 
     @classmethod
     def named(cls, name: str) -> Self:
-        """Return the source of that name in `SOURCES`, or the one whose template it is."""
+        """Return the source of that name in `SOURCES`; any other name is taken for a template."""
         return cls(SOURCES.get(name, name))
 
     @property
     def tiled(self) -> bool:
-        """Whether there is a file a degree."""
-        return any(field for _, field, _, _ in string.Formatter().parse(self.template))
+        """Whether there is one file for each degree, not one over all."""
+        return bool(_FIELD.search(self.template))
 
     def url(self, lat: int, lon: int) -> str:
         """Return the address of the tile with this south-west corner, degrees."""
-        fields = _fields(lat, lon)
-        for _, field, _, conversion in string.Formatter().parse(self.template):
-            # format() would follow attributes and indices of a field, which no template needs.
-            if field is not None and (field not in fields or conversion):
-                raise ValueError(f"unknown field {field!r}")
-        return self.template.format(**fields)
+        ns, ew = _hemispheres(lat, lon)
+        values = {"lat": abs(lat), "lon": abs(lon), "ns": ns, "ew": ew}
+        return _FIELD.sub(lambda field: format(values[field[1]], field[2] or ""), self.template)
 
     def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
-        """Return latitude and longitude, whole degrees, of the south-west corners of tiles.
+        """Return latitude and longitude of the south-west corners of the tiles within bounds.
 
-        They are those that bounds need, from the south-west, row by row.
+        They are whole degrees, from the south-west, row by row.
 
         Raises `InputError` for bounds that are not numbers in order, or that need more than
         `MAX_TILES`.
@@ -132,24 +118,34 @@ class TileSource:
                 f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
                 "time: choose smaller bounds"
             )
-        return [(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
+        return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
+
+
+def _hemispheres(lat: int, lon: int) -> tuple[str, str]:
+    return "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
+
+
+def _tile_name(lat: int, lon: int) -> str:
+    """Return the name of a tile, as SRTM names it: N46E009, S01W070."""
+    ns, ew = _hemispheres(lat, lon)
+    return f"{ns}{abs(lat):02d}{ew}{abs(lon):03d}"
 
 
 @dataclass(frozen=True, slots=True)
 class FetchResult:
-    """What a fetch left in its folder."""
+    """The tiles in the folder after a fetch."""
 
     files: tuple[Path, ...]
     """All tiles, from the south-west, row by row."""
     fetched: int
-    """Of these, the ones fetched now; the others were there already."""
+    """How many of these were fetched now; the others were there already."""
     missing: tuple[str, ...]
-    """Tiles that the source does not have: as a rule, sea."""
+    """Tiles that the source does not have, usually sea."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """What is to be read of one tile, and where it goes."""
+    """The part of one tile to read, and the file to write it to."""
 
     url: str
     path: Path
@@ -167,13 +163,14 @@ def fetch_dem(
     bounds_deg: Bounds,
     source: str,
     folder: str | Path,
-    options: HttpOptions | None = None,
+    retries: int = RETRIES,
+    timeout_s: int = TIMEOUT_S,
     progress: Progress | None = None,
 ) -> FetchResult:
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
 
     A tile is written whole or not at all, and one that is there from the same source and bounds is
-    not fetched again, so a fetch that failed goes on where it stopped.
+    not fetched again, so that the same call continues a fetch that failed.
 
     Parameters
     ----------
@@ -184,16 +181,21 @@ def fetch_dem(
         A name of `SOURCES` or a template, see `TileSource`.
     folder : str or Path
         Made where it does not exist. Files are named by their tile: ``N46E009.tif``.
+    retries : int
+        How often a failed request is repeated.
+    timeout_s : int
+        Seconds without an answer after which a request has failed.
+    progress : callable, optional
+        Called with the number of tiles done and of all.
 
     Raises
     ------
     InputError
-        Bounds, source or options out of range, too much at a time, no tile at all, tiles of
-        different spacing, or a file in the way.
+        Bounds or source out of range, too much at a time, no tile at all, tiles of different
+        spacing, or a file that is in the way or cannot be written.
     FetchError
         A server that fails, after the retries. Nothing of its tile is written.
     """
-    options = options or HttpOptions()
     origin = TileSource.named(source)
     tiles = origin.tiles(bounds_deg)
     folder = Path(folder)
@@ -204,10 +206,10 @@ def fetch_dem(
     files: list[Path] = []
     missing: list[str] = []
     for tile in tiles:
-        name = _NAME.format(**_fields(*tile))
+        name = _tile_name(*tile)
         path = folder / f"{name if origin.tiled else 'dem'}.tif"
         try:
-            cut = _plan(origin.url(*tile), path, bounds_deg, options)
+            cut = _plan(origin.url(*tile), path, bounds_deg, retries, timeout_s)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -225,14 +227,14 @@ def fetch_dem(
     for done, cut in enumerate(cuts):
         if progress:
             progress(done, len(cuts))
-        _fetch(cut, options)
+        _fetch(cut, retries, timeout_s)
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
 
 
-def _plan(url: str, path: Path, bounds_deg: Bounds, options: HttpOptions) -> _Cut | None:
-    """Look at a remote tile and say what to read of it; None where that is there already."""
+def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int) -> _Cut | None:
+    """Return the part of a remote tile to read; None where the file is there already."""
     tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
     if path.exists():
         held = _tag_of(path)
@@ -249,7 +251,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, options: HttpOptions) -> _Cu
         step_deg = (file.transform.a, -file.transform.e)
         return _Cut(url, path, tag, window, step_deg, file.dtypes[0])
 
-    return with_remote(url, options, look)
+    return with_remote(url, look, retries, timeout_s)
 
 
 def _tag_of(path: Path) -> str | None:
@@ -262,7 +264,7 @@ def _tag_of(path: Path) -> str | None:
 
 
 def _check_usable(url: str, file: Any) -> None:
-    """Refuse what is no tile of a DEM in degrees, and what would fill the memory."""
+    """Raise `InputError` unless a file is a DEM in degrees whose parts can be read alone."""
     where, transform = shown(url), file.transform
     if file.count != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
@@ -306,7 +308,7 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
 
 
 def _check_together(cuts: Sequence[_Cut]) -> None:
-    """Refuse what is too much, and tiles that do not make one grid, before anything is read."""
+    """Raise `InputError` for too many bytes, and for tiles that do not make one grid."""
     size_bytes = sum(cut.size_bytes for cut in cuts)
     if size_bytes > MAX_BYTES:
         raise InputError(
@@ -325,13 +327,13 @@ def _check_together(cuts: Sequence[_Cut]) -> None:
                 )
 
 
-def _fetch(cut: _Cut, options: HttpOptions) -> None:
+def _fetch(cut: _Cut, retries: int, timeout_s: int) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
     samples, known = np.empty((height, width), cut.dtype), 0
 
     def read(file: Any) -> bytes:
-        """Read a row of blocks at a time; what was read is kept when a connection fails."""
+        """Read a row of blocks at a time, and keep them when a connection fails."""
         nonlocal known
         block_rows = int(file.block_shapes[0][0])
         while known < height:
@@ -342,21 +344,7 @@ def _fetch(cut: _Cut, options: HttpOptions) -> None:
             known = stop - top
         return _geotiff(samples, cut, file)
 
-    content = with_remote(cut.url, options, read)
-    partial = cut.path.with_name(f"{cut.path.name}.partial")
-    try:
-        with partial.open("wb") as target:
-            target.write(content)
-            target.flush()
-            os.fsync(target.fileno())
-        partial.replace(cut.path)
-    except OSError as error:
-        raise FetchError(
-            f"{cut.path} cannot be written ({error.strerror}); make room or name another folder, "
-            "then give the same command: what was fetched is kept"
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(cut.path, with_remote(cut.url, read, retries, timeout_s))
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
@@ -377,7 +365,7 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
         ) as file:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
-            # One tag says whether samples stand for points or areas.
+            # This tag says whether samples stand for points or areas.
             kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
             file.update_tags(**{_TAG: cut.tag}, **kept)
         return bytes(memory.getbuffer())

@@ -1,4 +1,4 @@
-"""Named peaks of an area from an Overpass server, which serves OpenStreetMap's places."""
+"""Named peaks of an area from an Overpass server, which answers queries of OpenStreetMap."""
 
 import http.client
 import json
@@ -11,15 +11,22 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import HttpOptions, shown
+from skyline.fetch.remote import RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
+from skyline.terrain.rasters import shown
 
 _MOST_BYTES = 1 << 26
-_AGAIN = (429, 500, 502, 503, 504)
+_PASSING = (429, 500, 502, 503, 504)
 
 
-def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOptions) -> int:
+def fetch_peaks(
+    bounds_deg: Bounds,
+    server: str,
+    path: Path,
+    retries: int = RETRIES,
+    timeout_s: int = TIMEOUT_S,
+) -> int:
     """Write the named peaks and volcanoes of a box as GeoJSON; return how many there are.
 
     `skyline.read_peaks` reads it.
@@ -32,8 +39,10 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOption
         Address of an Overpass interpreter: ``https://host/api/interpreter``.
     path : Path
         Written whole or not at all.
-    options : HttpOptions
-        An answer must be there whole within its timeout.
+    retries : int
+        How often a failed request is repeated.
+    timeout_s : int
+        Seconds within which the whole answer must arrive.
 
     Raises
     ------
@@ -41,7 +50,7 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOption
         Bounds that are not in order, a server that is no http address, or a file that cannot be
         written.
     FetchError
-        The server fails, is too slow, or answers with something that is not peaks of the box.
+        The server fails, is too slow, or its answer is not a list of peaks in the box.
     """
     west, south, east, north = check_bounds(bounds_deg)
     if urlsplit(server).scheme not in ("http", "https") or not urlsplit(server).hostname:
@@ -54,8 +63,9 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOption
         f'node["natural"~"^(peak|volcano)$"]["name"]({south},{begin},{north},{end});'
         for begin, end in spans
     )
-    query = f"[out:json][timeout:{options.timeout_s}];({wanted});out;"
-    answer = _ask(server, urlencode({"data": query}).encode(), options)
+    query = f"[out:json][timeout:{timeout_s}];({wanted});out;"
+    body = urlencode({"data": query}).encode()
+    answer = repeated(server, lambda: _ask(server, body, timeout_s), retries)
     features = [_feature(server, one, (south, north), spans) for one in _elements(server, answer)]
     if not features:
         raise FetchError(f"{shown(server)} knows no named peak in the bounds; choose larger bounds")
@@ -68,27 +78,19 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOption
     return len(features)
 
 
-def _ask(server: str, query: bytes, options: HttpOptions) -> bytes:
-    """Return the body of the answer; what another attempt may mend is tried again."""
-    delay_s = options.retry_delay_s
-    for attempt in range(1, options.retries + 2):
-        reason, again = "", True
-        try:
-            return _post(server, query, options.timeout_s)
-        except HTTPError as error:
-            reason, again = f"the server answers HTTP {error.code}", error.code in _AGAIN
-        except URLError as error:
-            reason = f"no answer ({error.reason})"
-        except (OSError, http.client.HTTPException) as error:
-            reason = f"no whole answer ({error or type(error).__name__})"
-        if not again or attempt > options.retries:
-            raise FetchError(
-                f"{shown(server)}: {reason}, tried {attempt} times; check the address, or give the "
-                "same command again later"
-            )
-        time.sleep(delay_s)
-        delay_s *= 2.0
-    raise AssertionError("the last attempt returns or raises")
+def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
+    """Return the body of the answer; raises `RequestError`."""
+    may_pass = True
+    try:
+        return _post(server, query, timeout_s)
+    except HTTPError as error:
+        reason, may_pass = f"the server answers HTTP {error.code}", error.code in _PASSING
+    except URLError as error:
+        reason = f"no answer ({error.reason})"
+    except (OSError, http.client.HTTPException) as error:
+        reason = f"no whole answer ({error or type(error).__name__})"
+    # Outside the handlers, so that the error does not keep the connection open.
+    raise RequestError(reason, "check the address, or give the same command again later", may_pass)
 
 
 def _post(server: str, query: bytes, timeout_s: float) -> bytes:
@@ -100,11 +102,12 @@ def _post(server: str, query: bytes, timeout_s: float) -> bytes:
         while piece := answer.read1(1 << 16):
             body += piece
             if time.monotonic() > deadline:
-                raise TimeoutError(f"not there whole after {timeout_s} s")
+                raise TimeoutError(f"incomplete after {timeout_s} s")
             if len(body) > _MOST_BYTES:
-                raise FetchError(
-                    f"{shown(server)}: the answer is larger than {_MOST_BYTES >> 20} MiB; choose "
-                    "smaller bounds"
+                raise RequestError(
+                    f"the answer is larger than {_MOST_BYTES >> 20} MiB",
+                    "choose smaller bounds",
+                    False,
                 )
     if promised is not None and len(body) < promised:
         raise http.client.IncompleteRead(bytes(body), promised - len(body))
@@ -113,17 +116,17 @@ def _post(server: str, query: bytes, timeout_s: float) -> bytes:
 
 def _elements(server: str, answer: bytes) -> list[Any]:
     try:
-        told = json.loads(answer)
-        elements, remark = told["elements"], told.get("remark", "")
+        content = json.loads(answer)
+        elements, note = content["elements"], content.get("remark", "")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         begins = " ".join(answer[:60].decode("utf-8", "replace").split())
         raise FetchError(
-            f"{shown(server)}: the answer is not what Overpass answers (it begins `{begins}`); "
+            f"{shown(server)}: the answer is not one of Overpass (it begins `{begins}`); "
             "check the address"
         ) from None
-    if "error" in str(remark):
+    if "error" in str(note):
         raise FetchError(
-            f"{shown(server)}: the server gave up ({' '.join(str(remark).split())[:120]}); choose "
+            f"{shown(server)}: the server gave up ({' '.join(str(note).split())[:120]}); choose "
             "smaller bounds, or raise --timeout"
         )
     if not isinstance(elements, list):
@@ -134,7 +137,7 @@ def _elements(server: str, answer: bytes) -> list[Any]:
 def _feature(
     server: str, element: Any, lats: tuple[float, float], spans: list[tuple[float, float]]
 ) -> dict[str, object]:
-    """Return an element as a GeoJSON feature; `FetchError` where it is no peak of the box."""
+    """Return an element as a GeoJSON feature; `FetchError` where it is no named peak in the box."""
     try:
         lon, lat = float(element["lon"]), float(element["lat"])
         name, height = element["tags"]["name"], element["tags"].get("ele")

@@ -14,6 +14,7 @@ import numpy as np
 from pyproj import Geod
 
 from skyline.errors import library, printable
+from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
 from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
 from skyline.match.query_rays import QueryRays
@@ -137,7 +138,7 @@ class MatchResult:
         if best is not None and noted.lonlat_deg is not None:
             distance_m = float(_WGS84.inv(*noted.lonlat_deg, best.lon, best.lat)[2])
         if best is not None and noted.heading_deg is not None:
-            off_deg = (best.heading_deg - noted.heading_deg + 180.0) % 360.0 - 180.0
+            off_deg = float(in_turn(best.heading_deg - noted.heading_deg))
         return {
             "lon": lon,
             "lat": lat,

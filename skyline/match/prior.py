@@ -18,7 +18,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Frame, Rectangle, are_bounds
+from skyline.geodesy import Frame, Rectangle, are_bounds, in_turn
 from skyline.match.ranking import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
@@ -113,7 +113,7 @@ class PlacePrior:
         cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
         if self.heading_deg is not None:
             turn = np.degrees(heading_rad) - self.heading_deg
-            off = ((turn + 180.0) % 360.0 - 180.0) / self.heading_sd_deg
+            off = in_turn(turn) / self.heading_sd_deg
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
             right *= 1.0 - _COMPASS_WRONG_SHARE
             cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
@@ -313,7 +313,7 @@ class Prior:
             turn = self.frame.convergence_deg(
                 easting_m=poses.easting_m, northing_m=poses.northing_m
             )
-            off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
+            off = in_turn(poses.heading_deg + turn - heading)
             allowed &= np.abs(off) <= slack
         return allowed
 

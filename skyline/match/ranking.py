@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from skyline.arrays import Float64Array, IntArray, Rows
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, in_turn
 from skyline.match.candidate import Candidate
 
 
@@ -66,7 +66,7 @@ class Hypotheses(Rows):
             if not left[index]:
                 continue
             chosen.append(int(index))
-            turn = np.abs((self.heading_deg - self.heading_deg[index] + 180.0) % 360.0 - 180.0)
+            turn = np.abs(in_turn(self.heading_deg - self.heading_deg[index]))
             left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)

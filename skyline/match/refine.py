@@ -32,6 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
+from skyline.geodesy import in_turn
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
@@ -253,7 +254,7 @@ class Refinement:
         easting_m, northing_m = place_m.real, place_m.imag
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
-        off = np.abs((turn + 180.0) % 360.0 - 180.0)
+        off = np.abs(in_turn(turn))
         half_deg = 0.5 * solver.fov_deg(state)[:, np.newaxis]
         wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])

@@ -40,6 +40,7 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
+from skyline.geodesy import in_turn
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
 
@@ -257,7 +258,7 @@ def turn_heading_deg(turn: IntArray) -> Float64Array:
 def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
     """Return which turns (B,) look within a slack, plus the width of a turn, of a grid azimuth."""
     axis_deg = turn_heading_deg(np.arange(PHASE_BINS))
-    off_deg = np.abs((axis_deg - heading_deg + 180.0) % 360.0 - 180.0)
+    off_deg = np.abs(in_turn(axis_deg - heading_deg))
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 

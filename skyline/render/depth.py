@@ -23,7 +23,7 @@ from skyline.render.eyes import in_four_views
 from skyline.render.shaders import compile_program
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Triangles
+from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 
 TILE_CELLS = 64

@@ -18,8 +18,7 @@ from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import ContextError
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.pyramid import EMPTY, MAX_LEVELS, level_count, slab_levels
-from skyline.terrain.triangles import Triangles
+from skyline.terrain.mesh import EMPTY, MAX_LEVELS, Triangles, level_count, slab_levels
 
 MAX_FIELD_CELLS = 5120
 """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""

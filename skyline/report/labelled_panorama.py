@@ -13,8 +13,7 @@ from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.solar.horizon_at import horizons_of
-from skyline.terrain.blocks import BLOCK, TerrainBlocks
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
 from skyline.terrain.summits import PROMINENCE_REACH
 from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, place_on

@@ -15,8 +15,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
-from skyline.terrain.blocks import TerrainBlocks
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, TerrainBlocks
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
+from skyline.geodesy import in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
 from skyline.match.ranking import Hypotheses, Ranking
@@ -166,7 +167,7 @@ class Viewer:
         if eye is None:
             raise OffMapError("the pose is off the map or on a hole; move it")
         off_deg = 90.0 * np.array(HEADINGS) - pose.grid_heading_deg
-        away_deg = np.abs((off_deg + 180.0) % 360.0 - 180.0)
+        away_deg = np.abs(in_turn(off_deg))
         headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
         views = self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
         return Panorama.of(views)

@@ -33,7 +33,7 @@ from skyline.store.format import (
 from skyline.store.keypoints import NO_KEYPOINT
 from skyline.store.places import Places
 from skyline.store.write import REBUILD, UNREADABLE, explained
-from skyline.terrain.notebook import facts_html
+from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]

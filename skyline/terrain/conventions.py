@@ -1,6 +1,6 @@
-"""Conventions of a raster of heights: its units, datums, axes and prime meridian.
+"""Conventions of a raster of heights: units, datums, axes, prime meridian, and its kind of surface.
 
-What a file says is taken. What it leaves open is assumed, and a sentence says so.
+Conventions that a file names are taken. The others are assumed, with a warning where that matters.
 """
 
 import math
@@ -8,17 +8,38 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
+import rasterio
 from pyproj import CRS
 from pyproj.database import get_units_map
+from rasterio.errors import RasterioError
 
 from skyline.errors import InputError
 from skyline.geodesy import degrees_in_words
 
 GEOID, ELLIPSOID = "geoid", "ellipsoid"
 
+SURFACE, GROUND, UNKNOWN = "surface (DSM)", "bare ground (DTM)", "not known"
+
+_PRODUCTS = (
+    (r"fabdem", "FABDEM", GROUND),
+    (r"copernicus|glo-?[39]0|eu-?dem", "Copernicus", SURFACE),
+    (r"aw3d|alpsmlc30", "AW3D", SURFACE),
+    (r"nasadem", "NASADEM", SURFACE),
+    (r"srtm", "SRTM", SURFACE),
+    (r"astgtm|aster[ _-]?gdem", "ASTER GDEM", SURFACE),
+    (r"tdm1_dem|tandem-?x", "TanDEM-X", SURFACE),
+    (r"3dep|usgs_(13|1|1m|one_meter)_", "3DEP", GROUND),
+    (r"swissalti3d", "swissALTI3D", GROUND),
+    (r"arcticdem", "ArcticDEM", SURFACE),
+    (r"(?<![a-z])dsm(?![a-z])", "", SURFACE),
+    (r"(?<![a-z])(dtm|dgm|dem_bare)(?![a-z])", "", GROUND),
+)
+"""Patterns of names and tags, the product, and its kind of surface; the first found counts."""
+
 _UNSAID = {"", "no", "none", "unknown", "unspecified"}
-"""Band units that say nothing; ``NO`` is ArcInfo's."""
+"""Band units that name no unit; ``NO`` is ArcInfo's."""
 
 _SAME_UNIT = 1e-4
 """Units that differ by less are one: the feet of all surveys, and the German legal metre."""
@@ -34,10 +55,11 @@ _WORDS = {
     "international": [],
     "intl": [],
 }
-"""Words in the names of units that others stand for, or that tell no two units apart."""
+"""Words in the names of units, and the words that stand for them; none where a word makes no
+difference."""
 
 _DATUM = re.compile(r"\(|\babove\b|a\.?m?\.?s\.?l\b|ü")
-"""Where words on the datum follow a unit: ``m (NAVD88)``, ``metres above sea level``, ``masl``."""
+"""Where a unit ends and words on the datum begin: ``m (NAVD88)``, ``metres above sea level``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +79,13 @@ class Vertical:
 
     @property
     def conventions(self) -> dict[str, str]:
-        """The conventions by name, in words."""
+        """The unit and the datum by name, in words."""
         datum = f"{self.datum} ({self.surface})" if self.datum else "geoid, assumed: none is named"
         return {"height_unit": self.unit, "vertical_datum": datum}
 
 
 def metres_per(unit: str) -> float | None:
-    """Return the metres in a unit of length, None for a name that is not known.
+    """Return the metres in a unit of length; None for an unknown name.
 
     Names are those of PROJ and EPSG, however GDAL, ESRI or CF spell them: ``US survey foot``,
     ``Foot_US``, ``us-ft``, ``ftUS``, ``Meters``, ``m a.s.l.``.
@@ -102,9 +124,9 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str = "up") -> 
     Parameters
     ----------
     source : str
-        What an error calls the raster.
+        The name of the raster in errors.
     crs : CRS
-        The whole one, with its vertical part.
+        With its vertical part.
     band_unit : str
         May be empty.
     positive : str
@@ -180,3 +202,31 @@ def merged(conventions: Sequence[Mapping[str, str]]) -> dict[str, str]:
         name: "; ".join(dict.fromkeys(one[name] for one in conventions if name in one))
         for name in names
     }
+
+
+def model_of(files: Sequence[str]) -> str:
+    """Return whether a DEM models the surface or the bare ground, as far as its files show.
+
+    That is `SURFACE` or `GROUND` by their names and tags, with the product where that is known;
+    `UNKNOWN` too where files differ.
+    """
+    models = {_model_of_file(file) for file in files}
+    return models.pop() if len(models) == 1 else UNKNOWN
+
+
+def _model_of_file(file: str) -> str:
+    for text in (Path(file).name, *_tags(file)):
+        for pattern, product, model in _PRODUCTS:
+            if re.search(pattern, text.lower()):
+                return f"{model}, {product}" if product else model
+    return UNKNOWN
+
+
+def _tags(file: str) -> list[str]:
+    if file.lower().endswith(".gz"):  # an .hgt, which has none
+        return []
+    try:
+        with rasterio.open(file) as dataset:
+            return [*map(str, dataset.tags().values()), *filter(None, dataset.descriptions)]
+    except RasterioError:
+        return []

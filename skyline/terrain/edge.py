@@ -1,4 +1,4 @@
-"""Where a DEM ends: how high terrain beyond it may stand in the skyline."""
+"""The edge of a DEM, and how high terrain beyond it may stand in the skyline."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -11,27 +11,27 @@ from skyline.geodesy import Curvature, Rectangle
 from skyline.terrain.heightfield import HeightField
 
 _REACH_M = 10_000.0
-"""Terrain past a point of the edge is taken to be no higher than what lies this near inside."""
+"""Terrain past a point of the edge is assumed no higher than terrain inside this near to it."""
 _PARTS = 256
-"""Parts of each side for which that height is noted."""
+"""Parts of each side, with a height each."""
 _LEAST_M = 1.0
-"""An eye on the edge is taken to stand this far inside, and a side to be at least this long: a DEM
-may be one sample wide."""
+"""Least distance of an eye from the edge, and least length of a side: a DEM may be one sample
+wide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DataEdge:
     """The rectangle that a DEM covers, and how high the terrain beyond may be.
 
-    Holes within the rectangle are not looked for.
+    Holes within the rectangle are ignored.
 
     Attributes
     ----------
     bounds_m : (float, float, float, float)
         West, south, east, north.
     highest_m : (4, P) float32
-        How high terrain may be past P parts of equal length of each of these sides, from south to
-        north and from west to east.
+        Greatest height of terrain past each of P equal parts of these four sides. The parts run
+        from south to north and from west to east.
     curvature : Curvature
     """
 
@@ -66,8 +66,8 @@ class DataEdge:
         """Return the greatest tangent of elevation of terrain past the edge.
 
         An eye above all that terrain sees it best at the horizon of its greatest height, not at the
-        edge. The arguments broadcast; azimuths are from grid north, places lie inside. What is
-        given as float32 is worked out as such, for speed.
+        edge. The arguments broadcast; azimuths are from grid north, places lie inside. float32
+        arguments give a float32 result, for speed.
         """
         distance_m, highest_m = self._left(easting_m, northing_m, azimuth_rad)
         above_m = highest_m - np.asarray(eye_elevation_m)
@@ -75,13 +75,13 @@ class DataEdge:
         if drop > 0.0:
             distance_m = np.maximum(distance_m, np.sqrt(np.maximum(-above_m, 0.0) / drop))
             return np.asarray(above_m / distance_m - drop * distance_m)
-        # On a flat Earth what lies below the eye rises towards its level, endlessly far off.
+        # On a flat Earth terrain below the eye rises towards its level with distance, without end.
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
 
     def _left(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
-        """Return how far off rays leave the data, and how high terrain may be past there."""
+        """Return the distance at which rays leave the data, and the height of terrain beyond."""
         west, south, east, north = self.bounds_m
         wide_m, high_m = east - west, north - south
         from_middle_m = easting_m - (west + east) / 2.0, northing_m - (south + north) / 2.0
@@ -104,9 +104,9 @@ class DataEdge:
 
 
 def _highest(band_m: FloatArray, reach: int) -> Float64Array:
-    """Return the greatest height of a band (D, N) within a reach of each of P parts of its N.
+    """Return the greatest height of a band (D, N) near each of P parts of its length N.
 
-    It is -inf where the band has no data.
+    Near means within ``reach`` samples of the part's middle. It is -inf where there are no data.
     """
     from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
 

@@ -1,24 +1,27 @@
-"""The surface every renderer shares: samples on a metric grid, two triangles a cell.
+"""Terrain as a metric grid of heights: the surface that all renderers share.
 
-Each cell between four samples is split along the diagonal that joins its north-west and
-south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
+Each cell between four samples is two triangles, split along the diagonal that joins its north-west
+and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
 """
 
+import base64
 import hashlib
+import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import Float64Array
-from skyline.errors import InputError
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.errors import InputError, printable
 from skyline.geodesy import Frame
-from skyline.terrain.notebook import facts_html, relief
+from skyline.terrain.tiles import Grid
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
@@ -26,16 +29,20 @@ if TYPE_CHECKING:
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""
 
+BLOCK = 64
+"""Cells along a side of a block."""
 
 _LEAST_SPACING_M = 0.01
 """No model of terrain is finer; a second of arc, in degrees, is a fortieth of it."""
 _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
+_LONGEST_PX = 240
+"""The longer side of the picture of a field in a notebook."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the samples came from and what was done to them on the way.
+    """The files of a height field, and how their samples were read.
 
     Attributes
     ----------
@@ -48,7 +55,7 @@ class Provenance:
     undeclared : int
         Of the void samples, those that the files do not declare (`skyline.terrain.cleaning`).
     options : mapping
-        How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
+        `skyline.DemOptions.to_json` of the options of reading.
     conventions : mapping
         Units, datums, axes and the prime meridian of the files by name, in words.
     """
@@ -102,8 +109,8 @@ class HeightField:
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
                 "A grid in degrees is read by read_dem, HeightField.from_rasterio or from_xarray"
             )
-        # A private copy, so that the field stays what its digest says; an array that is frozen
-        # already is taken over as it is, since a large DEM must not need twice its memory.
+        # A private copy, so that the digest stays true. A frozen array is taken over as it is: a
+        # large DEM must not need twice its memory.
         if heights.flags.writeable or not (heights.flags.owndata and heights.flags.c_contiguous):
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
@@ -123,7 +130,7 @@ class HeightField:
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
         if self.provenance.files:
             facts["files"] = ", ".join(self.provenance.files)
-        return facts_html(facts, relief(self.heights_m, self.spacing_east_m, self.spacing_north_m))
+        return facts_html(facts, _relief(self.heights_m, self.spacing_east_m, self.spacing_north_m))
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -152,9 +159,10 @@ class HeightField:
         InputError
             Not one band, no (understood) CRS, a rotated grid, no height at all.
         """
-        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
-        return dem.dem_of_dataset(dataset, options or dem.DemOptions())
+        options = options or dem.DemOptions()
+        return dem.dem_of(rasters.dataset_tile(dataset, options.default_crs), options)
 
     @classmethod
     def from_xarray(cls, data_array: Any, options: "DemOptions | None" = None) -> "HeightField":
@@ -169,7 +177,7 @@ class HeightField:
             ``northing, easting``, in any order, with even coordinates of the samples. Further
             dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
             writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
-            ``add_offset``, ``units`` and ``positive`` among its attributes are heeded.
+            ``add_offset``, ``units`` and ``positive`` among its attributes are applied.
 
         Returns
         -------
@@ -182,9 +190,10 @@ class HeightField:
             Other dimensions, several bands, coordinates missing or not even, no (understood) CRS,
             no height at all.
         """
-        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
-        return dem.dem_of_array(data_array, options or dem.DemOptions())
+        options = options or dem.DemOptions()
+        return dem.dem_of(rasters.array_tile(data_array, options.default_crs), options)
 
     @property
     def rows(self) -> int:
@@ -198,7 +207,7 @@ class HeightField:
 
     @property
     def height_sd_m(self) -> float:
-        """Deviation of the heights from the true ones that is to be expected of such a spacing.
+        """Expected deviation of the heights from the true ones at such a spacing.
 
         It grows as the root of the spacing. Measured against finer models of the same ground it is
         6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
@@ -325,3 +334,98 @@ class HeightField:
 def ground_of(field: HeightField) -> Ground:
     """Return the heights of a field as a function of eastings and northings."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TerrainBlocks:
+    """R x C blocks of a height field, of which only those that an eye may see are made.
+
+    An eye sees little of a wide DEM: terrain behind a ridge need not be warped. The place of a
+    block and a height that nothing in it exceeds decide whether an eye may see it. Neighbouring
+    blocks share the samples of their common edge.
+    """
+
+    frame: Frame
+    grid: Grid
+    """Of the samples, in metres of the frame."""
+    highest_m: Float32Array
+    """(R, C) float32. No height of a block is above it; -inf where there is none."""
+    field: Callable[[BoolArray], HeightField]
+    """From a mask of wanted blocks (R, C) to a field of these; others may be missing or NaN."""
+
+    @classmethod
+    def of(cls, field: HeightField) -> Self:
+        """Return the blocks of a whole field."""
+        highest = np.asarray(field.heights_m, np.float32)
+        for axis in (0, 1):
+            edges = block_edges(highest.shape[axis])
+            shared = np.take(highest, edges[1:], axis)
+            highest = np.fmax(np.fmax.reduceat(highest, edges[:-1], axis), shared)
+        highest = np.nan_to_num(highest, nan=-np.inf)
+        steps_m = field.spacing_east_m, field.spacing_north_m
+        grid = Grid(field.west_m, field.north_m, *steps_m, field.rows, field.cols)
+        return cls(field.frame, grid, highest, lambda _: field)
+
+    def around_m(self, easting_m: float, northing_m: float) -> tuple[Float64Array, ...]:
+        """Return metres east and north of a place to the middles of the blocks, (R, C) each."""
+        rows, cols = (np.arange(count) + 0.5 for count in self.highest_m.shape)
+        east_m = self.grid.west + cols * BLOCK * self.grid.step_east - easting_m
+        north_m = self.grid.north - rows * BLOCK * self.grid.step_north - northing_m
+        return tuple(np.meshgrid(east_m, north_m))
+
+    @property
+    def spacing_m(self) -> float:
+        """The finer of the two sample spacings."""
+        return min(self.grid.step_east, self.grid.step_north)
+
+    @property
+    def radius_m(self) -> float:
+        """The distance of a block's corners from its middle."""
+        return 0.5 * BLOCK * float(np.hypot(self.grid.step_east, self.grid.step_north))
+
+
+def block_edges(samples: int) -> Int64Array:
+    """Return the first sample of each block along an axis, and the last sample of the last."""
+    return np.append(np.arange(0, max(samples - 1, 1), BLOCK), samples - 1)
+
+
+def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = None) -> str:
+    """Return named facts as HTML, beside a grey picture (H, W) if there is one."""
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
+        for name, fact in facts.items()
+    )
+    drawn = ""
+    if picture is not None:
+        from PIL import Image  # noqa: PLC0415  (only notebooks need it)
+
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, format="PNG")
+        style = f"width: {_LONGEST_PX * picture.shape[1] // max(picture.shape)}px"
+        source = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+        drawn = f'<img alt="map" style="{style}" src="{source}">'
+    return (
+        '<div style="display: flex; gap: 1em; align-items: flex-start">'
+        f"{drawn}<table>{rows}</table></div>"
+    )
+
+
+def _relief(heights_m: NDArray[np.floating], east_m: float, north_m: float) -> NDArray[np.uint8]:
+    """Return a small picture of terrain lit from the north-west; holes are light.
+
+    Parameters
+    ----------
+    heights_m : (rows, cols) float
+        Row 0 is the northernmost.
+    east_m, north_m : float
+        Distance between neighbouring samples.
+    """
+    step = -(-max(heights_m.shape) // _LONGEST_PX)
+    some = np.atleast_2d(heights_m[::step, ::step].astype(np.float64))
+    if min(some.shape) < 2:
+        return np.full(some.shape, 220, dtype=np.uint8)
+    south, east = np.gradient(some, north_m * step, east_m * step)
+    light = (np.sqrt(2.0) + east + south) / (2.0 * np.sqrt(1.0 + east**2 + south**2))
+    picture: NDArray[np.uint8]
+    picture = np.nan_to_num(40.0 + 200.0 * light.clip(0.0, 1.0), nan=220.0).astype(np.uint8)
+    return picture

@@ -1,8 +1,8 @@
-"""Summits of a height field: the highest point near a place, and how prominent a hill is.
+"""Summits of a height field: the highest point near a place, and the prominence of a hill.
 
-A grid holds a summit as a sample that lies up to a sample's spacing aside. A place beside that
-sample is on the model's slope, where the summit stands before the eye like a wall, although the
-model cannot tell the two apart.
+The sample of a summit lies up to a sample's spacing aside of it. An eye beside that sample stands
+on the model's slope, with the summit before it like a wall, although the two places are the same as
+far as the model can resolve.
 """
 
 import math
@@ -14,12 +14,12 @@ from skyline.arrays import Float64Array
 from skyline.terrain.heightfield import HeightField
 
 _FALL_SDS, _LEVEL_SDS = 2.0, 0.5
-"""By how many deviations of the model's heights ground falls off around a summit, and rises on it
-at most."""
+"""Least fall of the ground around a summit, and greatest rise on it, in deviations of the model's
+heights."""
 _SUMMIT_REACH = 16
-"""Within how many samples it does."""
+"""The ground falls off within this many samples of a summit."""
 PROMINENCE_REACH = 64
-"""Within how many samples of a summit the way to higher ground is looked for."""
+"""The way to higher ground is looked for within this many samples of a summit."""
 _PROMINENCE_STEP_M = 1.0
 _BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
 """From a sample into each triangle around it, in samples to the east plus i times to the south."""
@@ -74,7 +74,7 @@ def highest_within(
         points.append(within_m * sloping / np.abs(sloping))
     place = np.concatenate(points)
     place = place[np.abs(place) <= within_m * (1.0 + 1e-12)]
-    # Rounding may not decide in which triangle a point lies: that one may be missing.
+    # Rounding must not decide in which triangle a point lies: the triangle may be a hole.
     place = (place[:, np.newaxis] + east_m * _BESIDE.real + 1j * south_m * _BESIDE.imag).ravel()
     easting, northing = easting_m + place.real, northing_m - place.imag
     # To the millimetre, since rounding must not prefer one place of level ground to another.
@@ -119,7 +119,7 @@ def summit_heights_m(
 
 
 def prominence_m(field: HeightField, row: int, col: int) -> float:
-    """Return how far one must descend from a sample, at least, to reach higher ground.
+    """Return the least descent from a sample on the way to higher ground, metres.
 
     Ground counts as higher if it is more than `HeightField.height_sd_m` above the sample, because
     the sample nearest to a named place is not always the highest of its hill. Ground that is more
@@ -139,7 +139,7 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
 def _heights(
     field: HeightField, rows: ArrayLike, cols: ArrayLike, missing_m: float
 ) -> Float64Array:
-    """Return the heights of samples; of holes and off the map another value."""
+    """Return the heights of samples, ``missing_m`` for holes and off the map."""
     rows, cols = np.broadcast_arrays(rows, cols)
     inside = (rows >= 0) & (rows < field.rows) & (cols >= 0) & (cols < field.cols)
     heights = field.heights_m[np.where(inside, rows, 0), np.where(inside, cols, 0)]
@@ -147,9 +147,9 @@ def _heights(
 
 
 def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
-    """Return the heights as far as ``reach`` samples around one, in a frame of infinite heights.
+    """Return the heights within ``reach`` samples of one, in a frame of infinite heights.
 
-    What is not known is infinite too, since the ground may rise there.
+    Holes are infinite too, since the ground may rise there.
     """
     near = np.arange(-reach, reach + 1)
     heights = _heights(field, row + near[:, np.newaxis], col + near, np.inf)
@@ -157,7 +157,7 @@ def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
 
 
 def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
-    """Whether ground falls so much on all sides of a window's middle before it rises so much."""
+    """Whether ground falls by ``fall_m`` on all sides of a window's middle before it rises."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2

@@ -14,20 +14,20 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
 UNKNOWN_M = 40.0
-"""What may stand where nothing is known: as high as tall trees."""
+"""Height above ground where the model has none: that of tall trees."""
 
 _CANOPY_MOST_M = 120.0
-"""A model without a greater height holds heights above the ground, where the ground is higher."""
+"""The greatest height in a canopy model; a surface model of high ground has greater ones."""
 _OFFSET_M = (-10.0, 60.0)
-"""Median height of a surface above the ground, lowest and highest."""
+"""Lowest and highest plausible median of a surface above the ground."""
 
 
 Dem = str | Path | Sequence[str | Path] | HeightField
-"""A model's file, its tiles, or what was read of them."""
+"""A model: its file, its tiles, or the height field read from them."""
 
 
 def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
-    """Read a surface or canopy model as an upper bound for what stands on a terrain.
+    """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
 
     Raises `InputError` where the model is not over the terrain, or its heights have another datum;
     or as `read_dem`.
@@ -36,8 +36,8 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     ----------
     paths : path, paths or HeightField
         A surface model, whose heights have the terrain's datum, or a canopy model, whose heights
-        are above the ground: one that lies far below the ground is taken for the latter. Any grid
-        and CRS; for files that name none, the one that was given for the terrain's.
+        are above the ground: a model that lies far below the ground is taken for a canopy model.
+        Any grid and CRS; files that name none have the CRS that was given for the terrain's.
     terrain : HeightField
         The bare ground.
 
@@ -75,13 +75,13 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
 
 
 def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
-    """Return how high a model's samples are above the ground, NaN where that is not known."""
+    """Return the heights of a model's samples above the ground, NaN where not known."""
     above_m = np.empty(model.heights_m.shape)
     west, south, east, north = terrain.bounds_m
     reach_m = max(model.spacing_east_m, model.spacing_north_m)
     for rows in strips(model.heights_m):
         easting, northing = _samples(model, rows, terrain)
-        # Samples just outside are needed to know what is between them and the border.
+        # Samples just outside give the heights between them and the border.
         for at, least, most in ((easting, west, east), (northing, south, north)):
             beside = np.clip(at, least, most)
             np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)
@@ -107,7 +107,7 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
 
 
 def _samples(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
-    """Return where samples of some rows lie in the frame of another field."""
+    """Return easting and northing of the samples of some rows, in the frame of another field."""
     row = np.arange(field.rows)[rows, np.newaxis]
     place = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
     if field.frame == other.frame:

@@ -1,4 +1,4 @@
-"""Viewpoints: where eyes are, as arrays, and from a CSV file."""
+"""Viewpoints: places of eyes on a height field, given as arrays or in a CSV file."""
 
 import csv
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
-MOST_WITHIN_M = 10_000.0
-"""Within so many metres the highest point around an eye is looked for, at most."""
+_MOST_WITHIN_M = 10_000.0
+"""The farthest that the highest point around an eye is looked for."""
 
 _ROUNDING_M = 1e-6
 _PLACES = (("easting", "northing"), ("lon", "lat"))
@@ -57,9 +57,9 @@ def stand_on(
     easting_m, northing_m : array_like, broadcast to (N,), metres in the field's frame
     eye_height_m : array_like, metres above ground, at least 0
     summit_within_m : float or None
-        How far an eye goes, at most, to stand on the highest point around. None leaves eyes where
-        they are, and lifts those that lie within a sample's spacing of a summit of the model to its
-        height (`skyline.terrain.summits.summit_heights_m`).
+        Eyes move to the highest point within this distance. None leaves eyes where they are, and
+        lifts those within a sample's spacing of a summit of the model to its height
+        (`skyline.terrain.summits.summit_heights_m`).
 
     Raises
     ------
@@ -71,9 +71,9 @@ def stand_on(
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
     asked = easting, northing
-    if summit_within_m is not None and not 0.0 <= summit_within_m <= MOST_WITHIN_M:
+    if summit_within_m is not None and not 0.0 <= summit_within_m <= _MOST_WITHIN_M:
         raise InputError(
-            f"summits are looked for within {summit_within_m:g} m; expected 0 to {MOST_WITHIN_M:g}"
+            f"summits are looked for within {summit_within_m:g} m; expected 0 to {_MOST_WITHIN_M:g}"
         )
     if summit_within_m:
         highest = [
@@ -115,17 +115,17 @@ def place_on(
 ) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
 
-    Raises `OffMapError` for a place off the map, and says so where longitude and latitude seem to
+    Raises `OffMapError` for a place off the map, with a hint where longitude and latitude seem to
     be swapped.
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = frame.from_lonlat(lon, lat)
-    outside = np.flatnonzero(~is_inside(bounds_m, easting, northing))
+    outside = np.flatnonzero(~_is_inside(bounds_m, easting, northing))
     if outside.size:
         first = outside[0]
         west, south, east, north = bounds_m
         box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        is_swapped = is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
+        is_swapped = _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
         raise OffMapError(
             f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "
             f"is off the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
@@ -143,8 +143,8 @@ def stand_where_possible(
 ) -> tuple[Viewpoints, BoolArray]:
     """Place eyes as `stand_on` does, but leave out locations off the map or on a hole.
 
-    Returns the eyes, and at which of the locations (N,) they stand. Raises `OffMapError` for an eye
-    height below 0.
+    Returns the eyes, and a mask of the locations (N,) where they stand. Raises `OffMapError` for
+    an eye height below 0.
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
@@ -181,10 +181,10 @@ def _check_ground(
         f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
         f"{northing:.2f}; {missing.size} such) is"
     )
-    if is_inside(field.bounds_m, easting, northing):
+    if _is_inside(field.bounds_m, easting, northing):
         raise OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
-    is_swapped = is_inside(field.bounds_m, northing, easting)
+    is_swapped = _is_inside(field.bounds_m, northing, easting)
     raise OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
         f"{south:.1f} to {north:.1f}: "
@@ -196,8 +196,8 @@ def _check_ground(
     )
 
 
-def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-    """Return which places lie within bounds, of the places' shape."""
+def _is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return a mask of the places within bounds, of the places' shape."""
     west, south, east, north = bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
@@ -235,9 +235,9 @@ def read_viewpoints(
         CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
         (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
     eye_height_m : float
-        Metres above ground where the file does not say.
+        Metres above ground, for files without a column of heights.
     summit_within_m : float or None
-        As of `stand_on`, for eyes whose elevation the file does not give.
+        As in `stand_on`, for files without a column of elevations.
 
     Raises
     ------
@@ -277,10 +277,10 @@ def _read_columns(path: Path) -> dict[str, Float64Array]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path} cannot be read as CSV ({error}); {_EXPECTED}") from error
     if not rows:
-        raise InputError(f"{path} is empty; {_EXPECTED} and one row a viewpoint")
+        raise InputError(f"{path} is empty; {_EXPECTED} and one row for each viewpoint")
     header = [name.strip() for name in rows[0]]
     if len(rows) == 1:
-        raise InputError(f"{path} has a header but no viewpoints; give one row a viewpoint")
+        raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
     values = np.empty((len(rows) - 1, len(header)))
     for number, row in enumerate(rows[1:]):
         try:

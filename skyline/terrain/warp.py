@@ -1,8 +1,10 @@
-"""Samples of one CRS to a square metric grid of another, once, with all summits.
+"""Resampling of a grid of one CRS to a square metric grid of another, with all summits kept.
 
-rasterio's own ``reproject`` finds its positions to an eighth of a sample, and before its version
-1.5 no option betters that: 5 m rms on 3 arc-second tiles of California. Here positions are good
-to `POSITION_TOLERANCE` samples, and holes and the antimeridian are treated in plain sight.
+GDAL's ``WarpedVRT`` with a tolerance of 0.001 samples places samples as well and as fast, but its
+cubic convolution overshoots: with `keep_summits` after it, 4 to 18 % of the summits of Davos,
+California and Everest came out more than 1 m too high, by up to 21 m. A part of its target also
+differs from the whole, by up to 5 cm. Here nothing is higher than the samples around it, and blocks
+have the samples of the whole, to the bit.
 """
 
 import math
@@ -15,9 +17,9 @@ from pyproj import CRS, Transformer
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, to_wgs84, transformer
-from skyline.terrain.blocks import BLOCK, block_edges
+from skyline.geodesy import Frame, in_turn, to_wgs84, transformer
 from skyline.terrain.cleaning import strips
+from skyline.terrain.heightfield import BLOCK, block_edges
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
@@ -30,7 +32,7 @@ _THREADS = 4
 # Positions this near the outermost source samples are on them, but for rounding.
 _SLACK = 1e-6
 _BENT = 3
-"""Source samples by which the edge of a block may bend out of the box round its corners."""
+"""Source samples by which the edge of a block may bend beyond the box around its corners."""
 
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """From rows (n,) and columns (m,) of the target to rows and columns (n, m) in the source."""
@@ -41,7 +43,7 @@ _Window = tuple[slice, slice]
 def local_frame(grid: Grid, crs: CRS) -> Frame:
     """Return the local conformal frame centred on a grid."""
     lon, lat, _ = to_wgs84(crs, *grid.centre)
-    return Frame.local(lon=(lon + 180.0) % 360.0 - 180.0, lat=lat)
+    return Frame.local(lon=float(in_turn(lon)), lat=lat)
 
 
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
@@ -111,7 +113,7 @@ class Warp:
         self._positions, self._smooth = _positions(grid, self.target, crs, frame)
 
     def highest_m(self) -> Float32Array:
-        """Return a height that no sample exceeds for each block of the target, (R, C)."""
+        """Return a height that no sample exceeds, for each block of the target (R, C)."""
         edges = [block_edges(count) for count in (self.target.rows, self.target.cols)]
         highest = np.full([len(edge) - 1 for edge in edges], np.inf, np.float32)
         if self._smooth:
@@ -156,7 +158,7 @@ class Warp:
         return warped, part
 
     def _part(self, inner: _Window) -> Float32Array:
-        # The sample nearest to a summit may lie across the border: so one more is known there.
+        # The sample nearest to a summit may lie across the border: so one more is made there.
         begin = [max(span.start - 1, 0) for span in inner]
         end = min(inner[0].stop + 1, self.target.rows), min(inner[1].stop + 1, self.target.cols)
         outer = slice(begin[0], end[0]), slice(begin[1], end[1])
@@ -175,20 +177,20 @@ class Warp:
 
 
 def _inside(inner: _Window, outer: _Window) -> _Window:
-    """Return where rows and columns lie among others."""
+    """Return rows and columns as slices of an array of other rows and columns."""
     row, col = (span.start for span in outer)
     rows, cols = inner
     return slice(rows.start - row, rows.stop - row), slice(cols.start - col, cols.stop - col)
 
 
 def _spans(at: ArrayLike, margin: int, count: int) -> Int64Array:
-    """Return the first sample and the one past the last, (2, ...), about positions (n, ...)."""
+    """Return the first and past-the-last sample, (2, ...), around positions (n, ...)."""
     ends = np.stack([np.min(at, axis=0) - margin, np.max(at, axis=0) + (margin + 2)])
     return np.asarray(np.clip(ends, 0, count).astype(np.int64))
 
 
 def _windows(wanted: BoolArray) -> Iterator[_Window]:
-    """Yield rows and columns of samples of all blocks that are wanted, many blocks at once."""
+    """Yield rows and columns of samples that together cover all wanted blocks."""
     for row, line in enumerate(wanted):
         ends = np.flatnonzero(np.diff(line, prepend=False, append=False)).tolist()
         for start, stop in zip(ends[::2], ends[1::2], strict=True):
@@ -206,7 +208,7 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     if not np.isfinite([west, south, east, north]).all():
         raise InputError(
             f"the DEM reaches from {grid.west:.6g}, {grid.south:.6g} to {grid.east:.6g}, "
-            f"{grid.north:.6g}, beyond what one local frame can map; give a smaller area"
+            f"{grid.north:.6g}, more than one local frame can map; give a smaller area"
         )
     # The frame's origin is the grid's centre, so there is always a sample to keep.
     left, right = math.ceil(west / spacing_m), math.floor(east / spacing_m)
@@ -221,7 +223,7 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
 
 
 def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[_Positions, bool]:
-    """Return positions in the source, and whether nodes they are interpolated between suffice."""
+    """Return positions in the source, and whether they are interpolated between nodes."""
     from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
 
     to_source = transformer(frame.crs, crs)
@@ -333,17 +335,16 @@ def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> 
 
 
 def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
-    """Return row and column (n,), in order, of the samples that no neighbour of eight overtops.
+    """Return row and column (n,), in order, of samples that none of eight neighbours overtops.
 
-    All eight are known, so a sample at the border or beside a hole (NaN) is none of them; nor is
-    one in the midst of a level place.
+    Samples at the border, beside a hole (NaN) or within a level place are left out.
     """
     found = []
     for strip in strips(heights_m):
         top = max(strip.start - 1, 0)
         block = heights_m[top : strip.stop + 1]
         own = block[1:-1, 1:-1]
-        # Most fall out by the four beside them; only what is left is compared with all eight.
+        # Four neighbours rule most samples out; only the others are compared with all eight.
         likely = (own >= block[:-2, 1:-1]) & (own >= block[2:, 1:-1])
         likely &= (own >= block[1:-1, :-2]) & (own >= block[1:-1, 2:])
         row, col = np.nonzero(likely)

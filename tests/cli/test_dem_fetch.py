@@ -10,7 +10,7 @@ from scenes import fractal
 
 
 @pytest.fixture
-def told():
+def server():
     heights = fractal(240, 240, 900.0, seed=5)
     with MemoryFile() as memory:
         with memory.open(
@@ -21,9 +21,9 @@ def told():
         return Behaviour(files={"/46_9.tif": bytes(memory.getbuffer())})
 
 
-def test_fetched_tiles_are_built(run, told, tmp_path):
+def test_fetched_tiles_are_built(run, server, tmp_path):
     folder, store = tmp_path / "dem", tmp_path / "store.h5"
-    with serve(told) as address:
+    with serve(server) as address:
         arguments = (
             "dem", "fetch", "--bbox", "9.4,46.4,9.6,47.1", "-o", folder,
             "--source", address + "/{lat}_{lon}.tif",
@@ -38,9 +38,9 @@ def test_fetched_tiles_are_built(run, told, tmp_path):
     assert json.loads(run("info", store, "--json").out)["places"] > 0
 
 
-def test_a_failing_server_is_one_line(run, told, tmp_path):
-    told.failures = 1000
-    with serve(told) as address:
+def test_a_failing_server_is_one_line(run, server, tmp_path):
+    server.failures = 1000
+    with serve(server) as address:
         done = run(
             "dem", "fetch", "--bbox", "9.4,46.4,9.6,46.6", "-o", tmp_path / "dem",
             "--source", address + "/{lat}_{lon}.tif", "--retries", "0",

@@ -1,4 +1,4 @@
-"""``skyline peaks`` against a server on the loopback address that serves, fails, lies and hangs."""
+"""``skyline peaks`` against a local server that serves, fails, lies and hangs."""
 
 import json
 import threading
@@ -95,7 +95,7 @@ def test_a_box_across_the_antimeridian_is_two(run, tmp_path):
 
 
 @pytest.mark.parametrize("first", [(429, b""), (504, b"busy"), ("breaks off", GOOD)])
-def test_what_another_attempt_mends_is_tried_again(run, tmp_path, first):
+def test_a_failure_that_passes_is_tried_again(run, tmp_path, first):
     with overpass([first, (200, GOOD)]) as (address, queries):
         done = fetch(run, address, tmp_path / "peaks.geojson", "--retries", "1")
     assert done.code == 0, done.err
@@ -103,16 +103,16 @@ def test_what_another_attempt_mends_is_tried_again(run, tmp_path, first):
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "message"),
     [
-        ((500, b""), "the server answers HTTP 500, tried 1 times"),
+        ((500, b""), "the server answers HTTP 500, not tried again"),
         ((400, b"no"), "the server answers HTTP 400"),
         (("breaks off", GOOD), "no whole answer"),
         (("hangs", b""), "no whole answer (timed out)"),
-        (("drips", GOOD), "not there whole after 1 s"),
-        ((200, b"<html>Welcome</html>"), "not what Overpass answers (it begins `<html>"),
-        ((200, b"[1, 2]"), "not what Overpass answers"),
-        ((200, b"[" * 100_000), "not what Overpass answers"),
+        (("drips", GOOD), "incomplete after 1 s"),
+        ((200, b"<html>Welcome</html>"), "not one of Overpass (it begins `<html>"),
+        ((200, b"[1, 2]"), "not one of Overpass"),
+        ((200, b"[" * 100_000), "not one of Overpass"),
         ((200, b'{"elements": 3}'), "no list of elements"),
         ((200, b'{"elements": []}'), "knows no named peak in the bounds"),
         (
@@ -129,18 +129,18 @@ def test_what_another_attempt_mends_is_tried_again(run, tmp_path, first):
     ],
 )
 def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
-    run, tmp_path, answer, said
+    run, tmp_path, answer, message
 ):
     path = tmp_path / "peaks.geojson"
-    path.write_text("what was there")
+    path.write_text("as before")
     with overpass([answer]) as (address, _):
         done = fetch(run, address, path, "--retries", "0", "--timeout", "1")
     assert done.code == 1, done
-    assert said in done.err
+    assert message in done.err
     assert done.err.startswith("error: ")
     assert done.err.count("\n") == 1
     assert [file.name for file in tmp_path.iterdir()] == ["peaks.geojson"]
-    assert path.read_text() == "what was there"
+    assert path.read_text() == "as before"
 
 
 def test_no_server_is_one_line(run, tmp_path):

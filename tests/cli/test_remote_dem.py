@@ -13,7 +13,7 @@ from rasterio.transform import from_origin
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal
 
 from skyline import FetchError, InputError, Matcher, read_dem
-from skyline.terrain.tiles import absolute_name
+from skyline.terrain.rasters import absolute_name
 
 SIZE = 128
 """Rows and columns of each of two tiles, side by side."""
@@ -86,7 +86,7 @@ def tiles():
 
 
 def on_server(address):
-    """Return what the server has."""
+    """Return the files of the server."""
     files = tiles()
     large = np.random.default_rng(1).normal(1500.0, 1.0, (LARGE, LARGE)).astype(np.float32)
     files["large.tif"] = geotiff(large, tiled=True, blockxsize=128, blockysize=128)
@@ -106,7 +106,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def folder(server, tmp_path_factory):
-    """Files here: both tiles, and what names them here or on the server."""
+    """Files here: both tiles, and files that name tiles here or on the server."""
     folder = tmp_path_factory.mktemp("dems")
     for name, content in tiles().items():
         (folder / name).write_bytes(content)
@@ -143,7 +143,7 @@ BOTH = (
 
 
 @pytest.mark.parametrize("name", BOTH)
-def test_what_names_both_tiles_is_both_tiles(server, folder, plain, name):
+def test_every_name_of_both_tiles_gives_both_tiles(server, folder, plain, name):
     terrain = read_dem(name.format(server=server.address, folder=folder))
     assert terrain.digest == plain.digest
 
@@ -179,7 +179,7 @@ def test_a_file_in_a_name_of_gdals_is_made_absolute(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "error", "said"),
+    ("name", "error", "message"),
     [
         ("{server}/gone.tif", FetchError, "404.*check the address"),
         ("/vsicurl/{server}/gone.tif", FetchError, "404"),
@@ -192,11 +192,11 @@ def test_a_file_in_a_name_of_gdals_is_made_absolute(folder, monkeypatch):
         ("{folder}/none.json", InputError, "No compatible asset"),
     ],
 )
-def test_what_is_no_dem_is_one_line(server, folder, name, error, said):
-    with pytest.raises(error, match=said) as told:
+def test_a_failure_is_one_line(server, folder, name, error, message):
+    with pytest.raises(error, match=message) as refused:
         read_dem(name.format(server=server.address, folder=folder))
-    assert "\n" not in str(told.value)
-    assert "secret" not in str(told.value)
+    assert "\n" not in str(refused.value)
+    assert "secret" not in str(refused.value)
 
 
 def test_commands_take_addresses(server, folder, plain, run, tmp_path):
@@ -216,7 +216,7 @@ def test_commands_take_addresses(server, folder, plain, run, tmp_path):
     assert "signature" not in refused.err
 
 
-def test_a_store_sends_nobody_to_a_server_that_he_has_not_named(server, tmp_path, run, caplog):
+def test_a_store_contacts_no_server_that_the_user_has_not_named(server, tmp_path, run, caplog):
     store = tmp_path / "store.h5"
     assert (
         run("build", f"{server.address}/a.tif{SIGNATURE}", "-o", store, "--spacing", "300").code

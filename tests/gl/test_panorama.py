@@ -14,8 +14,8 @@ from skyline.geodesy import Curvature
 from skyline.report.labelled_panorama import panorama_view
 from skyline.report.landscape import Landscape
 from skyline.report.panorama_picture import SUMMIT, draw_panorama
-from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.dem import read_blocks
+from skyline.terrain.heightfield import TerrainBlocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
 

@@ -7,6 +7,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import Affine, from_origin
+from scenes import write_dem
 
 UTM = "EPSG:32632"
 CALIFORNIA = [f"N{lat}W{lon}" for lat in (38, 37, 36) for lon in (120, 119)]
@@ -21,27 +22,19 @@ def write(
     crs: str | None = UTM,
     **profile: Any,
 ) -> Path:
+    """Write heights (rows, cols) or (bands, rows, cols) as a GeoTIFF; return its path."""
     transform = from_origin(500_000.0, 5_200_000.0, 30.0, 30.0) if transform is None else transform
-    bands = heights if heights.ndim == 3 else heights[np.newaxis]
-    with rasterio.open(
-        path,
-        "w",
-        driver=profile.pop("driver", "GTiff"),
-        count=bands.shape[0],
-        height=bands.shape[1],
-        width=bands.shape[2],
-        dtype=heights.dtype,
-        crs=crs,
-        transform=transform,
-        **{key: value for key, value in profile.items() if key != "tags"},
-    ) as dataset:
-        dataset.write(bands)
-        dataset.update_tags(**profile.get("tags", {}))
+    tags = profile.pop("tags", {})
+    bands_last = np.moveaxis(heights, 0, -1) if heights.ndim == 3 else heights
+    write_dem(path, bands_last, crs, transform=transform, **profile)
+    if tags:
+        with rasterio.open(path, "r+") as dataset:
+            dataset.update_tags(**tags)
     return path
 
 
 def plane(x: AnyArray, y: AnyArray) -> AnyArray:
-    """A height that says where it is: no flip and no shift leaves it the same."""
+    """A height that names its place: every flip and every shift changes it."""
     return 1000.0 + 0.25 * x - 0.5 * y
 
 

@@ -33,7 +33,7 @@ def rough(dtype="float32"):
 FILES = {
     "metric": {"nodata": VOID},
     "degrees": {"nodata": VOID, **DEGREES},
-    "no nodata value said": DEGREES,
+    "no nodata value declared": DEGREES,
     "whole metres": {"nodata": VOID, **DEGREES},
     "from the south": {
         "nodata": VOID, "transform": Affine(30.0, 0.0, 6e5, 0.0, 30.0, 5.17e6)
@@ -64,7 +64,7 @@ def test_an_open_dataset_gives_what_its_file_gives(path):
     assert field.provenance.files == (str(path),)
 
 
-def test_what_lies_in_no_file_names_none(path):
+def test_a_field_without_a_file_names_none(path):
     memory = rasterio.MemoryFile(path.read_bytes())
     with memory, memory.open() as dataset:
         field = HeightField.from_rasterio(dataset)
@@ -84,7 +84,7 @@ def test_a_data_array_gives_what_its_file_gives(path, masked):
 
 def test_options_are_those_of_a_file(tmp_path):
     path = write(tmp_path / "dem.tif", rough(), nodata=VOID)
-    options = DemOptions(reproject=True, spike_m=np.inf, max_void_samples=0)
+    options = DemOptions(reproject=True)
     wanted = read_dem(path, options)
     with rasterio.open(path) as dataset:
         assert HeightField.from_rasterio(dataset, options).digest == wanted.digest
@@ -93,7 +93,7 @@ def test_options_are_those_of_a_file(tmp_path):
 
 
 def plain(y="y", x="x"):
-    """Heights in UTM that say nothing of their CRS."""
+    """Heights in UTM that name no CRS."""
     heights = np.round(fractal(30, 40, seed=2) + 1000.0)
     north, east = 5_180_000.0 - 30.0 * np.arange(30), 6e5 + 30.0 * np.arange(40)
     return xarray.DataArray(heights, {y: north, x: east}, (y, x), name="height")
@@ -120,7 +120,7 @@ def test_a_part_of_an_array_is_that_part_of_the_field(tmp_path):
     path = write(tmp_path / "dem.tif", np.round(fractal(60, 50, seed=4) + 1500.0))
     whole = read_dem(path)
     with rioxarray.open_rasterio(path) as array:
-        # What rioxarray notes of the file's grid is no longer so, and not believed.
+        # The geotransform that rioxarray noted of the file no longer fits, and is not used.
         part = HeightField.from_xarray(array.isel(y=slice(7, 40), x=slice(11, 30)))
     np.testing.assert_array_equal(part.heights_m, whole.heights_m[7:40, 11:30])
     assert (part.west_m, part.north_m) == whole.to_map(7, 11)
@@ -159,11 +159,13 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("said", REFUSED)
-def test_arrays_that_are_no_dem_are_refused_in_one_line(said):
-    options = UTM if said not in ("no coordinate reference system", "is not understood") else None
-    with pytest.raises(InputError, match=said) as refused:
-        HeightField.from_xarray(REFUSED[said], options)
+@pytest.mark.parametrize("message", REFUSED)
+def test_arrays_that_are_no_dem_are_refused_in_one_line(message):
+    options = (
+        UTM if message not in ("no coordinate reference system", "is not understood") else None
+    )
+    with pytest.raises(InputError, match=message) as refused:
+        HeightField.from_xarray(REFUSED[message], options)
     assert "\n" not in str(refused.value)
 
 

@@ -386,15 +386,15 @@ def test_the_guide_quotes_the_warnings(tmp_path: Path, caplog: pytest.LogCapture
     for name, crs in (("a.tif", "EPSG:32632+5773"), ("b.tif", "EPSG:32632+5703")):
         write(tmp_path / name, ones, crs=crs)
     read_dem([tmp_path / "a.tif", tmp_path / "b.tif"])
-    said = caplog.text.replace(f"{tmp_path}/", "")
+    warnings = caplog.text.replace(f"{tmp_path}/", "")
     guide = Path(__file__).parents[2] / "docs" / "guide" / "your-data.md"
     quoted = re.findall(r"^\| `(.+?)` \|", guide.read_text().split("## What is said")[1], re.M)
     assert len(quoted) > 6
     for line in quoted[:6]:
-        assert line in said
+        assert line in warnings
 
 
-def test_what_a_file_says_and_leaves_open_is_kept_in_words(tmp_path: Path) -> None:
+def test_conventions_named_and_assumed_are_kept_in_words(tmp_path: Path) -> None:
     path = write(
         tmp_path / "dem.tif", np.ones((9, 9), np.int16), from_origin(6e5, 2.1e6, 30.0, 30.0),
         "EPSG:27572", nodata=-99, tags={"AREA_OR_POINT": "Point"},

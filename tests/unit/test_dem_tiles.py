@@ -6,13 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dem_files import CALIFORNIA, UTM, AnyArray, write
-from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 from scenes import at_m
 
 from skyline.errors import InputError
-from skyline.terrain.dem import read_dem
-from skyline.terrain.tiles import crs_of, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.dem import read_dem, read_files
 
 
 def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:
@@ -38,16 +36,6 @@ def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path: Path) -> None
     assert counts.files == tuple(str(path) for path in paths)
 
 
-def test_a_crs_is_for_files_without_one_and_the_same_one_is_no_contradiction(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    said = CRS.from_epsg(4326)
-    assert crs_of("t.tif", said.to_wkt(), CRS.from_user_input("OGC:CRS84")).equals(said)
-    assert not caplog.records
-    assert crs_of("t.tif", said.to_wkt(), CRS.from_epsg(32632)).equals(said)
-    assert "--crs WGS 84 / UTM zone 32N is for files that do not say" in caplog.text
-
-
 def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path: Path) -> None:
     left = np.full((5, 5), 10.0, np.float32)
     left[2, 4] = np.nan
@@ -58,7 +46,7 @@ def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path: Path) -> None:
     assert field.provenance.filled == 0
 
 
-def test_tiles_that_disagree_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_tiles_that_disagree_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     first = tile_at(tmp_path, np.full((5, 5), 10.0, np.float32), 0, 0)
     close = tile_at(tmp_path, np.full((5, 5), 11.0, np.float32), 0, 4)
     assert read_dem([first, close]).heights_m[0, 4] == 10.0
@@ -94,12 +82,12 @@ def test_six_californian_tiles_have_no_seam(shared_data: Path, tmp_path: Path) -
     for path, name in zip(california(shared_data), CALIFORNIA, strict=True):
         content = gzip.decompress(path.read_bytes())
         raw[name] = np.frombuffer(content, ">i2").reshape(1201, 1201).astype(np.int16)
-    tiles = [open_tile(path, None) for path in california(shared_data)]
-    grid, offsets = mosaic_grid(tiles)
-    assert (grid.rows, grid.cols) == (3601, 2401)
-    heights = read_mosaic(tiles, grid, offsets)
+    mosaic = read_files(california(shared_data))
+    assert (mosaic.grid.rows, mosaic.grid.cols) == (3601, 2401)
+    heights = mosaic.heights_m
     merged = np.full(heights.shape, -32768, np.int16)
-    for (row, col), name in reversed(list(zip(offsets, CALIFORNIA, strict=True))):
+    for name in reversed(CALIFORNIA):
+        row, col = 1200 * (38 - int(name[1:3])), 1200 * (120 - int(name[4:7]))
         merged[row : row + 1201, col : col + 1201] = raw[name]
         # All of each tile is there; the file's own borders differ by a metre here and there.
         difference = np.abs(heights[row : row + 1201, col : col + 1201] - raw[name])

@@ -1,4 +1,4 @@
-"""The edge of a DEM: how far off it is, and how high what lies beyond may stand."""
+"""The edge of a DEM: its distance, and the height of terrain beyond."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def _inside(easting_m, northing_m):
 
 @pytest.mark.parametrize("place_m", [(0.0, 0.0), (4900.0, -900.0), (-2999.0, 1999.0)])
 def test_the_edge_is_where_a_ray_leaves_the_data(place_m):
-    # 900 m above the eye, on a flat Earth, the tangent says how far off the edge is.
+    # 900 m above the eye, on a flat Earth, the tangent gives the distance of the edge.
     edge = DataEdge(BOUNDS_M, np.full((4, 1), 900.0), FLAT)
     distance_m = 900.0 / edge.elevation_tan(*place_m, 0.0, AZIMUTH_RAD)
     for azimuth, edge_m in zip(AZIMUTH_RAD, distance_m, strict=True):
@@ -33,7 +33,7 @@ def test_the_edge_is_where_a_ray_leaves_the_data(place_m):
 
 @pytest.mark.parametrize("curvature", [CURVED, FLAT])
 @pytest.mark.parametrize("eye_m", [200.0, 899.0, 900.0, 1500.0])
-def test_nothing_beyond_the_edge_stands_higher_than_is_said(curvature, eye_m):
+def test_nothing_beyond_the_edge_stands_higher_than_its_bound(curvature, eye_m):
     edge, high = (DataEdge(BOUNDS_M, np.full((4, 1), m), curvature) for m in (900.0, 1e6))
     most = edge.elevation_tan(100.0, -200.0, eye_m, AZIMUTH_RAD)
     flat = replace(high, curvature=FLAT)
@@ -45,7 +45,7 @@ def test_nothing_beyond_the_edge_stands_higher_than_is_said(curvature, eye_m):
     np.testing.assert_allclose(most, highest, atol=1e-3 if curvature is FLAT else 1e-6)
 
 
-def test_what_lies_beyond_is_as_high_as_what_lies_near_the_edge():
+def test_terrain_beyond_is_as_high_as_terrain_near_the_edge():
     heights = np.random.default_rng(8).exponential(300.0, (70, 90))
     heights[20:40, :30] = np.nan
     field = field_of(heights, spacing_m=1000.0)

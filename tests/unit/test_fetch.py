@@ -11,12 +11,11 @@ from scenes import fractal
 
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
+from skyline.fetch import remote
 from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
-from skyline.fetch.remote import HttpOptions
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
-PATIENCE = HttpOptions(retries=2, retry_delay_s=0.01, timeout_s=1)
 
 
 def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
@@ -48,22 +47,23 @@ def contents(heights):
 
 
 @pytest.fixture
-def told(contents):
+def server(contents):
     return Behaviour(files=dict(contents))
 
 
 @pytest.fixture
-def template(told):
-    with serve(told) as address:
+def template(server, monkeypatch):
+    monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.01)
+    with serve(server) as address:
         yield f"{address}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
 
 
-def fetch(template, folder, bounds=BOUNDS, options=PATIENCE):
-    return fetch_dem(bounds, template, folder, options)
+def fetch(template, folder, bounds=BOUNDS, retries=2):
+    return fetch_dem(bounds, template, folder, retries, timeout_s=1)
 
 
 def expect_heights(result, heights):
-    """Hold what was fetched to the samples it came from."""
+    """Compare fetched tiles with the samples of the server."""
     for path in result.files:
         with rasterio.open(path) as file:
             left = round((file.transform.c + 0.5 / SAMPLES - 9.0) * SAMPLES)
@@ -74,7 +74,7 @@ def expect_heights(result, heights):
             )
 
 
-def test_tiles_are_cut_to_the_bounds_and_make_one_dem(template, told, heights, tmp_path):
+def test_tiles_are_cut_to_the_bounds_and_make_one_dem(template, server, heights, tmp_path):
     done = fetch(template, tmp_path / "new" / "dem")
     assert [path.name for path in done.files] == ["N46E009.tif", "N46E010.tif"]
     assert (done.fetched, done.missing) == (2, ())
@@ -87,14 +87,14 @@ def test_tiles_are_cut_to_the_bounds_and_make_one_dem(template, told, heights, t
         assert west.tags()["AREA_OR_POINT"] == "Point"
     assert read_dem(done.files).height_range_m[1] > 0.0
     assert not list(tmp_path.rglob("*.partial"))
-    assert told.sent < sum(map(len, told.files.values())) / 2
+    assert server.sent < sum(map(len, server.files.values())) / 2
 
 
-def test_what_is_there_is_not_fetched_again(template, told, tmp_path):
+def test_tiles_that_are_there_are_not_fetched_again(template, server, tmp_path):
     first = fetch(template, tmp_path)
-    told.requests.clear()
+    server.requests.clear()
     assert fetch(template, tmp_path).fetched == 0
-    assert not told.requests
+    assert not server.requests
     first.files[1].unlink()
     assert fetch(template, tmp_path).fetched == 1
     assert fetch(template, tmp_path, (9.8, 46.5, 10.1, 46.8)).fetched == 2
@@ -109,43 +109,43 @@ def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
     assert not (tmp_path / "sea").exists()
 
 
-def test_failures_that_pass_are_retried(template, told, heights, tmp_path):
-    told.failures = 2
+def test_failures_that_pass_are_retried(template, server, heights, tmp_path):
+    server.failures = 2
     expect_heights(fetch(template, tmp_path), heights)
 
 
 @pytest.mark.parametrize("broken", [1, 2, 3, 5])
-def test_bodies_that_break_off_are_read_again(template, told, heights, tmp_path, broken):
-    told.truncate = broken
+def test_bodies_that_break_off_are_read_again(template, server, heights, tmp_path, broken):
+    server.truncate = broken
     expect_heights(fetch(template, tmp_path), heights)
 
 
-def break_off(told):
-    told.truncate = 10_000
+def break_off(server):
+    server.truncate = 10_000
 
 
-def never_answer(told):
-    told.delay_s = 30.0
+def never_answer(server):
+    server.delay_s = 30.0
 
 
-def fail(told):
-    told.failures = 10_000
+def fail(server):
+    server.failures = 10_000
 
 
-def refuse(told):
-    told.status["/N46E010.tif"] = 403
+def refuse(server):
+    server.status["/N46E010.tif"] = 403
 
 
-def shorten(told):
-    told.files["/N46E010.tif"] = told.files["/N46E010.tif"][:40_000]
+def shorten(server):
+    server.files["/N46E010.tif"] = server.files["/N46E010.tif"][:40_000]
 
 
-def send_something_else(told):
-    told.files["/N46E010.tif"] = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
+def send_something_else(server):
+    server.files["/N46E010.tif"] = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
 @pytest.mark.parametrize(
-    ("trouble", "said"),
+    ("trouble", "message"),
     [
         (break_off, "breaks off or is damaged"),
         (never_answer, r"no answer \(.*\), tried 2 times"),
@@ -155,10 +155,10 @@ def send_something_else(told):
         (send_something_else, "not a GeoTIFF"),
     ],
 )
-def test_failures_that_stay_are_one_line_and_leave_nothing(template, told, tmp_path, trouble, said):
-    trouble(told)
-    with pytest.raises(FetchError, match=said) as caught:
-        fetch(template, tmp_path, options=HttpOptions(1, 0.01, 1))
+def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
+    trouble(server)
+    with pytest.raises(FetchError, match=message) as caught:
+        fetch(template, tmp_path, retries=1)
     assert "http://127.0.0.1" in str(caught.value)
     assert ".tif" in str(caught.value)
     assert "vsicurl" not in str(caught.value)
@@ -166,11 +166,11 @@ def test_failures_that_stay_are_one_line_and_leave_nothing(template, told, tmp_p
     assert {path.name for path in tmp_path.rglob("*")} <= {"N46E009.tif"}
 
 
-def test_a_failed_fetch_goes_on_where_it_stopped(template, told, contents, heights, tmp_path):
-    shorten(told)
+def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
+    shorten(server)
     with pytest.raises(FetchError):
         fetch(template, tmp_path)
-    told.files.update(contents)
+    server.files.update(contents)
     done = fetch(template, tmp_path)
     assert (len(done.files), done.fetched) == (2, 1)
     expect_heights(done, heights)
@@ -178,26 +178,25 @@ def test_a_failed_fetch_goes_on_where_it_stopped(template, told, contents, heigh
 
 def test_nobody_listens(tmp_path):
     with pytest.raises(FetchError, match=r"127\.0\.0\.1:1/a\.tif: no answer"):
-        fetch("http://127.0.0.1:1/a.tif", tmp_path, options=HttpOptions(0, 0.01, 1))
+        fetch("http://127.0.0.1:1/a.tif", tmp_path, retries=0)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    "template",
     [
-        ("file:///etc/{lat}.tif", "not an http or https address"),
-        ("/vsis3/bucket/{lat}.tif", "not an http or https address"),
-        ("coprenicus", "not an http or https address"),
-        ("http://host/{latitude}.tif", "unknown field 'latitude'"),
-        ("http://host/{lat.__class__}.tif", "unknown field"),
-        ("http://host/{lat!r}.tif", "unknown field"),
-        ("http://host/{0}.tif", "unknown field"),
-        ("http://host/{lat.tif", "expected an address"),
-        ("http://host/{ns:02d}.tif", "not understood"),
+        "file:///etc/{lat}.tif",
+        "/vsis3/bucket/{lat}.tif",
+        "coprenicus",
+        "http://host/{latitude}.tif",
+        "http://host/{lat.__class__}.tif",
+        "http://host/{0}.tif",
+        "http://host/{lat.tif",
+        "http://host/{ns:02d}.tif",
     ],
 )
-def test_templates_that_are_refused(template, said, tmp_path):
-    with pytest.raises(InputError, match=said):
+def test_templates_that_are_refused(template, tmp_path):
+    with pytest.raises(InputError, match="expected copernicus, or an http or https address"):
         fetch(template, tmp_path)
 
 
@@ -217,20 +216,12 @@ def test_bounds_across_the_antimeridian():
     assert tiles == [(10, 179), (10, -180)]
 
 
-@pytest.mark.parametrize(
-    "bounds", [(9.0, 47.0, 10.0, 46.0), (9.0, 46.0, 9.0, 47.0), (float("nan"), 46.0, 10.0, 47.0)]
-)
-def test_bounds_out_of_order_are_refused(bounds, tmp_path):
-    with pytest.raises(InputError, match="expected W,S,E,N"):
-        fetch("copernicus", tmp_path, bounds)
-
-
 def test_too_much_is_refused_before_anything_is_asked(tmp_path):
     with pytest.raises(InputError, match=rf"need 400 tiles, about 20\.7 GB.*at most {MAX_TILES}"):
         fetch("copernicus", tmp_path, (0.0, 30.0, 20.0, 50.0))
 
 
-def test_too_many_bytes_are_refused_before_they_are_read(template, told, monkeypatch, tmp_path):
+def test_too_many_bytes_are_refused_before_they_are_read(template, server, monkeypatch, tmp_path):
     monkeypatch.setattr("skyline.fetch.dem_tiles.MAX_BYTES", 10_000)
     with pytest.raises(InputError, match=r"need 2 tiles and 0\.0 GB"):
         fetch(template, tmp_path)
@@ -238,16 +229,16 @@ def test_too_many_bytes_are_refused_before_they_are_read(template, told, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"crs": "EPSG:32632"}, "expected degrees"),
         ({"west": 20.0}, "no part of the bounds"),
         ({"step": 1.0 / 500}, "no one grid"),
     ],
 )
-def test_tiles_that_do_not_fit_are_refused(template, told, heights, tmp_path, options, said):
-    told.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})
-    with pytest.raises(InputError, match=said):
+def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, message):
+    server.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})
+    with pytest.raises(InputError, match=message):
         fetch(template, tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -259,31 +250,31 @@ def test_a_file_of_someone_else_is_not_replaced(template, tmp_path):
     assert (tmp_path / "N46E009.tif").read_bytes() == b"mine"
 
 
-def test_secrets_in_an_address_are_neither_shown_nor_stored(template, told, contents, tmp_path):
+def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, contents, tmp_path):
     secret = template.replace("http://", "http://me:secret@") + "?sig=secret"
-    told.files = {f"{path}?sig=secret": content for path, content in contents.items()}
+    server.files = {f"{path}?sig=secret": content for path, content in contents.items()}
     done = fetch(secret, tmp_path)
     assert done.fetched == 2
     assert not any(b"secret" in path.read_bytes() for path in done.files)
-    fail(told)
+    fail(server)
     with pytest.raises(FetchError) as caught:
-        fetch(secret, tmp_path / "again", options=HttpOptions(0, 0.01, 1))
+        fetch(secret, tmp_path / "again", retries=0)
     assert "secret" not in str(caught.value)
 
 
-def test_one_file_over_all(told, heights, tmp_path):
-    told.files["/all.tif"] = geotiff(heights)
-    with serve(told) as address:
+def test_one_file_over_all(server, heights, tmp_path):
+    server.files["/all.tif"] = geotiff(heights)
+    with serve(server) as address:
         done = fetch(f"{address}/all.tif", tmp_path)
     assert [path.name for path in done.files] == ["dem.tif"]
     expect_heights(done, heights)
 
 
-def test_real_tiles_come_back_as_they_are(shared_data, told, template, tmp_path):
+def test_real_tiles_come_back_as_they_are(shared_data, server, template, tmp_path):
     bounds = (9.8, 46.7, 9.9, 46.8)
     with rasterio.open(shared_data / "davos" / "davos_srtm1_30m.tif") as davos:
         whole, step = davos.read(1), davos.transform.a
-        told.files["/N46E009.tif"] = geotiff(
+        server.files["/N46E009.tif"] = geotiff(
             whole, davos.transform.c + step / 2, davos.transform.f - step / 2, step
         )
         (path,) = fetch(template, tmp_path, bounds).files

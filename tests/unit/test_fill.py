@@ -1,4 +1,4 @@
-"""Fill that a file does not declare: found by its walls, and told from water."""
+"""Fill that a file does not declare is found by its walls; water stays."""
 
 from pathlib import Path
 
@@ -8,9 +8,9 @@ from dem_files import AnyArray, write
 from scipy.ndimage import gaussian_filter
 
 from skyline.terrain.cleaning import void_undeclared
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
 
-THRESHOLD_M = 100.0
+SPACING_M = 30.0
 
 
 def mountains(shape: tuple[int, int] = (160, 200), seed: int = 0) -> AnyArray:
@@ -32,7 +32,7 @@ def test_the_fill_of_a_turned_footprint_becomes_void(value: float) -> None:
     heights = mountains()
     outside = turned(heights.shape)
     heights[outside] = value
-    count, values = void_undeclared(heights, THRESHOLD_M)
+    count, values = void_undeclared(heights, SPACING_M)
     assert values == [value]
     assert count == np.count_nonzero(outside)
     np.testing.assert_array_equal(np.isnan(heights), outside)
@@ -41,15 +41,15 @@ def test_the_fill_of_a_turned_footprint_becomes_void(value: float) -> None:
 def test_a_band_along_one_side_becomes_void() -> None:
     heights = mountains()
     heights[:12] = 0.0
-    assert void_undeclared(heights, THRESHOLD_M) == (12 * 200, [0.0])
+    assert void_undeclared(heights, SPACING_M) == (12 * 200, [0.0])
     assert np.isnan(heights[:12]).all()
 
 
-def test_what_a_resampling_smeared_at_the_rim_goes_too() -> None:
+def test_samples_smeared_by_a_resampling_at_the_rim_go_too() -> None:
     heights = mountains()
     heights[:, :30] = 0.0
     heights[:, 30], heights[:, 31] = -60.0, 100.0
-    assert void_undeclared(heights, THRESHOLD_M) == (160 * 32, [0.0])
+    assert void_undeclared(heights, SPACING_M) == (160 * 32, [0.0])
     assert not np.isnan(heights[:, 32:]).any()
 
 
@@ -62,7 +62,7 @@ def test_water_stays(level: float) -> None:
     cliff = (away > 40.0) & (np.arctan2(row - 80, col - 100) > 0.6 * np.pi)
     heights[cliff] += 300.0
     before = heights.copy()
-    assert void_undeclared(heights, THRESHOLD_M) == (0, [])
+    assert void_undeclared(heights, SPACING_M) == (0, [])
     np.testing.assert_array_equal(heights, before)
 
 
@@ -72,13 +72,7 @@ def test_the_sea_stays_where_the_fill_goes() -> None:
     away = np.hypot(row - 90, col - 110)
     heights[:] = np.minimum(heights, np.maximum(away - 25.0, 0.0) * 20.0)
     heights[:, :12] = 0.0
-    assert void_undeclared(heights, THRESHOLD_M) == (160 * 12, [0.0])
-
-
-def test_without_a_threshold_nothing_is_looked_for() -> None:
-    heights = mountains()
-    heights[:, :30] = 0.0
-    assert void_undeclared(heights, np.inf) == (0, [])
+    assert void_undeclared(heights, SPACING_M) == (160 * 12, [0.0])
 
 
 @pytest.mark.parametrize("nodata", [None, 7.0])
@@ -88,20 +82,17 @@ def test_customary_void_values_are_counted(tmp_path: Path, nodata: float | None)
     heights[60:65, 60:65] = -9999.0
     counts = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata)).provenance
     assert (counts.undeclared, counts.filled, counts.hollow, counts.despiked) == (425, 25, 400, 0)
-    declared = read_dem(write(tmp_path / "said.tif", heights, nodata=-32768.0)).provenance
+    declared = read_dem(write(tmp_path / "declared.tif", heights, nodata=-32768.0)).provenance
     assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
 
 
-def test_fill_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_fill_is_counted_and_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     heights = mountains()
     heights[:, :30] = 0.0
     path = write(tmp_path / "dem.tif", heights)
     counts = read_dem(path).provenance
     assert (counts.undeclared, counts.hollow) == (4800, 4800)
     assert "exactly 0 m" in caplog.text
-    caplog.clear()
-    assert read_dem(path, DemOptions(spike_m=np.inf)).provenance.undeclared == 0
-    assert caplog.text == ""
 
 
 def test_the_turned_footprint_of_a_real_dem(shared_data: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dem_files import write
 
-from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
+from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, model_of
 
 
 @pytest.mark.parametrize(
@@ -24,11 +24,11 @@ from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
         ("pinned.tif", UNKNOWN),
     ],
 )
-def test_the_name_says_it(name: str, model: str) -> None:
+def test_a_product_is_known_by_its_name(name: str, model: str) -> None:
     assert model_of([name]) == model
 
 
-def test_a_tag_says_it_and_files_must_agree(tmp_path: Path) -> None:
+def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path: Path) -> None:
     tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
     tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
     plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))

@@ -107,7 +107,7 @@ def test_a_result_draws_its_skyline_without_what_is_not_trusted():
 def test_terrain_and_stores_show_themselves_without_matplotlib():
     code = (
         "import sys, skyline; skyline.HeightField, skyline.open_store; "
-        "import skyline.terrain.notebook; "
+        "import skyline.terrain.heightfield; "
         "sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""Summits: as high on the surface as in a file of degrees, and what stands on them."""
+"""Summits are as high on the surface as in a file of degrees, and eyes stand on them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +92,7 @@ def test_the_rest_is_neither_raised_nor_filled(tmp_path: Path, north: float) -> 
     bilinear, surface = country.bilinear(north), country.field.heights_m
     both = np.isfinite(bilinear) & np.isfinite(surface)
     off = (surface - bilinear)[both]
-    # A cubic follows what is rough, by 40 m rms here, and bilinear interpolation cuts it.
+    # A cubic follows rough ground, by 40 m rms here, and bilinear interpolation cuts it.
     assert abs(off.mean()) < 0.5
     assert abs(np.median(off)) < 0.5
     assert np.mean(off > 10.0) < 0.01
@@ -240,7 +240,7 @@ def test_a_prominence_is_how_far_one_must_descend():
     assert prominence_m(two, 50, 59) == pytest.approx(0.0, abs=1.0)
 
 
-def test_eyes_stand_where_they_are_told_to():
+def test_eyes_stay_or_rise_or_move_to_a_summit():
     mountain = cone()
     beside = 40.0, -35.0
     as_is, lifted, moved = (

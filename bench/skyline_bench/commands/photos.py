@@ -28,7 +28,7 @@ from skyline import (
 from skyline.arrays import Float64Array
 from skyline.build.grid import map_bounds
 from skyline.cli.console import progress_bar
-from skyline.geodesy import Bounds
+from skyline.geodesy import Bounds, in_turn
 from skyline.photo.read import read_picture
 from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
@@ -354,7 +354,7 @@ def _off_m(one: Photograph, place: Candidate, matcher: Matcher) -> float:
 def _turn_deg(one: Photograph, place: Candidate) -> float | None:
     if one.heading_deg is None:
         return None
-    return (place.heading_deg - one.heading_deg + 180.0) % 360.0 - 180.0
+    return float(in_turn(place.heading_deg - one.heading_deg))
 
 
 def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[Photograph]]:

@@ -24,7 +24,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Triangles
+from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring.timing import core_count, over_cores
 

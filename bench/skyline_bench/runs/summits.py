@@ -25,9 +25,10 @@ from skyline.geodesy import Curvature, is_metric
 from skyline.render.panorama import PanoramaRenderer
 from skyline.solar.horizon_at import horizon, horizons_of
 from skyline.store.places import BINS
-from skyline.terrain.dem import DemOptions, clean, read_dem
+from skyline.terrain.cleaning import clean
+from skyline.terrain.dem import DemOptions, read_dem, read_files
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.tiles import Grid
 from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.prominence import prominences
@@ -87,17 +88,14 @@ class _File:
 
     @classmethod
     def read(cls, dem: Sequence[str | Path], options: DemOptions, field: HeightField) -> "_File":
-        default = None if options.crs is None else CRS.from_user_input(options.crs)
-        tiles = [open_tile(path, default) for path in dem]
-        grid, offsets = mosaic_grid(tiles)
-        crs = tiles[0].crs
+        mosaic = read_files(dem, options)
+        heights_m, grid, crs = mosaic.heights_m, mosaic.grid, mosaic.crs
         spacing_m = (
             (grid.step_east, grid.step_north)
             if is_metric(crs)
             else ground_spacing_m(grid, crs, local_frame(grid, crs))
         )
-        heights_m = read_mosaic(tiles, grid, offsets)
-        clean(heights_m, str(dem[0]), max(spacing_m), options)
+        clean(heights_m, str(dem[0]), max(spacing_m))
         return cls(
             heights_m,
             grid,

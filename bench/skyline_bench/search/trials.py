@@ -21,7 +21,7 @@ import skyline_bench
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
 from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
-from skyline.geodesy import Rectangle
+from skyline.geodesy import Rectangle, in_turn
 from skyline.match.full import FullMatcher
 from skyline.match.matchers import FULL, MatchConfig, matcher_class
 from skyline.match.ranking import Hypotheses
@@ -244,7 +244,7 @@ def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
 
 
 def _turn_deg(heading_deg: Float64Array, truth: Truth) -> Float64Array:
-    return np.abs((heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0)
+    return np.abs(in_turn(heading_deg - truth.heading_deg))
 
 
 def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:

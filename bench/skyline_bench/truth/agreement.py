@@ -19,7 +19,7 @@ from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Triangles
+from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring.record import Row
 from skyline_bench.truth import oracle

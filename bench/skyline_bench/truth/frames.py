@@ -14,6 +14,7 @@ from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
+from skyline.geodesy import in_turn
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.measuring.geotiff import write_geotiff
@@ -100,7 +101,7 @@ class _Country:
         lat = self.lat_deg + (rows - 0.5 - np.arange(2 * rows)) * _STEP_DEG
         paths = []
         for first, count in ((-west, west), (0, east)):
-            left = (self.lon_deg + first * step_lon + 180.0) % 360.0 - 180.0
+            left = float(in_turn(self.lon_deg + first * step_lon))
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
             corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)

@@ -20,7 +20,7 @@ from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, dire
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Triangles
+from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 
 _CROSSINGS_AT_ONCE = 400_000

@@ -1,21 +1,12 @@
-"""The bounds of what a scene needs hold, and are broken by nothing tried here."""
+"""The bounds that `skyline explain` prints hold."""
 
 import numpy as np
 import pytest
-from scenes import at_m, field_from, field_of, fractal
+from scenes import field_of, fractal
 
 from skyline.camera import pixel_size
+from skyline.cli.info import curvature_bound_px, share_beyond, sight_range_m
 from skyline.geodesy import Curvature
-from skyline.terrain.heightfield import HeightField
-from skyline.terrain.scene_bounds import (
-    BLOCK_CELLS,
-    COARSER_STEPS,
-    coarser_deviation_m,
-    coarser_step,
-    curvature_bound_px,
-    share_beyond,
-    sight_range_m,
-)
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -64,32 +55,3 @@ def test_share_beyond_sight_is_counted_right():
     distance = np.hypot(col * 2000.0 - 20_000.0, row * 2000.0 - 30_000.0)
     assert beyond == pytest.approx((distance > sight_m).mean(), abs=1e-9)
     assert 0.1 < beyond < 0.9
-
-
-@pytest.mark.parametrize("step", [2, 4, 8])
-def test_deviation_is_that_of_the_thinned_surface(step):
-    field = field_of(fractal(2 * BLOCK_CELLS + 5, 3 * BLOCK_CELLS + 1, seed=7), 30.0)
-    found = coarser_deviation_m(field, step)
-    thin = HeightField(
-        field.heights_m[::step, ::step],
-        field.west_m,
-        field.north_m,
-        30.0 * step,
-        30.0 * step,
-        field.frame,
-    )
-    row, col = np.mgrid[: 2 * BLOCK_CELLS, : 3 * BLOCK_CELLS]
-    deviation = np.abs(thin.height_at(**at_m(field.to_map(row, col))) - field.heights_m[row, col])
-    blocks = deviation.reshape(2, BLOCK_CELLS, 3, BLOCK_CELLS).max(axis=(1, 3))
-    np.testing.assert_allclose(found, blocks, rtol=1e-12, atol=1e-9)
-
-
-def test_a_plane_needs_no_fine_steps():
-    field = field_from(lambda east, north: 0.1 * east - 0.2 * north, 65, 30.0)
-    for step in COARSER_STEPS:
-        assert (
-            coarser_step(
-                field, stand_on(field, easting_m=0.0, northing_m=0.0), step, 0.1 * pixel_size(640)
-            )[1]
-            == 1.0
-        )

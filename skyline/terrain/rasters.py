@@ -1,0 +1,413 @@
+"""Rasters of heights as tiles: files and addresses that GDAL opens, open datasets, xarray's arrays.
+
+A new kind of DEM becomes one more function here that returns a `Tile`; `open_tile` chooses it for
+a path. `skyline.terrain.tiles` then reads it, and all commands take it.
+"""
+
+import gzip
+import logging
+import re
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.enums import MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.errors import FetchError, InputError, MissingFileError
+from skyline.files import for_gdal, is_file
+from skyline.geodesy import horizontal
+from skyline.terrain.cleaning import strips
+from skyline.terrain.conventions import conventions_of, vertical_of
+from skyline.terrain.tiles import Grid, Tile
+
+MAX_UNPACKED_BYTES = 1 << 28
+"""The largest file behind a .gz; the largest .hgt, of half an arc-second, has 99 MiB."""
+
+UNDECLARED_VOIDS = (-32768.0, -9999.0)
+"""Values that mark a void in DEMs that do not declare them as nodata."""
+
+EVEN = 0.05
+"""How far a coordinate of an array may lie off even steps, in samples: float32 degrees do."""
+
+_DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
+
+# Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
+_GDAL_CACHE_BYTES = 64 << 20
+_COMPOUND = {"GTIFF_REPORT_COMPD_CS": "YES"}
+"""GDAL leaves the vertical part of a GeoTIFF's CRS out otherwise."""
+_ON_NETWORKS = {
+    "GDAL_HTTP_CONNECTTIMEOUT": "30",
+    "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
+    "GDAL_HTTP_LOW_SPEED_TIME": "30",
+    "GDAL_HTTP_MAX_RETRY": "3",
+}
+"""A server that sends less than 1 kB a second for 30 seconds is given up."""
+_NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+"""GDAL asks a server for a dozen files beside the DEM otherwise."""
+_SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
+_NO_ANSWER = re.compile(
+    r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
+)
+
+_log = logging.getLogger(__name__)
+
+
+def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
+    """Return the tile in a file, or of a name that GDAL opens.
+
+    Raises `InputError`, `MissingFileError` or `FetchError` where it is not a usable DEM.
+    """
+    source = absolute_name(path)
+    return _tile_of(source, lambda: _opened(source), default_crs, (source,))
+
+
+def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
+    """Return the tile in an open rasterio dataset; `InputError` where it is not a usable DEM."""
+    source = str(dataset.name)
+    # A warped or virtual dataset does not hold the heights of a file of its name.
+    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    files = (str(Path(source).absolute()),) if on_disk else ()
+    return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
+
+
+def array_tile(array: Any, default_crs: CRS | None) -> Tile:
+    """Return the tile in an xarray.DataArray.
+
+    The geotransform and CRS that rioxarray notes are used, so that a file opened with it gives the
+    same heights as the file itself. Neither xarray nor rioxarray is imported.
+
+    Raises `InputError` for more than one band, dimensions that are not understood, coordinates that
+    are missing or not even, no (understood) CRS, numbers that are not real.
+    """
+    source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
+    y, x = _dims_of(source, array)
+    # The coordinate that holds the CRS.
+    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
+    mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
+    attrs = array.attrs
+    crs = _crs_of(source, _wkt_of_mapping(source, mapping), default_crs)
+    transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"))
+    grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
+    vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
+    band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
+    if band.dtype.kind not in "iuf":
+        raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
+
+    def read() -> Iterator[tuple[slice, Float32Array]]:
+        # Attributes that xarray has applied already are in the encoding instead.
+        scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
+        for rows in strips(band):
+            voids = np.zeros(band[rows].shape, dtype=np.bool_)
+            for name in ("_FillValue", "missing_value"):
+                if name in attrs:
+                    voids |= band[rows] == attrs[name]
+            yield rows, _heights_of(band[rows], voids, scale, offset, vertical.metres)
+
+    conventions = {**conventions_of(_on_map(source, crs)), **vertical.conventions}
+    return Tile(source, horizontal(crs), grid, north_up, vertical, conventions, read)
+
+
+def absolute_name(path: str | Path) -> str:
+    """Return an absolute path, or a name of GDAL's with the path in it made absolute.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file, and it is no address or name of GDAL's.
+    InputError
+        A folder, or a name that is not UTF-8.
+    """
+    text = str(path)
+    if is_file(text):
+        return for_gdal(str(Path(text).absolute()))
+    if "://" in text or text.startswith("/vsi"):
+        return for_gdal(text)
+    if Path(text).is_dir():
+        raise InputError(f"{text} is a folder; name the DEM files in it")
+    if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
+        parts = re.split(r"([:\"])", text)
+        named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
+        return for_gdal("".join(named))
+    raise MissingFileError(f"there is no file {text}; check the path of the DEM")
+
+
+def shown(text: str) -> str:
+    """Return text without what may be secret in its addresses: user, password and query."""
+    return _SECRET.sub("", text)
+
+
+@contextmanager
+def _opened(source: str) -> Iterator[Any]:
+    """Open a raster; a failure while it is open becomes one error of one line."""
+    settings = _COMPOUND | _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
+    try:
+        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), ExitStack() as held:
+            yield _dataset(source, held)
+    except RasterioError as error:
+        reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        if "://" in source:
+            source, reason = shown(source), shown(reason)
+        if _NO_ANSWER.search(reason):
+            raise FetchError(
+                f"{source} cannot be read from its server ({reason}); check the address and "
+                "whether the server is up"
+            ) from error
+        raise InputError(
+            f"{source} cannot be read as a raster ({reason}); expected a whole GeoTIFF, ESRI ASCII "
+            "grid, .hgt or .hgt.gz (named after its corner, like N46E009.hgt) or another format "
+            "that GDAL opens"
+        ) from error
+
+
+def _dataset(source: str, held: ExitStack) -> Any:
+    with warnings.catch_warnings():
+        # `_grid_of` raises an error for it.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        if source.lower().endswith(".gz") and is_file(source):
+            # The .hgt driver reads the corner from the file's name and opens no .gz.
+            memory = rasterio.MemoryFile(_unpacked(source), filename=Path(source).stem)
+            return held.enter_context(held.enter_context(memory).open())
+        return held.enter_context(rasterio.open(source))
+
+
+def _unpacked(source: str) -> bytes:
+    try:
+        with gzip.open(source) as stream:
+            content = stream.read(MAX_UNPACKED_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(
+            f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
+            "fetch it again"
+        ) from error
+    if len(content) > MAX_UNPACKED_BYTES:
+        raise InputError(
+            f"{source} unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB; unpack it beforehand "
+            "(gunzip) and name the unpacked file"
+        )
+    return content
+
+
+def _tile_of(
+    source: str,
+    opened: Callable[[], AbstractContextManager[Any]],
+    default_crs: CRS | None,
+    files: tuple[str, ...],
+) -> Tile:
+    """Return the tile in a rasterio dataset, which is opened now and again to be read."""
+    with opened() as dataset:
+        if dataset.count == 0 and dataset.subdatasets:
+            raise InputError(
+                f"{source} holds several rasters; name one of them: "
+                f"{', '.join(dataset.subdatasets)}"
+            )
+        if dataset.count != 1:
+            raise InputError(
+                f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+                "(gdal_translate -b 1)"
+            )
+        if dataset.dtypes[0].startswith("complex"):
+            raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
+        crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
+        grid, north_up = _grid_of(source, dataset.transform, dataset.shape)
+        positive = dataset.tags(1).get("positive", "up")
+        vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
+        nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
+        if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
+            nodata = "by a mask"
+        conventions = {
+            **conventions_of(_on_map(source, crs)),
+            **vertical.conventions,
+            "pixel_is": dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower(),
+            "nodata": nodata,
+        }
+
+    def read() -> Iterator[tuple[slice, Float32Array]]:
+        with opened() as dataset:
+            scale, offset = dataset.scales[0], dataset.offsets[0]
+            for rows in strips(dataset):
+                window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
+                band = dataset.read(1, window=window, masked=True)
+                voids = np.ma.getmaskarray(band)
+                yield rows, _heights_of(band.data, voids, scale, offset, vertical.metres)
+
+    return Tile(source, horizontal(crs), grid, north_up, vertical, conventions, read, files)
+
+
+def _heights_of(
+    band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
+) -> Float32Array:
+    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared."""
+    heights: Float32Array = band.astype(np.float32)
+    heights[voids | ~np.isfinite(heights)] = np.nan
+    undeclared = np.isin(heights, UNDECLARED_VOIDS)
+    if (scale, offset, metres) != (1.0, 0.0, 1.0):
+        heights = ((heights * scale + offset) * metres).astype(np.float32)
+    heights[undeclared] = -np.inf
+    return heights
+
+
+def _on_map(source: str, crs: CRS) -> CRS:
+    """Return a CRS without its vertical part; `InputError` unless geographic or projected."""
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
+        )
+    return horizontal(crs)
+
+
+def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
+    """Return the CRS that a raster names, else the default.
+
+    The vertical part of a default with the same map is taken where the raster names none. Raises
+    `InputError` where there is neither, or the raster's is not understood.
+    """
+    if wkt is None:
+        if default_crs is None:
+            raise InputError(
+                f"{source} has no coordinate reference system; name it with --crs, "
+                "for example --crs EPSG:32632 (in Python DemOptions(crs=...))"
+            )
+        return default_crs
+    try:
+        crs = CRS.from_wkt(wkt)
+    except CRSError as error:
+        raise InputError(
+            f"the coordinate reference system of {source} is not understood ({error}); "
+            "set a valid one in the file (gdal_edit.py -a_srs)"
+        ) from error
+    if default_crs is None:
+        return crs
+    same_map = horizontal(crs).equals(horizontal(default_crs), ignore_axis_order=True)
+    if same_map and len(crs.axis_info) < len(default_crs.axis_info):
+        return default_crs
+    if not crs.equals(default_crs, ignore_axis_order=True):
+        _log.warning(
+            "%s names its own coordinate reference system, %s, which is used; --crs %s is only for "
+            "files that name none",
+            source,
+            crs.name,
+            default_crs.name,
+        )
+    return crs
+
+
+def _grid_of(
+    source: str, transform: Affine, shape: tuple[int, int]
+) -> tuple[Grid, tuple[slice, slice]]:
+    """Return the north-up grid of a raster, and `Tile.north_up`.
+
+    Raises `InputError` for a raster without a georeference, or with a rotated grid.
+    """
+    if transform.is_identity:
+        raise InputError(
+            f"{source} has no georeference, so its place on the map is unknown; give a "
+            "georeferenced DEM"
+        )
+    if abs(transform.b) > 1e-9 * abs(transform.a) or abs(transform.d) > 1e-9 * abs(transform.e):
+        raise InputError(
+            f"{source} has a rotated or sheared grid (geotransform {transform.to_gdal()}); "
+            "expected rows along the easting and columns along the northing: straighten it first "
+            "(gdalwarp)"
+        )
+    rows, cols = shape
+    west = transform.c + 0.5 * transform.a
+    north = transform.f + 0.5 * transform.e
+    flip_rows, flip_cols = transform.e > 0.0, transform.a < 0.0
+    if flip_rows:
+        north += (rows - 1) * transform.e
+    if flip_cols:
+        west += (cols - 1) * transform.a
+    grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
+    return grid, (
+        slice(None, None, -1 if flip_rows else 1),
+        slice(None, None, -1 if flip_cols else 1),
+    )
+
+
+def _dims_of(source: str, array: Any) -> tuple[str, str]:
+    for y, x in _DIMS:
+        if y in array.dims and x in array.dims:
+            bands = array.size // max(array.sizes[y] * array.sizes[x], 1)
+            if bands != 1:
+                raise InputError(
+                    f"{source} has {bands} bands; a DEM has one band of heights: select it"
+                )
+            return y, x
+    raise InputError(
+        f"{source} has dimensions {', '.join(map(str, array.dims)) or 'none'}; expected "
+        f"{' or '.join(f'{y}, {x}' for y, x in _DIMS)}: rename them"
+    )
+
+
+def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
+    """Return the CRS of a grid mapping, as rioxarray or CF write it."""
+    for name in ("crs_wkt", "spatial_ref"):
+        if name in mapping:
+            return str(mapping[name])
+    if "grid_mapping_name" not in mapping:
+        return None
+    try:
+        return str(CRS.from_cf(dict(mapping)).to_wkt())
+    except (CRSError, KeyError) as error:
+        raise InputError(
+            f"the coordinate reference system of {source} is not understood "
+            f"({' '.join(str(error).split())}); give one by DemOptions(crs=...)"
+        ) from error
+
+
+def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: object) -> Affine:
+    """Return the geotransform that rioxarray noted, if the coordinates agree; else of these."""
+    axes: list[Float64Array] = []
+    for dim in dims:
+        if dim not in array.coords:
+            raise InputError(
+                f"{source} has no coordinates along {dim}, so its place on the map is unknown; "
+                "assign them"
+            )
+        axes.append(np.asarray(array.coords[dim].values, dtype=np.float64))
+    y, x = axes
+    exact = _noted_transform(noted)
+    if exact is not None:
+        at_x = exact.c + (np.arange(x.size) + 0.5) * exact.a
+        at_y = exact.f + (np.arange(y.size) + 0.5) * exact.e
+        off_x, off_y = np.abs(x - at_x).max() / abs(exact.a), np.abs(y - at_y).max() / abs(exact.e)
+        if max(off_x, off_y) < EVEN:
+            return exact
+    step_x, step_y = _step(source, dims[1], x), _step(source, dims[0], y)
+    return Affine(step_x, 0.0, x[0] - 0.5 * step_x, 0.0, step_y, y[0] - 0.5 * step_y)
+
+
+def _noted_transform(noted: object) -> Affine | None:
+    """Return GDAL's six numbers, as rioxarray notes them, of a grid that is not rotated."""
+    try:
+        numbers = [float(number) for number in str(noted).split()]
+    except ValueError:
+        return None
+    if len(numbers) != 6 or numbers[2] or numbers[4] or not (numbers[1] and numbers[5]):
+        return None
+    return Affine.from_gdal(*numbers)
+
+
+def _step(source: str, dim: str, at: Float64Array) -> float:
+    if at.size < 2:
+        raise InputError(f"{source} has {at.size} samples along {dim}; expected 2 or more")
+    step = float(at[-1] - at[0]) / (at.size - 1)
+    even = at[0] + step * np.arange(at.size)
+    if not (step and np.abs(at - even).max() < EVEN * abs(step)):
+        raise InputError(
+            f"{source} has coordinates along {dim} that are not even; resample it to a regular grid"
+        )
+    return step
