@@ -9,7 +9,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.paper.reprojection import IDENTITY
-from skyline.paper.true_errors import MAX_CHANGE, block_means, fitted_warps, true_errors_px
+from skyline.paper.verify import MAX_CHANGE, block_means, fitted_warps, true_errors_px
 
 PX = 2.0 / WIDTH
 

@@ -17,9 +17,9 @@ from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.paper.reprojection import PREDICTORS, displacements_m
+from skyline.paper.reprojection import WARPS, displacements_m, errors_px, skyline_points_m
 from skyline.paper.strategies import STRATEGIES
-from skyline.paper.true_errors import true_errors_px
+from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.skylines import Views
 from skyline.terrain.dem import DemOptions, read_dem
@@ -61,7 +61,7 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
         for name, strategy in STRATEGIES.items():
             runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
             measured = _summary(runs)
-            bound = row.coverage * simulation.grid.valid.size / measured["mean_area"]
+            bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
             rows.append({"row": number, "strategy": name, **measured, "bound": bound})
     return rows
 
@@ -131,7 +131,7 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     true_px = true_errors_px(stored[np.repeat(np.arange(len(stored)), moves)], there)
     shape = (len(stored), moves)
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
-    moved = displacements_m(stored, *(part.reshape(shape) for part in eyes_m))
+    moved = displacements_m(stored, stored.heading, *(part.reshape(shape) for part in eyes_m))
     return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
@@ -145,11 +145,12 @@ def measure_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
     """
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
-    return [_row(name, pairs, setup) for name in PREDICTORS]
+    return [_row(name, pairs, setup) for name in WARPS]
 
 
 def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> Row:
-    errors = PREDICTORS[name].errors_px(pairs.views, pairs.displacements_m)
+    points = skyline_points_m(pairs.views)
+    errors = errors_px(points, pairs.displacements_m, pairs.views.width, WARPS[name])
     claimed, alike = errors <= setup.threshold_px, pairs.true_px <= setup.threshold_px
     right = claimed & alike
     precision, precision_interval = _share(right, claimed, setup.seed)
