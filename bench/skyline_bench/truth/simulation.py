@@ -37,6 +37,16 @@ class Row:
     affine: bool  # Whether the reprojection error is taken after the affine warp of Equation 4
 
 
+PAPERS_FIGURES = (
+    {"rov": (240, 1545), "arov": (286, 1636), "hov": (324, 1210), "sov": (275, 1941),
+     "lpov": (325, 1515)},
+    {"rov": (81, 6664), "arov": (80, 5824), "hov": (98, 6723), "sov": (100, 10043),
+     "lpov": (86, 5489)},
+    {"rov": (239, 9028), "arov": (217, 6991), "hov": (252, 7226), "sov": (245, 9148),
+     "lpov": (191, 5943)},
+)  # fmt: skip
+"""(A) and (B) of the paper's Table 1, by row and strategy."""
+
 TABLE_1 = (
     Row(peaks=1, rotation_deg=0.0, threshold_px=15.0, coverage=0.90, affine=False),
     Row(peaks=1, rotation_deg=0.0, threshold_px=3.0, coverage=0.98, affine=True),
