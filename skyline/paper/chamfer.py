@@ -18,7 +18,7 @@ _TOLERANCE_PX = 1.0
 """Of the query's polyline; the store's keypoints have the same."""
 
 _MAX_KEYPOINTS = 64
-"""Of the query."""
+"""Of a query, at most."""
 
 _HALF_PX, _STEP_PX = 40.0, 4.0
 """Reach of a local skyline to either side of its keypoint, and distance of its samples."""

@@ -3,8 +3,8 @@
 Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, so
 that a stored view ends nowhere. Each query keypoint corresponds to the stored keypoint of a
 location with the nearest local skyline; RANSAC finds the affine map that most correspondences
-agree on; the score is the rms distance in px between the warped query skyline and the stored
-one, taken vertically. The affine map also says where the optical axis went: heading, pitch, roll.
+agree on; the score is the rms vertical distance in px between the warped query skyline and the
+stored skyline. The affine map also gives the camera's heading, pitch and roll.
 
 These steps take seconds for all locations at all assumed attitudes, so `skyline.paper.shortlist`
 chooses the pairs of a location and an attitude that go through them.
@@ -123,7 +123,7 @@ def _fits_in_direction(
 
 
 def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
-    """Unwrap the shifts of correspondences and say which could share a plausible map.
+    """Unwrap the shifts of correspondences and mark those that could share a plausible map.
 
     Azimuth is circular, an affine map is not. And a location is seen all the way round, the
     paper's reference in one direction: so the direction is agreed on first, as the shift that

@@ -3,7 +3,7 @@
 The skyline points X of a view are moved to another eye (Equation 1) and projected there. A warp of
 the skyline as the view has it is compared with these images; the paper's warp is Equation 4.
 
-Axes are the view's own: right, up, forward, metres. A displacement t says where the other eye is,
+Axes are the view's own: right, up, forward, metres. A displacement t leads to the other eye,
 and up holds the change of the ground's height; the paper's T is -t. Images are on a plane at unit
 distance (K = I), so that a pixel measures 2 / W. A warp is (2, 3): it takes (u, v, 1) to the
 abscissa and ordinate in the other image.

@@ -1,4 +1,4 @@
-r"""The shortlist of the paper's matcher (ours): locations and assumed attitudes worth its steps.
+r"""The shortlist of the paper's matcher, which is ours: likely locations and assumed attitudes.
 
 Two cheap steps look at every location at every attitude:
 

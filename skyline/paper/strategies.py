@@ -1,4 +1,4 @@
-"""Section 4.3: the paper's five strategies, which say what viewpoint to render next."""
+"""Section 4.3: the paper's five strategies, each of which chooses the next viewpoint."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
     chosen = np.zeros(problem.coverage.candidates.shape, dtype=bool)
     chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
     lattice = np.flatnonzero(chosen & problem.region)
-    # At spacing 1 the region's own target says when to stop.
+    # At spacing 1 the strategy stops at the region's own target.
     allowed = int(len(lattice) * (1.0 - problem.target)) if spacing > 1 else 0
     left = lattice[coverage.uncovered.ravel()[lattice]]
     areas = interpolated_areas(coverage, left)
@@ -210,7 +210,7 @@ def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
 
 
 def best(coverage: Coverage, candidates: Int64Array, areas: BoolArray) -> Int64Array:
-    """Return the one candidate, shape (1,), whose area covers most uncovered ground."""
+    """Return the candidate, shape (1,), whose area covers most uncovered ground."""
     return candidates[[np.argmax(coverage.gains(candidates, areas))]]
 
 

@@ -30,8 +30,8 @@ _Z_95 = 1.959963984540054
 _VIEWS_COMPARED = 4
 
 MAX_CHANGE = 0.25
-"""Greatest change of the warp's linear part from the identity, each entry: a matcher that takes any
-warp tells no two skylines apart."""
+"""Greatest change of the warp's linear part from the identity, each entry: with any warp
+allowed all skylines are alike."""
 
 _MAX_CHANGES = MAX_CHANGE * np.array([1.0, 1.0, np.inf, 1.0, 1.0, np.inf])
 _BOUNDS = IDENTITY.ravel() - _MAX_CHANGES, IDENTITY.ravel() + _MAX_CHANGES
@@ -201,7 +201,7 @@ def fitted_warps(
     starts : (B, 2, 3) float64
         Warps to begin with. NaN is none.
     width : int
-        Columns W of the view, which say what a px is.
+        Columns W of the view; a px is 2 / W.
     rounds : int
         Gauss-Newton steps.
 
@@ -296,7 +296,7 @@ def _bounded_step(
 ) -> Float64Array:
     """Return affine - normal^-1 gradient, entries that would leave the bounds held at them.
 
-    Only clipping would leave the other entries where the ones that were clipped wanted them.
+    The other entries are solved for again: their step was made for the entries before clipping.
     """
     moved = affine - np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0]
     held = np.zeros(affine.shape, dtype=bool)

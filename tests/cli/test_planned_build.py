@@ -86,20 +86,20 @@ def test_seeds_decide_and_nothing_else(valley, tmp_path):
 
 
 def test_command_line(dem, run, tmp_path):
-    told = run(
+    done = run(
         *("render", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--grid", 1000),
         *("--candidate-spacing", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
         *("--map", tmp_path / "map.png"),
     )
-    assert told.code == 0, told.err
+    assert done.code == 0, done.err
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    assert "verified by rendering" in told.out
+    assert "verified by rendering" in done.out
     facts = json.loads(run("info", tmp_path / "s.h5", "--json").out)
     assert facts["config"]["planner"] == "lpov"
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--planner", "best"], "strategy is 'best'"),
         (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
@@ -108,10 +108,10 @@ def test_command_line(dem, run, tmp_path):
         (["--planner", "lpov", "--grid", 50_000], "larger than the area"),
     ],
 )
-def test_bad_plans_are_refused(dem, run, tmp_path, options, said):
-    told = run("render", dem, "-o", tmp_path / "s.h5", *options)
-    assert told.code == 2
-    assert said in told.err
+def test_bad_plans_are_refused(dem, run, tmp_path, options, message):
+    done = run("render", dem, "-o", tmp_path / "s.h5", *options)
+    assert done.code == 2
+    assert message in done.err
     assert not (tmp_path / "s.h5").exists()
 
 

@@ -74,7 +74,7 @@ def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
     assert np.mean(error > 0.02) < 0.02
 
 
-def test_a_location_with_one_heading_is_unknown_elsewhere(viewpoints):
+def test_a_location_with_one_heading_is_unknown_in_the_others(viewpoints):
     views = oracle.skyline(TERRAIN, viewpoints[:1], 64)[1:2]
     profile = Profiles.from_views([(views, polyline_keypoints(views, 1.0))], 256)
     known = np.isfinite(profile.y[0])

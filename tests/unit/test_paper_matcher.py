@@ -62,7 +62,7 @@ def voted_turn(shifts):
 
 
 def plain_distance_px(profiles, location, query):
-    """Return what `Shortlist.distances_px` says of one location at one attitude, step by step."""
+    """Return `Shortlist.distances_px` of one location at one attitude, step by step."""
     y = profiles.y[location].astype(np.float64) / TANGENT_PER_PX
     begin, end = profiles.keypoint_start[location : location + 2]
     stored_bins = profiles.keypoint_bin[begin:end]

@@ -88,7 +88,7 @@ def test_a_simulated_run_reaches_its_coverage():
 
 
 def views_at(viewpoints, heading):
-    """Views whose skylines say where and which way they look."""
+    """Views whose skylines depend on where they are."""
     count = len(viewpoints)
     tan = np.tile((viewpoints.easting_m % 7.0)[:, None], 8).astype(np.float32)
     return Views(

@@ -1,4 +1,4 @@
-"""The measure that predictions are held to, and the fit of a warp behind it."""
+"""True errors between skylines after the best warp, and the fit of that warp."""
 
 import numpy as np
 import pytest
