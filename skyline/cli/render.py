@@ -1,7 +1,6 @@
-"""``skyline render``: stores of renderings, which the paper's matcher searches."""
+"""``skyline render``: stores of renderings for the paper's matcher."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -29,8 +28,7 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.paper.plan import PlanConfig, PlanProgress
-from skyline.paper.planned import build_planned
+from skyline.paper.plan import PlanConfig, build_planned
 from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import DemOptions, read_dem
@@ -49,46 +47,52 @@ def render(
     output: Output,
     viewpoints: Annotated[
         Path | None,
-        Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
+        Option(
+            metavar="FILE.csv", help="Viewpoints to render, as CSV: easting,northing or lon,lat."
+        ),
     ] = None,
     grid: Annotated[
         float | None,
         Option(
             metavar="SPACING_M",
-            help="A uniform grid: metres between viewpoints. With --planner, its coarse grid.",
+            help="Metres between the viewpoints of a uniform grid; with --planner, of the coarse "
+            "grid that is rendered first [1000].",
         ),
     ] = None,
     planner: Annotated[
         str | None,
-        Option(metavar="NAME", help=f"One of the paper's planners: {', '.join(STRATEGIES)}."),
+        Option(
+            metavar="NAME",
+            help=f"Let one of the paper's planners choose viewpoints: {', '.join(STRATEGIES)}.",
+        ),
     ] = None,
     bounds: Bounds = None,
     depth_images: Annotated[
         Path | None,
         Option(
             metavar="DIR",
-            help="Also save depth images (TIFF, metres) and pictures; of --viewpoints or --grid.",
+            help="Also save depth images (TIFF, metres) and pictures of them; not with --planner.",
         ),
     ] = None,
     candidate_spacing: Annotated[
         float | None,
         _of_planners(
-            help="Metres between candidate locations.",
-            show_default=f"{_PLANNED.spacing.candidate_m:g}",
+            help="Metres between the locations that the planner chooses from.",
+            show_default=f"{_PLANNED.candidate_m:g}",
         ),
     ] = None,
     threshold_px: Annotated[
         float | None,
         _of_planners(
             "--threshold-px",
-            help="Pixels by which the skyline of a covered location may differ.",
+            help="A location is covered if a rendered skyline differs by at most so many pixels.",
             show_default=f"{_PLANNED.threshold_px:g}",
         ),
     ] = None,
     coverage: Annotated[
         float | None,
         _of_planners(
-            help="Share of the candidates to cover.", show_default=f"{_PLANNED.coverage:g}"
+            help="Share of the locations to cover.", show_default=f"{_PLANNED.coverage:g}"
         ),
     ] = None,
     seed: Annotated[
@@ -97,7 +101,11 @@ def render(
     ] = None,
     drawn: Annotated[
         Path | None,
-        _of_planners("--map", metavar="PNG", help="Draw a map of the viewpoints and their areas."),
+        _of_planners(
+            "--map",
+            metavar="PNG",
+            help="Draw a map of the chosen viewpoints and the areas they cover.",
+        ),
     ] = None,
     workers: Workers = None,
     width: Width = _DEFAULTS.width,
@@ -123,17 +131,13 @@ def render(
     others = {"--workers": workers, "--depth-images": depth_images}
     if planner is not None:
         _refuse_given(others, "leave it out: a planner plans one area as a whole, in this process")
-        spacing = replace(
-            _PLANNED.spacing,
-            coarse_m=_or(grid, _PLANNED.spacing.coarse_m),
-            candidate_m=_or(candidate_spacing, _PLANNED.spacing.candidate_m),
-        )
         planned = PlanConfig(
             planner,
-            spacing,
+            _or(grid, _PLANNED.coarse_m),
+            _or(candidate_spacing, _PLANNED.candidate_m),
             _or(threshold_px, _PLANNED.threshold_px),
             _or(coverage, _PLANNED.coverage),
-            seed=_or(seed, _PLANNED.seed),
+            _or(seed, _PLANNED.seed),
         )
         _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
         return
@@ -174,28 +178,23 @@ def _build_planned(
 ) -> None:
     """Build the store that one of the paper's planners chooses, and print its coverage."""
     with progress_bar("covering, %") as bar:
-
-        def advance(now: PlanProgress) -> None:
-            bar(int(100 * now.coverage), 100)
-
-        done = build_planned(terrain, output, planned, bounds_deg, config, advance)
-    if done is None:
+        result = build_planned(terrain, output, planned, bounds_deg, config, bar)
+    if result is None:
         if drawn is not None:
             raise InputError(
-                f"{output} is complete, and a map is drawn as viewpoints are planned; remove the "
+                f"{output} is complete, and only a new plan can be drawn as a map; remove the "
                 "store to plan it again"
             )
         print_line(f"{output}: complete: nothing was left to render")
         return
-    print_built(done.built, output, "renderings")
-    proof, made = done.verification, done.plan.progress
+    built, plan, proof = result
+    print_built(built, output, "renderings")
     print_line(
-        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"to {planned.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
         f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
-        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
-        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
-        f"{done.plan.plan_s:.1f} s"
+        f"{100 * proof.high:.1f}); overlap {plan.overlap}, "
+        f"{plan.batches} batches, rendering {plan.render_s:.1f} s, planning {plan.plan_s:.1f} s"
     )
     if drawn is not None:
-        report.save_coverage_map(done.plan, drawn)
+        report.save_coverage_map(plan, drawn)

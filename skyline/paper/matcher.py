@@ -1,13 +1,13 @@
-"""The paper's matcher (section 3): keypoints, Chamfer, RANSAC affine, distance after warping.
+"""Section 3: the paper's matcher - keypoints, Chamfer distance, RANSAC, distance after warping.
 
 Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, so
 that a stored view ends nowhere. Each query keypoint corresponds to the stored keypoint of a
 location with the nearest local skyline; RANSAC finds the affine map that most correspondences
-agree on; the score is the rms distance in px between the warped query skyline and the stored
-one, taken vertically. The affine map also says where the optical axis went: heading, pitch, roll.
+agree on; the score is the rms vertical distance in px between the warped query skyline and the
+stored skyline. The affine map also gives the camera's heading, pitch and roll.
 
-Not every location is worth that at every assumed attitude: `skyline.paper.shortlist` says at
-which of them it is. Without a shortlist every one is tried, which takes seconds a query.
+These steps take seconds for all locations at all assumed attitudes, so `skyline.paper.shortlist`
+chooses the pairs of a location and an attitude that go through them.
 """
 
 from dataclasses import replace
@@ -17,7 +17,6 @@ from typing import Self
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
-from skyline.errors import InputError
 from skyline.match.matchers import Ranker
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
@@ -25,52 +24,44 @@ from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.match.ranking import Ranking
 from skyline.match.scene import OpenedStore
 from skyline.match.screening import Alike
-from skyline.paper.alignment import align_curves
-from skyline.paper.chamfer import mean_squared_px2, nearest_patches
-from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves, patch_offsets
-from skyline.paper.ransac import Ransac
+from skyline.paper.affine import align_curves, plausible, ransac_maps
+from skyline.paper.chamfer import (
+    MIN_OVERLAP,
+    QueryCurve,
+    StoredCurves,
+    mean_squared_px2,
+    nearest_patches,
+    patch_offsets,
+)
 from skyline.paper.shortlist import Shortlist
 
 _CHUNK = 64
 """Locations at a time."""
 
+_POSES = 100
+"""Pairs of a location and an assumed attitude on the shortlist."""
+
 _DIRECTIONS = 3
 """Tried at a location: those that most correspondences agree on."""
-
-_RANSAC = Ransac(iterations=100, inlier_px=4.0, min_inliers=3, max_scale=1.25, max_turn_deg=15.0)
 
 _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
 class PaperMatcher(Ranker):
-    """The paper's matcher over whole 360 degree profiles; `Ranker` says what it answers."""
+    """The paper's matcher over whole 360 degree profiles.
 
-    def __init__(
-        self,
-        profiles: Profiles,
-        attitudes: Attitudes | None = None,
-        shortlist_poses: int | None = 100,
-    ) -> None:
-        """Do once what is the same for every query.
+    Parameters
+    ----------
+    profiles : Profiles
+    attitudes : Attitudes, optional
+        Assumed pitches and rolls; the affine map takes up what lies between.
+    """
 
-        Parameters
-        ----------
-        attitudes : Attitudes, optional
-            Assumed pitches and rolls; the affine map takes up what lies between.
-        shortlist_poses : int, optional
-            Pairs of a location and an assumed attitude that are looked at closely, by Chamfer
-            distance, RANSAC and warping: those `skyline.paper.shortlist` finds most alike, at
-            least 1. None looks at all.
-        """
-        if shortlist_poses is not None and shortlist_poses < 1:
-            raise InputError(
-                f"poses on the shortlist are {shortlist_poses}; expected at least 1, or None"
-            )
+    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
         self.profiles = profiles
         self._attitudes = attitudes or Attitudes()
-        self._poses = shortlist_poses
-        self._shortlist = None if shortlist_poses is None else Shortlist(profiles)
+        self._shortlist = Shortlist(profiles)
 
     @classmethod
     def open(cls, store: OpenedStore) -> Self:
@@ -90,7 +81,7 @@ class PaperMatcher(Ranker):
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score in px, infinite where nothing fits.
 
-        Nothing fits at a location that is on no shortlist.
+        A location that is not on the shortlist has no fit.
         """
         curves = QueryCurves.of(query, self._attitudes, self.profiles.bins)
         assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
@@ -103,12 +94,10 @@ class PaperMatcher(Ranker):
         return fits
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:
-        """Return the locations, ascending, at which each attitude is worth a closer look."""
-        if self._shortlist is None:
-            return [np.arange(len(self.profiles))] * len(assumed)
+        """Return the locations on the shortlist, ascending, for each attitude."""
         distance = self._shortlist.distances_px(assumed)
         flat = distance.ravel()
-        best = np.argsort(flat, kind="stable")[: self._poses]
+        best = np.argsort(flat, kind="stable")[:_POSES]
         listed = np.zeros(distance.shape, dtype=np.bool_)
         listed.ravel()[best[np.isfinite(flat[best])]] = True
         return [np.flatnonzero(column) for column in listed.T]
@@ -142,27 +131,26 @@ def _fits_in_direction(
     used = np.repeat(agreeing, len(query.local_bins), axis=1)
     used &= np.isfinite(target[..., 1] + source[..., 1])
     affine = align_curves(
-        _RANSAC.maps(source, target, used),
+        ransac_maps(source, target, used),
         query.points_px,
         query.weight,
         stored.y_px,
         stored.bin_px,
-        _RANSAC.inlier_px,
     )
-    affine[~_RANSAC.plausible(affine)] = np.nan
+    affine[~plausible(affine)] = np.nan
     return _pose(affine, _distance_after_warp_px(affine, query, stored), query, stored)
 
 
 def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
-    """Unwrap the shifts of correspondences and say which could share a plausible map.
+    """Unwrap the shifts of correspondences and mark those that could share a plausible map.
 
     Azimuth is circular, an affine map is not. And a location is seen all the way round, the
     paper's reference in one direction: so the direction is agreed on first, as the shift that
     most others come within `_VOTE_TURNS` of. Those further off than `_REACH_TURNS`, more than a
     plausible map stretches a 60 degree view, could only be outliers and are left out.
 
-    Shifts (C, Q) are stored minus query bin of each correspondence, of which ``known`` (C, Q) says
-    whether it is there. They are returned within half a turn of the agreed one.
+    Shifts (C, Q) are stored minus query bin of each correspondence; ``known`` (C, Q) marks the
+    correspondences that exist. Shifts are returned within half a turn of the agreed one.
     """
     half = bins // 2
     apart = np.abs((shift[:, :, np.newaxis] - shift[:, np.newaxis, :] + half) % bins - half)

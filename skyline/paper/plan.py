@@ -1,32 +1,49 @@
-"""The planning loop on real terrain (paper 4): strategies ask, a renderer renders, areas grow.
+"""Sections 4 and 4.3 on real terrain: a strategy chooses viewpoints, which are rendered and stored.
 
-Every heading and every square of the coarse grid is a problem of its own. All run in step, so that
-what they ask for in a round goes to the renderer as one batch. All random choices follow from the
-seed.
+A coarse grid is rendered first. Each heading and each square of the coarse grid is then a planning
+problem of its own. All run in step, so that what they ask for in a round is rendered as one batch.
+All random choices follow from the seed.
 """
 
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress
+from skyline.build.grid import map_bounds
+from skyline.build.parts import BuildResult, finished_store
+from skyline.build.plans import rendering_columns, rendering_header
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, named
-from skyline.geodesy import Rectangle
-from skyline.paper.candidates import CandidateMap, Spacing, lay_out
-from skyline.paper.coverage import Coverage, Problem, Requests
-from skyline.paper.error_models import InterpolatedModel, Measure, PredictedModel
-from skyline.paper.strategies import STRATEGIES
+from skyline.geodesy import Bounds, Rectangle
+from skyline.paper.coverage import Candidates, Coverage
+from skyline.paper.reprojection import (
+    displacements_m,
+    moved,
+    skyline_points_m,
+    tolerance_errors_px,
+)
+from skyline.paper.strategies import STRATEGIES, Problem
+from skyline.paper.verify import Verification, verify_coverage
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
-from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.store import write_store
+from skyline.store.merge import sorted_once
+from skyline.store.write import check_folder
+from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _log = logging.getLogger(__name__)
+
+_REACH_M = 300.0
+"""How far a tolerance area may extend from its view."""
+
+_MOST_CANDIDATES = 20_000_000
 
 Headings = NDArray[np.uint8]
 
@@ -36,17 +53,20 @@ Render = Callable[[Viewpoints, Headings], Views]
 
 @dataclass(frozen=True, slots=True)
 class PlanConfig:
-    """What to plan.
+    """Settings of a plan.
 
-    Raises `InputError` for a strategy that is not known, a coverage outside (0, 1], or a threshold
-    that is not positive.
+    Raises `InputError` for a strategy that is not known, a coverage outside (0, 1], a threshold or
+    a spacing that is not positive, and spacings that do not fit each other.
     """
 
     strategy: str = "lpov"
     """A name of `skyline.paper.strategies.STRATEGIES`."""
-    spacing: Spacing = field(default_factory=Spacing)
+    coarse_m: float = 1000.0
+    """Between viewpoints of the coarse grid; a whole multiple of ``candidate_m``."""
+    candidate_m: float = 50.0
+    """Between candidates; at most 300."""
     threshold_px: float = 3.0
-    """A location is covered where some view's skyline is predicted within this."""
+    """A location is covered where the reprojection error of some view is at most this."""
     coverage: float = 0.98
     """Share of the candidates to cover in each heading, in (0, 1]."""
     seed: int = 0
@@ -63,187 +83,312 @@ class PlanConfig:
                 f"threshold is {self.threshold_px} px; expected a positive number of pixels, for "
                 "example 3"
             )
+        if not 0.0 < self.candidate_m <= _REACH_M:
+            raise InputError(
+                f"candidate spacing is {self.candidate_m} m; expected more than 0 and at most "
+                f"{_REACH_M:g} m, as far as a tolerance area may extend"
+            )
+        if not 0.0 < self.coarse_m < np.inf:
+            raise InputError(
+                f"coarse spacing is {self.coarse_m} m; expected a positive number of metres"
+            )
+        if abs(self.coarse_m / self.candidate_m - self.stride) > 1e-9 * self.stride:
+            raise InputError(
+                f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
+                f"{self.candidate_m} m; choose one that is, for example "
+                f"{self.stride * self.candidate_m} m"
+            )
 
-
-@dataclass(frozen=True, slots=True)
-class PlanProgress:
-    """How far a plan has come: after each batch."""
-
-    coverage: float
-    """Share of the candidates covered, over all headings."""
-    renderings: int
-    """Views so far."""
-    overlap: int
-    """Inclusions in tolerance areas less covered candidates, over all headings."""
-    renderings_per_s: float
-    batches: int
-    """So far."""
+    @property
+    def stride(self) -> int:
+        """Candidates from one viewpoint of the coarse grid to the next."""
+        return max(1, round(self.coarse_m / self.candidate_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What was planned and rendered."""
+    """The viewpoints that were chosen and rendered."""
 
-    candidates: CandidateMap
+    field: HeightField
+    config: PlanConfig
+    candidates: Candidates
     coverages: tuple[Coverage, ...]
     """One a heading: its viewpoints and their tolerance areas."""
-    threshold_px: float
-    """For which they were planned."""
-    progress: PlanProgress
-    """At the end."""
+    views: Views
+    """All renderings, in the order they were made."""
+    batches: int
+    """Rounds of rendering."""
     render_s: float
     plan_s: float
     """``render_s``, ``plan_s``: seconds spent in the renderer, and on everything else."""
 
     @property
     def coverage(self) -> float:
-        """Predicted coverage over all headings."""
-        return self.progress.coverage
+        """Predicted share of the candidates that is covered, over all headings."""
+        return float(np.mean([one.fraction() for one in self.coverages]))
+
+    @property
+    def overlap(self) -> int:
+        """Inclusions in tolerance areas less covered candidates, over all headings."""
+        return sum(one.overlap for one in self.coverages)
+
+    def viewpoints(self, candidates: Int64Array) -> Viewpoints:
+        """Return viewpoints at candidates (N)."""
+        return _viewpoints(self.field, self.candidates, candidates)
 
 
-_Waiting = tuple[int, Requests, Int64Array]
-"""A heading, a strategy at work there, and the candidates it is waiting for."""
+def build_planned(
+    terrain: HeightField,
+    path: str | Path,
+    planned: PlanConfig,
+    bounds_deg: Bounds | None = None,
+    config: RenderConfig | None = None,
+    progress: Progress | None = None,
+) -> tuple[BuildResult, Plan, Verification] | None:
+    """Let a strategy choose viewpoints until the area is covered, and store their renderings.
+
+    The store is written at the end of the plan. Returns the build, the plan, and how much of its
+    coverage renderings confirm; None where the store is there already, with the same settings.
+
+    Parameters
+    ----------
+    path : str or Path
+        The store.
+    bounds_deg : tuple, optional
+        W, S, E, N in degrees; by default all of the terrain.
+    progress : callable, optional
+        Called after each batch with the share that is covered, of 100.
+
+    Raises
+    ------
+    InputError
+        An area that cannot be planned.
+    StoreMismatchError
+        The store at ``path`` was built from another DEM or with other settings.
+    """
+    started = time.perf_counter()
+    path, config = Path(path).resolve(), config or RenderConfig()
+    settings: dict[str, object] = {
+        "planner": planned.strategy,
+        "plan": asdict(planned),
+        "bounds_deg": bounds_deg,
+    }
+    header = rendering_header(terrain, settings, config)
+    check_folder(path)
+    if path.exists():
+        finished_store(path, header)
+        return None
+    with HorizonRenderer.of(terrain, config) as renderer:
+        area = map_bounds(terrain, bounds_deg)
+        done = plan(terrain, renderer.render, planned, area, progress)
+        header = replace(header, renderer=renderer.description)
+        columns = rendering_columns(header, done.views)
+        order = sorted_once(header, columns)
+        write_store(path, header, columns, order)
+        built = BuildResult(len(order), len(order), time.perf_counter() - started)
+        return built, done, verify_coverage(done, renderer.render)
 
 
 def plan(
     terrain: HeightField,
     render: Render,
-    measure: Measure,
-    config: PlanConfig | None = None,
+    config: PlanConfig,
     bounds_m: Rectangle | None = None,
-    progress: Callable[[PlanProgress], None] | None = None,
+    progress: Progress | None = None,
 ) -> Plan:
-    """Choose viewpoints and have them rendered until the coverage asked for is reached.
+    """Choose viewpoints and render them until the coverage asked for is reached.
 
     Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
 
     Parameters
     ----------
-    measure : callable
-        Returns the tolerance areas of rendered and of predicted views, of as many candidates to
-        every side as the spacing's reach holds.
     bounds_m : tuple, optional
         West, south, east, north of the area, by default all of the terrain.
     progress : callable, optional
-        Called with a `PlanProgress` after each batch.
+        Called after each batch with the share that is covered, of 100.
     """
-    config = config or PlanConfig()
-    candidates = lay_out(terrain, config.spacing, bounds_m)
-    return _Loop(candidates, render, measure, config, progress).run()
-
-
-class _Loop:
-    def __init__(
-        self,
-        candidates: CandidateMap,
-        render: Render,
-        measure: Measure,
-        config: PlanConfig,
-        progress: Callable[[PlanProgress], None] | None,
-    ) -> None:
-        self._candidates = candidates
-        self._render, self._measure = render, measure
-        self._config = config
-        self._progress = progress
-        self._coverages = tuple(Coverage(candidates.grid) for _ in HEADINGS)
-        self._models: tuple[InterpolatedModel | PredictedModel, ...]
-        if config.strategy == "rov":
-            archive: dict[tuple[int, int], Views] = {}
-            self._models = tuple(
-                PredictedModel(candidates, heading, measure, archive) for heading in HEADINGS
+    started = time.perf_counter()
+    candidates = lay_out(terrain, config, bounds_m)
+    headings = [_Heading(terrain, config, candidates, heading) for heading in HEADINGS]
+    coarse, squares = _coarse_grid(candidates, config)
+    problems = [(one, strategy) for one in headings for strategy in _started(one, squares, config)]
+    requests = [(one, coarse) for one in headings]
+    views: list[Views] = []
+    render_s = 0.0
+    while requests:
+        rendering = time.perf_counter()
+        views.append(
+            render(
+                _viewpoints(terrain, candidates, np.concatenate([asked for _, asked in requests])),
+                np.repeat(
+                    np.array([one.heading for one, _ in requests], np.uint8),
+                    [len(asked) for _, asked in requests],
+                ),
             )
-        else:
-            self._models = tuple(InterpolatedModel(candidates) for _ in HEADINGS)
-        self._started = time.perf_counter()
-        self._render_s = 0.0
-        self._batches = 0
-
-    def run(self) -> Plan:
-        """Render the coarse grid, then what the strategies ask for."""
-        self._batch([self._candidates.coarse for _ in HEADINGS], list(HEADINGS))
-        self._cover()
-        plan_s = time.perf_counter() - self._started - self._render_s
-        return Plan(
-            self._candidates,
-            self._coverages,
-            self._config.threshold_px,
-            self._now(),
-            self._render_s,
-            plan_s,
         )
+        render_s += time.perf_counter() - rendering
+        for one in headings:
+            asked = [some for other, some in requests if other is one]
+            if asked:
+                one.add(np.concatenate(asked), views[-1][views[-1].heading == one.heading])
+        _report(headings, len(views), progress)
+        requests, problems = _next_requests(problems, config.coverage)
+    plan_s = time.perf_counter() - started - render_s
+    coverages = tuple(one.coverage for one in headings)
+    joined = Views.concatenate(views)
+    return Plan(terrain, config, candidates, coverages, joined, len(views), render_s, plan_s)
 
-    def _cover(self) -> None:
-        """Render what the strategies ask for, up to the coverage asked for."""
-        waiting = list(self._start())
-        while waiting:
-            headings = [heading for heading, _, _ in waiting]
-            errors = self._batch([asked for _, _, asked in waiting], headings)
-            served, waiting = waiting, []
-            for (heading, requests, _), answer in zip(served, errors, strict=True):
-                if self._coverages[heading].fraction() < self._config.coverage:
-                    with suppress(StopIteration):
-                        waiting.append((heading, requests, requests.send(answer)))
 
-    def _start(self) -> Iterator[_Waiting]:
-        """Start the strategy in every square of every heading, up to the first requests."""
-        config, valid = self._config, self._candidates.grid.valid
-        squares = np.unique(self._candidates.square[valid])
-        for heading, (coverage, model) in enumerate(
-            zip(self._coverages, self._models, strict=True)
-        ):
-            for number, square in enumerate(squares):
-                problem = Problem(
-                    coverage,
-                    model.predict_errors,
-                    config.threshold_px,
-                    config.coverage,
-                    valid & (self._candidates.square == square),
-                )
-                generator = np.random.default_rng([config.seed, heading, number])
-                requests = STRATEGIES[config.strategy](problem, generator)
-                asked = next(requests, None)
-                if asked is not None:
-                    yield heading, requests, asked
+class _Heading:
+    """The views rendered along one heading: what they cover, and their skyline points."""
 
-    def _batch(self, asked: list[Int64Array], headings: list[int]) -> list[Float32Array]:
-        """Render requests, add their areas to the coverage, and return their errors."""
-        heading = np.repeat(np.array(headings, np.uint8), [len(one) for one in asked])
-        candidates = np.concatenate(asked)
-        views = self._views(self._candidates.viewpoints(candidates), heading)
-        errors = self._measure(views)
-        for one in HEADINGS:
-            rows = np.flatnonzero(heading == one)
-            if rows.size:
-                within = errors[rows] <= self._config.threshold_px
-                self._coverages[one].add(candidates[rows], within)
-                self._models[one].learn(candidates[rows], views[rows], errors[rows])
-        self._report()
-        return np.split(errors, np.cumsum([len(one) for one in asked])[:-1])
+    def __init__(
+        self, field: HeightField, config: PlanConfig, candidates: Candidates, heading: int
+    ) -> None:
+        self.heading = heading
+        self.coverage = Coverage(candidates)
+        self._field, self._config = field, config
+        self._points: list[Float64Array] = []
+        self._width = 0
 
-    def _views(self, viewpoints: Viewpoints, heading: Headings) -> Views:
-        """Return the views of requests in their order."""
-        started = time.perf_counter()
-        views = self._render(viewpoints, heading)
-        self._render_s += time.perf_counter() - started
-        return views
+    def add(self, viewpoints: Int64Array, views: Views) -> None:
+        """Add views (N) rendered at candidates (N)."""
+        points, self._width = skyline_points_m(views), views.width
+        self._points.extend(points)
+        self.coverage.add(viewpoints, self._areas(points, views))
 
-    def _report(self) -> None:
-        self._batches += 1
-        now = self._now()
-        _log.info(
-            "batch %d: coverage %.4f, %d renderings, overlap %d, %.0f renderings/s",
-            *(now.batches, now.coverage, now.renderings, now.overlap, now.renderings_per_s),
+    def projected_areas(self, candidates: Int64Array) -> BoolArray:
+        """Return tolerance areas (N, K, K) of candidates (N), which are not rendered.
+
+        Each has the skyline points of the nearest rendered view, moved by Equation 1.
+        """
+        coverage = self.coverage
+        nearest, _ = coverage.candidates.nearest(candidates, coverage.viewpoints, 1)
+        source, there = (
+            _viewpoints(self._field, coverage.candidates, some)
+            for some in (coverage.viewpoints[nearest[:, 0]], candidates)
         )
-        if self._progress:
-            self._progress(now)
-
-    def _now(self) -> PlanProgress:
-        seconds = max(time.perf_counter() - self._started, 1e-9)
-        renderings = sum(len(one.viewpoints) for one in self._coverages)
-        return PlanProgress(
-            coverage=float(np.mean([one.fraction() for one in self._coverages])),
-            renderings=renderings,
-            overlap=sum(one.overlap for one in self._coverages),
-            renderings_per_s=renderings / seconds,
-            batches=self._batches,
+        move = displacements_m(
+            source,
+            np.full(len(candidates), self.heading),
+            there.easting_m[:, np.newaxis],
+            there.northing_m[:, np.newaxis],
+            there.eye_elevation_m[:, np.newaxis],
         )
+        points = np.stack([self._points[row] for row in nearest[:, 0].tolist()])
+        return self._areas(moved(points, move)[:, 0], there)
+
+    def _areas(self, points_m: Float64Array, eyes: Views | Viewpoints) -> BoolArray:
+        errors: Float32Array = tolerance_errors_px(
+            points_m,
+            eyes,
+            np.full(len(eyes), self.heading),
+            ground_of(self._field),
+            size=self.coverage.candidates.window,
+            spacing_m=self._config.candidate_m,
+            width=self._width,
+        )
+        return np.asarray(errors <= self._config.threshold_px)
+
+
+_Running = tuple[_Heading, Iterator[Int64Array]]
+"""A heading, and a strategy at work in one of its squares."""
+
+
+def _started(
+    one: _Heading, squares: Int64Array, config: PlanConfig
+) -> Iterator[Iterator[Int64Array]]:
+    """Yield the strategy of each square of a heading, about to begin."""
+    valid = one.coverage.candidates.valid
+    for number, square in enumerate(np.unique(squares[valid])):
+        region = valid & (squares == square)
+        problem = Problem(one.coverage, region, config.coverage, one.projected_areas)
+        generator = np.random.default_rng([config.seed, one.heading, number])
+        yield STRATEGIES[config.strategy](problem, generator)
+
+
+def _next_requests(
+    running: list[_Running], target: float
+) -> tuple[list[tuple[_Heading, Int64Array]], list[_Running]]:
+    """Return the candidates that strategies ask for, and the strategies that are not done."""
+    requests, left = [], []
+    for one, strategy in running:
+        if one.coverage.fraction() < target:
+            asked = next(strategy, None)
+            if asked is not None:
+                requests.append((one, asked))
+                left.append((one, strategy))
+    return requests, left
+
+
+def _report(headings: list[_Heading], batches: int, progress: Progress | None) -> None:
+    share = float(np.mean([one.coverage.fraction() for one in headings]))
+    renderings = sum(len(one.coverage.viewpoints) for one in headings)
+    _log.info("batch %d: coverage %.4f, %d renderings", batches, share, renderings)
+    if progress:
+        progress(int(100 * share), 100)
+
+
+def lay_out(
+    field: HeightField, config: PlanConfig, bounds_m: Rectangle | None = None
+) -> Candidates:
+    """Lay candidates over an area, at whole multiples of their spacing.
+
+    A candidate is valid where an eye can stand off the holes and off the map's border. Raises
+    `InputError` for a spacing larger than the area, or an area wholly in holes.
+    """
+    west, south, east, north = bounds_m or field.bounds_m
+    if config.coarse_m > max(east - west, north - south):
+        raise InputError(
+            f"spacing of {config.coarse_m:g} m is larger than the area of {east - west:.0f} x "
+            f"{north - south:.0f} m; choose a smaller spacing or a larger area"
+        )
+    apart = config.candidate_m
+    col = np.arange(np.ceil(west / apart), np.floor(east / apart) + 1.0)
+    row = np.arange(np.floor(north / apart), np.ceil(south / apart) - 1.0, -1.0)
+    if len(row) * len(col) > _MOST_CANDIDATES:
+        raise InputError(
+            f"{len(row) * len(col)} candidates {apart:g} m apart are too many to plan at once; "
+            "plan smaller bounds one after the other, or put the candidates further apart"
+        )
+    easting, northing = np.meshgrid(col * apart, row * apart)
+    valid = _can_stand(field, easting, northing)
+    return Candidates(valid, col * apart, row * apart, int(_REACH_M // apart))
+
+
+def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
+    """Return where the surface goes on for a sample to every side."""
+    ground = field.height_at(easting_m=easting, northing_m=northing)
+    for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        ground = ground + field.height_at(
+            easting_m=easting + east * field.spacing_east_m,
+            northing_m=northing + north * field.spacing_north_m,
+        )
+    return ~np.isnan(ground)
+
+
+def _coarse_grid(candidates: Candidates, config: PlanConfig) -> tuple[Int64Array, Int64Array]:
+    """Return the valid candidates of the coarse grid, and each candidate's square of it.
+
+    Squares (rows, cols) are numbered from south to north, and in a row from west to east. Raises
+    `InputError` where the coarse grid has no valid candidate.
+    """
+    row, col = (
+        np.rint(axis / config.candidate_m).astype(np.int64)
+        for axis in (candidates.northing_m, candidates.easting_m)
+    )
+    stride = config.stride
+    coarse = (row[:, None] % stride == 0) & (col % stride == 0) & candidates.valid
+    if not coarse.any():
+        raise InputError(
+            f"no viewpoint of the {config.coarse_m:g} m grid falls on the surface in easting "
+            f"{col[0] * config.candidate_m:.0f} to {col[-1] * config.candidate_m:.0f}, northing "
+            f"{row[-1] * config.candidate_m:.0f} to {row[0] * config.candidate_m:.0f}; choose a "
+            "smaller spacing or a larger area"
+        )
+    return np.flatnonzero(coarse), (row // stride)[:, None] * len(col) + col // stride
+
+
+def _viewpoints(field: HeightField, at: Candidates, candidates: Int64Array) -> Viewpoints:
+    row, col = at.row_col(candidates)
+    return stand_on(field, easting_m=at.easting_m[col], northing_m=at.northing_m[row])

@@ -1,10 +1,10 @@
-r"""Which locations, at which assumed attitudes, are worth the dear steps of the paper's matcher.
+r"""The shortlist of the paper's matcher, which is ours: likely locations and assumed attitudes.
 
 Two cheap steps look at every location at every attitude:
 
 1. Each query keypoint corresponds to the stored keypoint of a location with the nearest local
    skyline, by squared vertical difference, which is a matrix product. Correspondences vote
-   for the direction they put the query in.
+   for the direction in which they put the query.
 2. In the direction with most votes the skylines, thinned, are laid over each other. A tilt and
    an affine map near the identity change the query's skyline q(x) to first order by a
    combination of a few known curves (1, cos x, sin x, q, q', x q'), so the least rms distance
@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
-from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves
+from skyline.paper.chamfer import MIN_OVERLAP, QueryCurve, StoredCurves
 
 _AT_ONCE = 32
 """Locations whose patches are compared together; keeps a product in the cache."""
@@ -69,7 +69,7 @@ class _Patches:
 
 
 class Shortlist:
-    """What of a store of L locations is compared with every query; see the module.
+    """The parts of a store's L locations that every query is compared with; see the module.
 
     Stored patches with unknown samples, at the borders of what is known, have no vote.
     """

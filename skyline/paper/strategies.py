@@ -1,64 +1,96 @@
-"""The paper's five strategies: which viewpoint to render next (section 4.3)."""
+"""Section 4.3: the paper's five strategies, each of which chooses the next viewpoint."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.paper.coverage import Coverage, Problem, Requests, Strategy
+from skyline.paper.coverage import Coverage
 
 _DRAWN = 10
-"""How many candidate locations ROV and AROV draw for each viewpoint they select."""
+"""Candidates that ROV and AROV draw for each viewpoint they select."""
 
 _RANKED = 64
-"""How many pre-located candidates are ranked for each viewpoint selected."""
+"""Candidates that LPOV ranks for each viewpoint it selects, at most."""
+
+_INTERPOLATED_FROM = 4
+"""Rendered views, the nearest, that an area is interpolated from."""
 
 
-def rov(problem: Problem, generator: np.random.Generator) -> Requests:
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """A region of one heading to cover. A strategy sees no terrain and no views beside it."""
+
+    coverage: Coverage
+    """Holds the views rendered so far whenever a strategy is resumed; strategies of one heading
+    share it."""
+    region: BoolArray
+    """(rows, cols) bool. The candidates to cover, and to choose from."""
+    target: float
+    """Share of the region's valid candidates to cover, in (0, 1]."""
+    projected_areas: Callable[[Int64Array], BoolArray]
+    """Returns the tolerance areas (N, K, K) of views at candidates (N), which are not rendered:
+    skyline points of rendered views are projected there. Only ROV calls it."""
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the region is covered to the target."""
+        return self.coverage.fraction(self.region) >= self.target
+
+    def open_candidates(self) -> Int64Array:
+        """Return the uncovered candidates of the region, ascending."""
+        return np.flatnonzero(self.coverage.uncovered & self.region)
+
+
+Strategy = Callable[[Problem, np.random.Generator], Iterator[Int64Array]]
+"""Yields candidates (n,) to render, and goes on once the problem's coverage holds their areas."""
+
+
+def rov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Random Optimistic Viewpoint.
 
-    Draws candidates from the uncovered area, computes their tolerance areas by projecting the
-    known skyline points, and selects the one that overlaps most with the uncovered area.
+    Draws candidates from the uncovered area, computes their tolerance areas by projecting known
+    skyline points, and selects the candidate whose area overlaps most with the uncovered area.
     """
-    while not problem.done:
+    while not problem.is_covered:
         drawn = draw(generator, problem.open_candidates(), _DRAWN)
-        areas = problem.predict_errors(drawn) <= problem.threshold_px
-        yield best(problem.coverage, drawn, areas)
+        yield best(problem.coverage, drawn, problem.projected_areas(drawn))
 
 
-def arov(problem: Problem, generator: np.random.Generator) -> Requests:
+def arov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Approximated Random Optimistic Viewpoint: ROV with areas interpolated, not computed."""
-    while not problem.done:
+    while not problem.is_covered:
         drawn = draw(generator, problem.open_candidates(), _DRAWN)
         yield best(problem.coverage, drawn, interpolated_areas(problem.coverage, drawn))
 
 
-def hov(problem: Problem, generator: np.random.Generator) -> Requests:
+def hov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Hierarchy Optimistic Viewpoint.
 
     Goes from coarse to fine over lattices of candidates, each half as wide as the one before. The
     candidates of a level are a fixed pattern: their areas are interpolated once, as the level
     begins, and AROV's choice among those uncovered follows until the level is covered.
     """
-    spacing = 1 << (max(problem.grid.shape) // 2).bit_length() - 1
-    while not problem.done:
+    spacing = 1 << (max(problem.coverage.candidates.shape) // 2).bit_length() - 1
+    while not problem.is_covered:
         yield from _level(problem, spacing)
         spacing = max(1, spacing // 2)
 
 
-def _level(problem: Problem, spacing: int) -> Requests:
+def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
     """Select among the region's candidates at whole multiples of a spacing, from half of it on."""
     coverage = problem.coverage
-    chosen = np.zeros(problem.grid.shape, dtype=bool)
+    chosen = np.zeros(problem.coverage.candidates.shape, dtype=bool)
     chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
     lattice = np.flatnonzero(chosen & problem.region)
-    # At spacing 1 the region's own target says when to stop.
+    # At spacing 1 the strategy stops at the region's own target.
     allowed = int(len(lattice) * (1.0 - problem.target)) if spacing > 1 else 0
     left = lattice[coverage.uncovered.ravel()[lattice]]
     areas = interpolated_areas(coverage, left)
     # Gains only fall: one that was found earlier is a bound, looked at again when it is highest.
     bound = coverage.gains(left, areas)
-    while not problem.done:
+    while not problem.is_covered:
         uncovered = coverage.uncovered.ravel()[left]
         if np.count_nonzero(uncovered) <= allowed:
             return
@@ -70,7 +102,7 @@ def _level(problem: Problem, spacing: int) -> Requests:
         yield left[[top]]
 
 
-def sov(problem: Problem, generator: np.random.Generator) -> Requests:
+def sov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Shape-Assisted Optimistic Viewpoint.
 
     Takes each tolerance area for an ellipse and packs candidates along its minor axis, where the
@@ -83,7 +115,7 @@ def sov(problem: Problem, generator: np.random.Generator) -> Requests:
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
     """Mark the candidates that viewpoints after the first ``known`` put on their minor axes."""
     coverage = problem.coverage
-    row, col = problem.grid.row_col(coverage.viewpoints[known:])
+    row, col = coverage.candidates.row_col(coverage.viewpoints[known:])
     axis = minor_axes(coverage.areas[known:])
     for sign in (-2.0, 2.0):
         to_row = np.rint(row + sign * axis[:, 0]).astype(np.int64)
@@ -110,7 +142,7 @@ def minor_axes(areas: BoolArray) -> Float64Array:
     return np.asarray(direction[:, :, 0] * 2.0 * np.sqrt(variance[:, :1]), dtype=np.float64)
 
 
-def lpov(problem: Problem, generator: np.random.Generator) -> Requests:
+def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Line Planning Optimistic Viewpoint.
 
     Pre-locates a viewpoint on each line joining a pair of rendered viewpoints; selects among
@@ -127,7 +159,7 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Requests:
 def _locate(problem: Problem, known: int, located: BoolArray) -> None:
     """Mark the candidates on the lines from viewpoints after the first ``known`` to all."""
     coverage = problem.coverage
-    row, col = problem.grid.row_col(coverage.viewpoints)
+    row, col = coverage.candidates.row_col(coverage.viewpoints)
     size = np.sqrt(np.count_nonzero(coverage.areas, axis=(1, 2)))
     weight = size / (size[known:, None] + size)
     to_row = weight * row[known:, None] + (1.0 - weight) * row
@@ -140,12 +172,15 @@ def _preselected(
     generator: np.random.Generator,
     mark: Callable[[Problem, int, BoolArray], None],
     ranked: int | None = None,
-) -> Requests:
-    """Select among candidates that the rendered viewpoints mark, at most so many drawn of them."""
+) -> Iterator[Int64Array]:
+    """Select among the candidates that ``mark`` sets for the rendered viewpoints.
+
+    Of more than ``ranked``, so many are drawn.
+    """
     coverage = problem.coverage
-    marked = np.zeros(problem.grid.shape, dtype=bool)
+    marked = np.zeros(problem.coverage.candidates.shape, dtype=bool)
     known = 0
-    while not problem.done:
+    while not problem.is_covered:
         mark(problem, known, marked)
         known = len(coverage.viewpoints)
         candidates = np.flatnonzero(marked & coverage.uncovered & problem.region)
@@ -159,20 +194,23 @@ def _preselected(
 def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
     """Return areas (N, K, K) of candidates (N), interpolated from the nearest rendered views.
 
-    A location is inside where the weighted areas say so by half. Before anything is rendered an
-    area is the candidate itself.
+    The weight of a view falls with its distance; a location is inside where at least half of the
+    weight lies in views that hold it. Before anything is rendered an area is the candidate itself.
     """
-    grid = coverage.grid
-    areas = np.zeros((len(candidates), grid.window, grid.window), dtype=bool)
-    if len(coverage.viewpoints):
-        share = grid.interpolated(candidates, coverage.viewpoints, coverage.areas)
-        areas = share >= np.float32(0.5)
+    grid = coverage.candidates
+    share = np.zeros((len(candidates), grid.window, grid.window), dtype=np.float32)
+    chosen, apart = grid.nearest(candidates, coverage.viewpoints, _INTERPOLATED_FROM)
+    weight = 1.0 / np.maximum(apart, 0.5)
+    weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+    for place in range(chosen.shape[1]):
+        share += coverage.areas[chosen[:, place]] * weight[:, place, None, None]
+    areas = share >= np.float32(0.5)
     areas[:, grid.reach, grid.reach] = True
     return areas
 
 
 def best(coverage: Coverage, candidates: Int64Array, areas: BoolArray) -> Int64Array:
-    """Return the one candidate, shape (1,), whose area covers most uncovered ground."""
+    """Return the candidate, shape (1,), whose area covers most uncovered ground."""
     return candidates[[np.argmax(coverage.gains(candidates, areas))]]
 
 

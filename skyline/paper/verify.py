@@ -1,63 +1,98 @@
-"""Proof by rendering: whether what a plan says is covered truly is."""
+"""Proof by rendering: whether the locations that a plan covers are covered.
 
-from collections.abc import Callable
+A stored skyline is compared with the one rendered at another eye, after the best affine warp. The
+paper's matcher allows for such a warp, and this is what reprojection errors predict.
+"""
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
+from skyline.camera import HEADINGS, columns_u, pixel_size
 from skyline.errors import InputError
 from skyline.paper.coverage import Coverage
-from skyline.paper.plan import Headings, Plan, Render
+from skyline.paper.reprojection import (
+    IDENTITY,
+    affine_least_squares,
+    affine_median,
+    displacements_m,
+    non_affine,
+    skyline_points_m,
+)
 from skyline.skylines import Views
 
-TrueErrors = Callable[[Views, Views], NDArray[np.floating]]
-"""Distances in px between stored and rendered skylines (N pairs) after the best affine warp."""
+if TYPE_CHECKING:
+    from skyline.paper.plan import Plan, Render
 
 _Z_95 = 1.959963984540054
-_VIEWS_TRIED = 4
+_VIEWS_COMPARED = 4
+
+MAX_CHANGE = 0.25
+"""Greatest change of the warp's linear part from the identity, each entry: with any warp
+allowed all skylines are alike."""
+
+_MAX_CHANGES = MAX_CHANGE * np.array([1.0, 1.0, np.inf, 1.0, 1.0, np.inf])
+_BOUNDS = IDENTITY.ravel() - _MAX_CHANGES, IDENTITY.ravel() + _MAX_CHANGES
+
+_MIN_SHARE = 0.5
+"""Least share of the columns that must land on known columns of the other curve."""
+
+_OUTLIER_PX = 3.0
+"""A column farther off than this counts by its distance, a nearer one by its square."""
+
+_DAMPING = 1e-3
+_RIDGE = 1e-9
+
+_STEEPEST = 0.3
+"""Least stretch of the abscissa that the slope of a warped curve is trusted for."""
+
+_COLUMNS = (20, 40, 80, 160, 320)
+"""Columns of the coarser curves a warp is found on first: a rough skyline has many valleys."""
+
+_AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """How much of a sample of covered locations is truly covered."""
+    """Shares of a sample of covered locations of which a rendering confirms the coverage."""
 
     share: float
-    """Of the sample, within the threshold of some stored view after the best affine warp."""
+    """Share of the sample whose rendering is within the threshold of some stored view, after the
+    best affine warp."""
     low: float
     high: float
     """``low``, ``high``: 95 % interval of the share (Wilson)."""
     sampled: int
     predicted: float
-    """The coverage the plan predicts."""
+    """Coverage that the plan predicts."""
 
     @property
     def verified(self) -> float:
-        """Coverage as verified: the share of the predicted coverage that is true."""
+        """Predicted coverage times the share of it that renderings confirm."""
         return self.predicted * self.share
 
 
-def verify_coverage(
-    plan: Plan, render: Render, errors: TrueErrors, sample: int = 400
-) -> Verification:
+def verify_coverage(plan: "Plan", render: "Render", sample: int = 400) -> Verification:
     """Render a random sample of covered locations and compare them with the views that cover them.
 
-    These are rendered again rather than kept: a rendering costs less than its memory.
     A location that was rendered itself counts as any other. Of the views whose tolerance areas
-    hold a location, up to four, the nearest, are tried.
-
-    Raises `InputError` for a sample below 1, or a plan that covers nothing.
+    hold a location, the nearest four are compared.
     """
-    heading, location = _draw(plan, sample)
-    rendered = _views(render, plan, location, heading)
+    covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
+    drawn = np.sort(np.random.default_rng(0).choice(covered, min(sample, len(covered)), False))
+    heading, location = np.divmod(drawn, plan.candidates.valid.size)
+    rendered = render(plan.viewpoints(location), heading.astype(np.uint8))
+    # The views of a heading are in the order of its viewpoints.
+    views_of = [np.flatnonzero(plan.views.heading == one) for one in HEADINGS]
     covering = [
-        _covering(plan.coverages[one], where)
+        views_of[one][_covering(plan.coverages[one], where)]
         for one, where in zip(heading.tolist(), location.tolist(), strict=True)
     ]
     pair = np.repeat(np.arange(len(covering)), [len(found) for found in covering])
-    stored = _views(render, plan, np.concatenate(covering), heading[pair])
-    within = errors(stored, rendered[pair]) <= plan.threshold_px
+    stored = plan.views[np.concatenate(covering)]
+    within = true_errors_px(stored, rendered[pair]) <= plan.config.threshold_px
     true = int(np.count_nonzero(np.bincount(pair[within], minlength=len(location))))
     low, high = wilson_interval(true, len(location))
     return Verification(true / len(location), low, high, len(location), plan.coverage)
@@ -72,32 +107,210 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return float((middle - half) / scale), float((middle + half) / scale)
 
 
-def _draw(plan: Plan, sample: int) -> tuple[Headings, Int64Array]:
-    """Draw headings and covered candidates, each as likely as any other."""
-    covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
-    if sample < 1 or not len(covered):
-        raise InputError(
-            f"sample is {sample} of {len(covered)} covered locations; expected at least 1 of each"
-        )
-    generator = np.random.default_rng(0)
-    drawn = np.sort(generator.choice(covered, min(sample, len(covered)), replace=False))
-    heading, location = np.divmod(drawn, plan.candidates.grid.valid.size)
-    return heading.astype(np.uint8), location
-
-
 def _covering(coverage: Coverage, location: int) -> Int64Array:
-    """Return the viewpoints whose areas hold a location, nearest first, the first few."""
-    grid, reach = coverage.grid, coverage.grid.reach
+    """Return the rows of the views whose areas hold a location, nearest first, the first few."""
+    grid, reach = coverage.candidates, coverage.candidates.reach
     row, col = grid.row_col(coverage.viewpoints)
     down, across = location // grid.shape[1] - row, location % grid.shape[1] - col
     near = np.flatnonzero(np.maximum(np.abs(down), np.abs(across)) <= reach)
     holds = near[coverage.areas[near, down[near] + reach, across[near] + reach]]
     apart = np.hypot(down[holds], across[holds])
-    return coverage.viewpoints[holds[np.argsort(apart, kind="stable")[:_VIEWS_TRIED]]]
+    return holds[np.argsort(apart, kind="stable")[:_VIEWS_COMPARED]]
 
 
-def _views(render: Render, plan: Plan, candidates: Int64Array, heading: Headings) -> Views:
-    """Return views at candidates along headings, in that order; each is asked for once."""
-    once, row = np.unique(np.stack([heading, candidates]), axis=1, return_inverse=True)
-    views = render(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
-    return views[row.reshape(-1)]
+def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
+    """Return mean distances (N,) in px of stored skylines from rendered ones after the best warp.
+
+    The warp is affine, and bounded by `MAX_CHANGE`. The distance is vertical, over the columns that
+    land in frame; it is infinite where these are fewer than half of them.
+
+    Raises `InputError` for views that differ in number, width or heading.
+
+    Parameters
+    ----------
+    stored, rendered : Views
+        N views each, row by row of one heading and one width.
+    """
+    if len(stored) != len(rendered) or stored.width != rendered.width:
+        raise InputError(
+            f"{len(stored)} stored views of {stored.width} columns are compared with "
+            f"{len(rendered)} rendered ones of {rendered.width}; expected as many of one width"
+        )
+    if (stored.heading != rendered.heading).any():
+        raise InputError("stored and rendered views look along different headings")
+    errors = np.empty(len(stored), dtype=np.float32)
+    for begin in range(0, len(stored), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        errors[part] = _errors_px(stored[part], rendered[part])
+    return errors
+
+
+def _errors_px(stored: Views, rendered: Views) -> Float64Array:
+    best = np.full(len(stored), np.inf)
+    counts = (*(c for c in _COLUMNS if c < stored.width), stored.width)
+    pairs = [
+        (block_means(stored.elevation_tan, count), block_means(rendered.elevation_tan, count))
+        for count in counts
+    ]
+    for warp in np.moveaxis(_starts(stored, rendered), 1, 0):
+        found = warp
+        for curves, targets in pairs:
+            distances, found = fitted_warps(curves, targets, found, stored.width)
+        best = np.minimum(best, distances)
+    return best
+
+
+def _starts(stored: Views, rendered: Views) -> Float64Array:
+    """Return warps (N, 3, 2, 3): the identity, Equation 4, the least squares of the points."""
+    there = displacements_m(
+        stored,
+        stored.heading,
+        rendered.easting_m[:, np.newaxis],
+        rendered.northing_m[:, np.newaxis],
+        rendered.eye_elevation_m[:, np.newaxis],
+    )
+    points = skyline_points_m(stored, stored.width)
+    warps = non_affine, affine_median, affine_least_squares
+    return np.concatenate([warp(points, there) for warp in warps], axis=1)
+
+
+def block_means(rows: FloatArray, blocks: int) -> Float32Array:
+    """Return means (..., min(blocks, W)) over runs of the columns of rows (..., W).
+
+    Runs are as equal as can be. NaN is unknown: left out, and the mean where all of a run is.
+    """
+    width = rows.shape[-1]
+    if width <= blocks:
+        return rows.astype(np.float32)
+    starts = np.arange(blocks) * width // blocks
+    known = np.isfinite(rows)
+    count = np.add.reduceat(known, starts, axis=-1, dtype=np.float32)
+    total = np.add.reduceat(np.where(known, rows, 0.0), starts, axis=-1)
+    return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan).astype(np.float32)
+
+
+def fitted_warps(
+    curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int, rounds: int = 6
+) -> tuple[Float64Array, Float64Array]:
+    """Warp curves onto others as well as an affine map within bounds can.
+
+    Parameters
+    ----------
+    curves, targets : (B, Q) floating
+        elevation_tan at Q column centres; NaN is unknown.
+    starts : (B, 2, 3) float64
+        Warps to begin with. NaN is none.
+    width : int
+        Columns W of the view; a px is 2 / W.
+    rounds : int
+        Gauss-Newton steps.
+
+    Returns
+    -------
+    distances_px : (B,) float64
+        Mean vertical distance of the warped columns from the other curve, inf where too few
+        of them land on it.
+    affine : (B, 2, 3) float64
+    """
+    pixel = pixel_size(width)
+    pair = _Pair(curves, targets, pixel)
+    state = pair.state(np.clip(np.nan_to_num(starts.reshape(-1, 6)), *_BOUNDS))
+    damping = np.full(len(starts), _DAMPING)
+    for _ in range(rounds):
+        trial = pair.state(pair.step(state, damping))
+        better = trial.error < state.error
+        state = state.replaced(better, trial)
+        damping = np.where(better, 0.3 * damping, 8.0 * damping)
+    return state.error / pixel, state.affine.reshape(-1, 2, 3)
+
+
+@dataclass(slots=True, eq=False)
+class _State(Rows):
+    """B warps and how the curves miss each other under them; arrays of columns are (B, Q)."""
+
+    affine: Float64Array
+    error: Float64Array
+    miss: Float64Array
+    slope: Float64Array
+    usable: BoolArray
+
+
+class _Pair:
+    """B curves and what each is warped onto."""
+
+    def __init__(self, curves: FloatArray, targets: FloatArray, pixel: float) -> None:
+        self.columns = curves.shape[1]
+        self.u = columns_u(self.columns)
+        self.v = curves.astype(np.float64)
+        self.targets = targets.astype(np.float64)
+        self.outlier = _OUTLIER_PX * pixel
+        padded = np.concatenate([self.v[:, :1], self.v, self.v[:, -1:]], axis=1)
+        self.slope = (padded[:, 2:] - padded[:, :-2]) / (4.0 / self.columns)
+        known = np.nan_to_num(self.v)
+        self.design = np.stack(
+            [np.broadcast_to(self.u, known.shape), known, np.ones_like(known)], 1
+        )
+        self.row = np.arange(len(curves))[:, np.newaxis] * self.columns
+
+    def state(self, affine: Float64Array) -> _State:
+        a, b, c, d, e, f = affine.T[:, :, np.newaxis]
+        position = (a * self.u + b * self.v + (c + 1.0)) * (self.columns / 2.0) - 0.5
+        usable = (position >= 0.0) & (position <= self.columns - 1)
+        position = np.where(usable, position, 0.0)
+        left = np.minimum(position.astype(np.intp), self.columns - 2)
+        index = self.row + left
+        flat = self.targets.ravel()
+        begin = flat[index]
+        rise = flat[index + 1] - begin
+        miss = d * self.u + e * self.v + f - begin - (position - left) * rise
+        usable &= np.isfinite(miss)
+        miss, rise = np.where(usable, miss, 0.0), np.where(usable, rise, 0.0)
+        count = usable.sum(axis=1)
+        error = np.abs(miss).sum(axis=1) / np.maximum(count, 1)
+        error[count < _MIN_SHARE * self.columns] = np.inf
+        return _State(affine, error, miss, rise * (self.columns / 2.0), usable)
+
+    def step(self, state: _State, damping: Float64Array) -> Float64Array:
+        """Return warps one damped Gauss-Newton step on, inside the bounds.
+
+        The slope is the mean of the two curves', as in efficient second-order minimization: it
+        needs a third of the rounds that the other curve's alone does.
+        """
+        a, b, _, d, e, _ = state.affine.T[:, :, np.newaxis]
+        stretch = np.maximum(a + b * self.slope, _STEEPEST)
+        warped_slope = np.where(state.usable, (d + e * self.slope) / stretch, 0.0)
+        slope = 0.5 * (state.slope + np.nan_to_num(warped_slope))
+        weight = state.usable / np.maximum(np.abs(state.miss), self.outlier)
+        change = np.concatenate([-slope[:, np.newaxis] * self.design, self.design], axis=1)
+        weighted = change * weight[:, np.newaxis]
+        normal = weighted @ change.transpose(0, 2, 1)
+        gradient = (weighted @ state.miss[:, :, np.newaxis])[:, :, 0]
+        diagonal = np.einsum("bii->bi", normal)
+        diagonal += damping[:, np.newaxis] * diagonal
+        diagonal += _RIDGE * (1.0 + diagonal.max(axis=1, keepdims=True))
+        return _bounded_step(state.affine, normal, gradient)
+
+
+def _bounded_step(
+    affine: Float64Array, normal: Float64Array, gradient: Float64Array
+) -> Float64Array:
+    """Return affine - normal^-1 gradient, entries that would leave the bounds held at them.
+
+    The other entries are solved for again: their step was made for the entries before clipping.
+    """
+    moved = affine - np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0]
+    held = np.zeros(affine.shape, dtype=bool)
+    for _ in range(2):
+        outside = (moved < _BOUNDS[0]) | (moved > _BOUNDS[1])
+        held |= outside
+        rows = np.flatnonzero(outside.any(axis=1))
+        if not rows.size:
+            break
+        fixed = held[rows]
+        fixed_step = np.where(fixed, affine[rows] - np.clip(moved[rows], *_BOUNDS), 0.0)
+        free = ~(fixed[:, :, np.newaxis] | fixed[:, np.newaxis, :])
+        system = normal[rows] * free + fixed[:, :, np.newaxis] * np.eye(6)
+        rest = gradient[rows] - (normal[rows] @ fixed_step[:, :, np.newaxis])[:, :, 0]
+        step = np.linalg.solve(system, np.where(fixed, fixed_step, rest)[:, :, np.newaxis])
+        moved[rows] = affine[rows] - step[:, :, 0]
+    return np.clip(moved, *_BOUNDS)

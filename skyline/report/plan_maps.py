@@ -1,4 +1,4 @@
-"""Maps of what a store is planned to hold, over the shaded terrain."""
+"""Maps of the paper's plans: viewpoints and tolerance areas over the shaded terrain."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 _WIDTH_IN = 9.0
 _INK_SHARE = 0.35
-"""Of the picture, that points cover between them."""
+"""Share of the picture that all points together cover."""
 _PANEL_SQUARE_IN = 14.0
 _OPACITY = 0.55
 
 
 def save_coverage_map(plan: "Plan", path: Path) -> None:
-    """Save a map (PNG) for each heading: viewpoints, and what their tolerance areas cover.
+    """Save a picture (PNG) with a map for each heading: viewpoints and their tolerance areas.
 
     After the paper's Figure 6. A location has the colour of the largest tolerance area that holds
     it; the terrain is bare where none does.
@@ -50,10 +50,10 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     )
     axes = figure.subplots(1, len(HEADINGS), sharey=True)
     cell_km2 = east_m * north_m / 1e6
-    norm = LogNorm(cell_km2, cell_km2 * candidates.grid.window**2)
+    norm = LogNorm(cell_km2, cell_km2 * candidates.window**2)
     for heading, axis in zip(HEADINGS, axes, strict=True):
         coverage = plan.coverages[heading]
-        draw_relief(axis, candidates.field, area)
+        draw_relief(axis, plan.field, area)
         axis.imshow(
             _largest(coverage) * cell_km2,
             norm=norm,
@@ -62,7 +62,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
             extent=(area.west_m, area.east_m, area.south_m, area.north_m),
             interpolation="nearest",
         )
-        row, col = candidates.grid.row_col(coverage.viewpoints)
+        row, col = candidates.row_col(coverage.viewpoints)
         axis.plot(
             columns_m[col],
             rows_m[row],
@@ -72,7 +72,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
             markeredgewidth=0.3,
             markersize=4.0,
         )
-        draw_bearings(axis, candidates.field.frame, area)
+        draw_bearings(axis, plan.field.frame, area)
         axis.set_title(
             f"heading {heading}, {HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
             f"cover {coverage.fraction():.1%}",
@@ -85,7 +85,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
 
 def _largest(coverage: "Coverage") -> Float64Array:
     """Return the size of the largest area that holds each candidate (rows, cols), NaN for none."""
-    grid = coverage.grid
+    grid = coverage.candidates
     sizes = np.count_nonzero(coverage.areas, axis=(1, 2))
     largest = np.zeros(np.pad(grid.valid, grid.reach).shape)
     for row, col, area, size in zip(

@@ -30,12 +30,12 @@ def polyline_vertices(
     Douglas-Peucker with the vertical distance, all curves at once: each round splits every
     segment that misses its curve by more than the tolerance at the column it misses most. The
     first and last column of every run of finite samples are vertices, so a gap splits the
-    polyline and each run is held to the tolerance on its own.
+    polyline and the tolerance holds in each run on its own.
 
-    Where a curve has more than ``max_vertices``, the ones with the greatest significance stay:
-    the miss that made the vertex, but never more than that of the vertex whose segment it
-    splits, so what stays is the polyline of a coarser tolerance (and misses the curve by more
-    than the one asked for). The ends of runs come first, those of longer runs before others.
+    Where a curve has more than ``max_vertices``, the most significant stay. The significance of a
+    vertex is the miss that made it, but never more than that of the vertex whose segment it
+    splits: the rest is the polyline of a coarser tolerance. The ends of runs come first, those of
+    longer runs before others.
 
     Raises `InputError` where the tolerance is not a finite number of at least 0, or
     ``max_vertices`` is below 2.
@@ -139,7 +139,7 @@ def _worst_miss(
     miss = np.abs(flat[at] - flat[left][segment] - slope[segment] * step)
     worst = np.maximum.reduceat(miss, start)
     hit = np.flatnonzero(miss == worst[segment])
-    # The leftmost of equals.
+    # Of equal misses the leftmost.
     hit = hit[np.diff(segment[hit], prepend=-1) > 0]
     return worst, at[hit]
 

@@ -7,18 +7,15 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError, StoreMismatchError
-from skyline.paper.candidates import Spacing
-from skyline.paper.plan import PlanConfig
-from skyline.paper.planned import build_planned
+from skyline.paper.plan import PlanConfig, build_planned
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 
-SMALL = Spacing(coarse_m=400.0, candidate_m=100.0, reach_m=200.0)
 NARROW = RenderConfig(width=64)
 
 
 def planned(strategy, **options):
-    return PlanConfig(strategy, SMALL, threshold_px=1.0, coverage=0.9, **options)
+    return PlanConfig(strategy, 400.0, 100.0, threshold_px=1.0, coverage=0.9, **options)
 
 
 @pytest.fixture(scope="module")
@@ -34,20 +31,23 @@ def rows_of(path):
 
 @pytest.mark.parametrize("strategy", ["lpov", "rov"])
 def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
-    result = build_planned(valley, tmp_path / "s.h5", planned(strategy), config=NARROW)
-    assert result.plan.coverage >= 0.9
-    proof = result.verification
-    assert proof.predicted == result.plan.coverage
+    path = tmp_path / "s.h5"
+    built, plan, proof = build_planned(valley, path, planned(strategy), config=NARROW)
+    assert plan.coverage >= 0.9
+    assert proof.predicted == plan.coverage
     assert 0.5 < proof.low <= proof.share <= proof.high <= 1.0
-    places = rows_of(tmp_path / "s.h5")
-    assert len(places) == len(set(places)) == result.built.rows
+    places = rows_of(path)
+    assert len(places) == len(set(places)) == built.rows
 
 
 def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):
     path = tmp_path / "s.h5"
 
-    def stop(now):
-        if now.batches == 3:
+    batches = []
+
+    def stop(share, of):
+        batches.append(share)
+        if len(batches) == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -62,20 +62,18 @@ def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):
 
 
 def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
-    far = PlanConfig("lpov", Spacing(1000.0, 100.0, 500.0), threshold_px=1.0, coverage=0.9)
+    far = PlanConfig("lpov", 1000.0, 100.0, threshold_px=1.0, coverage=0.9)
     plain = np.zeros((50, 50), dtype=np.float32)
     across = np.abs(np.arange(50) - 24.5) * 40.0
     crests = fractal(50, 50, relief_m=300.0, seed=3)
     walls = (np.clip(across - 60.0, 0.0, 400.0) / 400.0 * (500.0 + crests)).astype(np.float32)
     renderings = [
-        build_planned(
-            field_of(heights, 40.0), tmp_path / f"{name}.h5", far, config=NARROW
-        ).built.rows
+        build_planned(field_of(heights, 40.0), tmp_path / f"{name}.h5", far, config=NARROW)[0].rows
         for name, heights in (("plain", plain), ("valley", walls))
     ]
     few, many = renderings
-    # Areas reach 500 m to every side, so 2 km square are four of them in each of four headings.
-    assert few <= 4 * 32
+    # Areas reach 300 m to every side, so 2 km square are 12 of them in each of four headings.
+    assert few <= 4 * 48
     assert many > 3 * few
 
 
@@ -88,20 +86,20 @@ def test_seeds_decide_and_nothing_else(valley, tmp_path):
 
 
 def test_command_line(dem, run, tmp_path):
-    told = run(
+    done = run(
         *("render", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--grid", 1000),
         *("--candidate-spacing", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
         *("--map", tmp_path / "map.png"),
     )
-    assert told.code == 0, told.err
+    assert done.code == 0, done.err
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    assert "verified by rendering" in told.out
+    assert "verified by rendering" in done.out
     facts = json.loads(run("info", tmp_path / "s.h5", "--json").out)
     assert facts["config"]["planner"] == "lpov"
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--planner", "best"], "strategy is 'best'"),
         (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
@@ -110,10 +108,10 @@ def test_command_line(dem, run, tmp_path):
         (["--planner", "lpov", "--grid", 50_000], "larger than the area"),
     ],
 )
-def test_bad_plans_are_refused(dem, run, tmp_path, options, said):
-    told = run("render", dem, "-o", tmp_path / "s.h5", *options)
-    assert told.code == 2
-    assert said in told.err
+def test_bad_plans_are_refused(dem, run, tmp_path, options, message):
+    done = run("render", dem, "-o", tmp_path / "s.h5", *options)
+    assert done.code == 2
+    assert message in done.err
     assert not (tmp_path / "s.h5").exists()
 
 

@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import Profiles
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays, level
-from skyline.paper.alignment import align_curves
+from skyline.paper.affine import align_curves
 from skyline.paper.chamfer import chamfer_px
 from skyline.paper.matcher import PaperMatcher
 from skyline.store.keypoints import polyline_keypoints
@@ -175,7 +175,7 @@ def test_alignment_recovers_a_small_affine_map():
         y = (height - true[1, 0] * x - true[1, 2]) / true[1, 1]
     start = np.array([[[1.0, 0.0, 22.0], [0.0, 1.0, -1.0]]])
     points = np.stack([x, y], axis=1)
-    found = align_curves(start, points, np.ones(200), stored[np.newaxis], bin_px, 4.0)[0]
+    found = align_curves(start, points, np.ones(200), stored[np.newaxis], bin_px)[0]
     moved = points @ found[:, :2].T + found[:, 2]
     height = np.interp(moved[:, 0] / bin_px + bins // 2, np.arange(bins), stored)
     assert np.sqrt(np.mean((moved[:, 1] - height) ** 2)) < 0.05

@@ -5,50 +5,42 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.paper.candidates import Spacing, lay_out
-from skyline.paper.coverage import CandidateGrid, Coverage, Problem
-from skyline.paper.plan import PlanConfig, plan
-from skyline.paper.strategies import STRATEGIES
+from skyline.paper import plan as planning
+from skyline.paper import verify
+from skyline.paper.coverage import Candidates, Coverage
+from skyline.paper.plan import PlanConfig, lay_out, plan
+from skyline.paper.strategies import STRATEGIES, Problem
 from skyline.paper.verify import verify_coverage, wilson_interval
 from skyline.skylines import Views
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 REACH = 4
-SPACING = Spacing(coarse_m=300.0, candidate_m=30.0, reach_m=120.0)
+SPACING = {"coarse_m": 300.0, "candidate_m": 30.0}
 
 
-def disc(radius):
-    """Errors of one view: the distance from it in candidates, 3 px at ``radius``."""
-    step = np.arange(-REACH, REACH + 1)
-    return (3.0 * np.hypot(step[:, None], step) / radius).astype(np.float32)
+def disc(radius, reach=REACH):
+    """The tolerance area of a view: a disc about it."""
+    step = np.arange(-reach, reach + 1)
+    return np.hypot(step[:, None], step) <= radius
 
 
-class Discs:
-    """An area model that is always right: every area is a disc."""
-
-    def __init__(self, radius):
-        self.errors = disc(radius)
-
-    def predict_errors(self, candidates):
-        return np.broadcast_to(self.errors, (len(candidates), *self.errors.shape))
+def candidates_of(valid):
+    rows, cols = (np.arange(count, dtype=np.float64) for count in valid.shape)
+    return Candidates(valid, cols, -rows, REACH)
 
 
 def follow(name, valid, radius=3.0, target=0.95, seed=0):
     """Run a strategy to its end, as the loop does; return the coverage."""
-    coverage = Coverage(CandidateGrid(valid, REACH))
-    model = Discs(radius)
-    problem = Problem(coverage, model.predict_errors, 3.0, target, valid)
+    coverage = Coverage(candidates_of(valid))
+
+    def discs(candidates):
+        return np.broadcast_to(disc(radius), (len(candidates), *disc(radius).shape))
+
+    problem = Problem(coverage, valid, target, discs)
     first = np.flatnonzero(valid)[:1]
-    coverage.add(first, model.predict_errors(first) <= 3.0)
-    requests = STRATEGIES[name](problem, np.random.default_rng(seed))
-    batch = next(requests, None)
-    while batch is not None:
-        errors = model.predict_errors(batch)
-        coverage.add(batch, errors <= 3.0)
-        try:
-            batch = requests.send(errors)
-        except StopIteration:
-            break
+    coverage.add(first, discs(first))
+    for asked in STRATEGIES[name](problem, np.random.default_rng(seed)):
+        coverage.add(asked, discs(asked))
     return coverage
 
 
@@ -75,8 +67,8 @@ def test_seeds_decide(name, holed):
 
 
 def test_overlap_counts_inclusions_less_covered_locations():
-    coverage = Coverage(CandidateGrid(np.ones((9, 9), dtype=bool), REACH))
-    area = disc(1.0) <= 3.0
+    coverage = Coverage(candidates_of(np.ones((9, 9), dtype=bool)))
+    area = disc(1.0)
     coverage.add(np.array([40, 41]), np.stack([area, area]))
     assert coverage.overlap == 2 * 5 - 8
     assert coverage.fraction() == pytest.approx(8 / 81)
@@ -96,7 +88,7 @@ def test_a_simulated_run_reaches_its_coverage():
 
 
 def views_at(viewpoints, heading):
-    """Views whose skylines say where and which way they look."""
+    """Views whose skylines depend on where they are."""
     count = len(viewpoints)
     tan = np.tile((viewpoints.easting_m % 7.0)[:, None], 8).astype(np.float32)
     return Views(
@@ -128,40 +120,59 @@ def terrain():
     return field_of(heights, 30.0)
 
 
-def run_plan(terrain, render, name="lpov", **options):
-    measure = lambda views: np.broadcast_to(disc(3.0), (len(views), 9, 9))  # noqa: E731
-    config = PlanConfig(name, SPACING, coverage=0.9, **options)
-    return plan(terrain, render, measure, config)
+@pytest.fixture(autouse=True)
+def discs(monkeypatch):
+    """Every view's tolerance area is a disc of three candidates."""
+
+    def errors(points, *_, size, **__):
+        return np.broadcast_to(np.where(disc(3.0, size // 2), 0.0, 9.0), (len(points), size, size))
+
+    monkeypatch.setattr(planning, "tolerance_errors_px", errors)
 
 
-def chosen(done):
-    return [one.viewpoints.tolist() for one in done.coverages]
+def run_plan(terrain, render, name="lpov"):
+    return plan(terrain, render, PlanConfig(name, **SPACING, coverage=0.9))
 
 
 def test_squares_and_headings_go_in_step(terrain):
     render = Renderer()
     done = run_plan(terrain, render)
-    assert sum(render.batches) == done.progress.renderings
+    assert len(render.batches) == done.batches
+    assert sum(render.batches) == len(done.views)
     assert np.mean(render.batches) > 16
 
 
-def test_holes_and_the_border_are_never_chosen(terrain):
-    done = run_plan(terrain, Renderer())
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_holes_and_the_border_are_never_chosen(terrain, name):
+    done = run_plan(terrain, Renderer(), name)
+    assert done.coverage >= 0.9
     for one in done.coverages:
-        eyes = done.candidates.viewpoints(one.viewpoints)
+        eyes = done.viewpoints(one.viewpoints)
         row, col = terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
         assert ((row >= 1) & (row <= 58) & (col >= 1) & (col <= 58)).all()
         assert not ((row > 19) & (row < 25) & (col > 19) & (col < 40)).any()
 
 
 @pytest.mark.parametrize(("true_px", "share"), [(1.0, 1.0), (9.0, 0.0)])
-def test_verification_says_what_share_holds(terrain, true_px, share):
+def test_verification_says_what_share_holds(terrain, monkeypatch, true_px, share):
+    compared = []
+
+    def errors(stored, rendered):
+        assert (stored.heading == rendered.heading).all()
+        apart = np.stack(
+            [stored.easting_m - rendered.easting_m, stored.northing_m - rendered.northing_m]
+        )
+        compared.append(np.abs(apart).max())
+        return np.full(len(stored), true_px)
+
+    monkeypatch.setattr(verify, "true_errors_px", errors)
     done = run_plan(terrain, Renderer())
-    errors = lambda stored, rendered: np.full(len(stored), true_px)  # noqa: E731
-    proof = verify_coverage(done, Renderer(), errors, sample=50)
+    proof = verify_coverage(done, Renderer(), sample=50)
     assert proof.share == share
     assert proof.low - 1e-9 <= share <= proof.high + 1e-9
     assert proof.verified == share * done.coverage
+    # A location is compared with views that hold it in their areas.
+    assert compared[0] <= 3 * 30.0
 
 
 def test_wilson_interval_against_a_published_value():
@@ -177,9 +188,13 @@ def test_wilson_interval_against_a_published_value():
         (lambda t: PlanConfig(coverage=1.1), "coverage is 1.1"),
         (lambda t: PlanConfig(threshold_px=0.0), "threshold is 0.0"),
         (lambda t: PlanConfig(strategy="best"), "strategy is 'best'"),
-        (lambda t: Spacing(coarse_m=110.0), "no whole multiple"),
-        (lambda t: lay_out(t, Spacing(coarse_m=50_000.0)), "larger than the area"),
-        (lambda t: lay_out(t, SPACING, (620.0, -700.0, 1150.0, -640.0)), "can be stood on"),
+        (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
+        (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
+        (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
+        (
+            lambda t: lay_out(t, PlanConfig(**SPACING), (620.0, -700.0, 1150.0, -640.0)),
+            "can be stood on",
+        ),
     ],
 )
 def test_bad_input_is_refused(terrain, make, said):

@@ -1,4 +1,4 @@
-"""The measure that predictions are held to, and the fit of a warp behind it."""
+"""True errors between skylines after the best warp, and the fit of that warp."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.paper.reprojection import IDENTITY
-from skyline.paper.true_errors import MAX_CHANGE, block_means, fitted_warps, true_errors_px
+from skyline.paper.verify import MAX_CHANGE, block_means, fitted_warps, true_errors_px
 
 PX = 2.0 / WIDTH
 

@@ -5,8 +5,7 @@ import pytest
 from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
-from skyline.errors import InputError
-from skyline.paper.reprojection import PREDICTORS, ToleranceMeter
+from skyline.paper.reprojection import skyline_points_m, tolerance_errors_px
 from skyline.terrain.heightfield import ground_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -21,8 +20,20 @@ def plateau(easting, northing):
     return np.where(easting > 1000.0, np.nan, np.where(northing > 2000.0, 50.0, 0.0))
 
 
-def view_at(heading=0, depth_m=1500.0, east=990.0, north=1990.0):
+def view_at(heading=0, depth_m=1500.0, east=999.0, north=1999.0):
     return views_of(mountains(U), depth_m, heading, east, north, eye=2.0)
+
+
+def errors_around(views, ground, size, spacing_m):
+    return tolerance_errors_px(
+        skyline_points_m(views),
+        views,
+        views.heading,
+        ground,
+        size=size,
+        spacing_m=spacing_m,
+        width=views.width,
+    )
 
 
 def test_rows_go_south_and_columns_east():
@@ -32,7 +43,7 @@ def test_rows_go_south_and_columns_east():
         asked[:] = easting.reshape(4, 4), northing.reshape(4, 4)
         return level(easting, northing)
 
-    ToleranceMeter(ground, 4, 25.0)(view_at(east=0.0, north=0.0))
+    errors_around(view_at(east=0.0, north=0.0), ground, 4, 25.0)
     east, north = asked
     np.testing.assert_array_equal(east[0], [-50.0, -25.0, 0.0, 25.0])
     np.testing.assert_array_equal(north[:, 0], [50.0, 25.0, 0.0, -25.0])
@@ -40,20 +51,21 @@ def test_rows_go_south_and_columns_east():
 
 @pytest.mark.parametrize("heading", range(4))
 def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
-    meter = ToleranceMeter(plateau, 5, 20.0, PREDICTORS["non-affine"])
-    errors = meter(view_at(heading))[0]
+    depth_m = np.where(U < 0.0, 1000.0, 3000.0)
+    errors = errors_around(view_at(heading, depth_m), plateau, 5, 2.0)[0]
     assert np.isinf(errors[:, 3:]).all()
     assert np.isfinite(errors[:, :3]).all()
-    # 50 m up moves the skyline by a thirtieth of the image plane at least.
-    assert (errors[:2, 1:3] > 50.0 / 1500.0 * WIDTH / 2.0 - 0.1).all()
+    # 50 m up, Equation 4 at the mean depth misses both halves.
+    missed = 50.0 * (1 / 1000 - 1 / 3000) / 2.0 * WIDTH / 2.0
+    np.testing.assert_allclose(errors[:2, :3], missed, rtol=0.1)
+    assert (errors[2:, :3] < 0.3).all()
     assert errors[2, 2] == 0.0
     assert errors.dtype == np.float32
 
 
 @pytest.mark.parametrize("heading", range(4))
 def test_moving_towards_the_mountains_is_along_the_heading(heading):
-    meter = ToleranceMeter(level, 3, 400.0, PREDICTORS["affine-mean"])
-    errors = meter(view_at(heading, depth_m=300.0))[0]
+    errors = errors_around(view_at(heading, depth_m=300.0), level, 3, 400.0)[0]
     north, east, south, west = errors[0, 1], errors[1, 2], errors[2, 1], errors[1, 0]
     around = np.roll([north, east, south, west], -heading)
     # Ahead of the view the mountains are passed.
@@ -61,9 +73,8 @@ def test_moving_towards_the_mountains_is_along_the_heading(heading):
 
 
 def test_farther_mountains_tolerate_more():
-    meter = ToleranceMeter(level, 9, 60.0)
     views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [6000.0]] * (1.0 + 0.3 * U), eye=2.0)
-    near, far = (meter(views) <= 1.0).sum(axis=(1, 2))
+    near, far = (errors_around(views, level, 9, 60.0) <= 1.0).sum(axis=(1, 2))
     assert 1 <= near < far <= 81
 
 
@@ -80,20 +91,11 @@ def test_far_mountains_tolerate_every_move_and_near_ones_few():
     for radius_m in (400.0, 8000.0):
         field = bowl(radius_m)
         views = oracle.skyline(field, stand_on(field, easting_m=0.0, northing_m=0.0), 128)
-        meter = ToleranceMeter(ground_of(field), 11, 25.0)
-        sizes.append((meter(views) <= 1.5).sum(axis=(1, 2)))
+        errors = errors_around(views, ground_of(field), 11, 25.0)
+        sizes.append((errors <= 1.5).sum(axis=(1, 2)))
     assert (sizes[1] == 121).all()
     assert (sizes[0] < 100).all()
 
 
 def test_a_location_alone_is_its_own_neighbourhood():
-    meter = ToleranceMeter(level, 1, 30.0)
-    np.testing.assert_array_equal(meter(view_at()), [[[0.0]]])
-
-
-def test_bad_settings_say_what_is_wrong():
-    with pytest.raises(InputError, match="0 locations wide; expected 1"):
-        ToleranceMeter(level, 0)
-    for pitch in (0.0, -3.0, np.nan, np.inf):
-        with pytest.raises(InputError, match=r"spacing of .* m; expected a positive"):
-            ToleranceMeter(level, 10, pitch)
+    np.testing.assert_array_equal(errors_around(view_at(), level, 1, 30.0), [[[0.0]]])

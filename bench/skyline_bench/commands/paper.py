@@ -1,9 +1,9 @@
-"""The paper's tables: its simulation (Table 1), and its predictors held to renderings.
+"""The paper's tables: its simulation (Table 1), and its predictors compared with renderings.
 
-Of the simulation (section 5.1) its strategies are compared by (A), the viewpoints rendered, corners
-included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. No
-strategy can do with fewer viewpoints than the locations to cover over the mean area of its views;
-``bound`` is that number.
+The simulation (section 5.1) compares the strategies by (A), the viewpoints rendered, corners
+included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. A
+strategy needs at least as many viewpoints as there are locations to cover over the mean area of its
+views; ``bound`` is that number.
 """
 
 import logging
@@ -17,9 +17,9 @@ from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.paper.reprojection import PREDICTORS, displacements_m
+from skyline.paper.reprojection import WARPS, displacements_m, errors_px, skyline_points_m
 from skyline.paper.strategies import STRATEGIES
-from skyline.paper.true_errors import true_errors_px
+from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.skylines import Views
 from skyline.terrain.dem import DemOptions, read_dem
@@ -27,7 +27,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row
-from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
+from skyline_bench.truth.simulation import PAPERS_FIGURES, TABLE_1, Run, Simulation, simulate
 
 _log = logging.getLogger(__name__)
 
@@ -39,16 +39,17 @@ def table1(
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
-    """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
+    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy, there and here."""
     rows = measure_table1(min(seeds, 1) if quick else seeds)
-    columns = "row strategy A A_std B mean_area bound seconds"
+    columns = "row strategy paper_A A A_std paper_B B mean_area bound seconds"
     options.report(json_file, "table1", rows, columns)
 
 
 def measure_table1(seeds: int) -> list[dict[str, Any]]:
     """Run the strategies on the three rows, each with seeds 0, 1, ...
 
-    Return for each row and strategy: ``row``, ``strategy``, means over seeds of ``A``, ``B``,
+    Return for each row and strategy: ``row``, ``strategy``, the paper's figures ``paper_A`` and
+    ``paper_B``, means over seeds of ``A``, ``B``,
     ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage`` (reached),
     standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``, and ``bound``,
     ``asked * 10000 / mean_area``.
@@ -61,8 +62,11 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
         for name, strategy in STRATEGIES.items():
             runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
             measured = _summary(runs)
-            bound = row.coverage * simulation.grid.valid.size / measured["mean_area"]
-            rows.append({"row": number, "strategy": name, **measured, "bound": bound})
+            bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
+            papers = dict(
+                zip(("paper_A", "paper_B"), PAPERS_FIGURES[number - 1][name], strict=True)
+            )
+            rows.append({"row": number, "strategy": name, **papers, **measured, "bound": bound})
     return rows
 
 
@@ -112,7 +116,7 @@ def prediction_quality(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Predictors against renderings: which displaced views look alike."""
+    """Reprojection errors compared with renderings: which displaced views look alike."""
     setup = QualitySetup(viewpoints=8 if quick else 200, seed=seed)
     rows = measure_quality(read_dem(dem, DemOptions(crs=crs)), setup)
     columns = "predictor precision recall rank_correlation answered"
@@ -131,7 +135,7 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     true_px = true_errors_px(stored[np.repeat(np.arange(len(stored)), moves)], there)
     shape = (len(stored), moves)
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
-    moved = displacements_m(stored, *(part.reshape(shape) for part in eyes_m))
+    moved = displacements_m(stored, stored.heading, *(part.reshape(shape) for part in eyes_m))
     return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
@@ -145,11 +149,12 @@ def measure_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
     """
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
-    return [_row(name, pairs, setup) for name in PREDICTORS]
+    return [_row(name, pairs, setup) for name in WARPS]
 
 
 def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> Row:
-    errors = PREDICTORS[name].errors_px(pairs.views, pairs.displacements_m)
+    points = skyline_points_m(pairs.views)
+    errors = errors_px(points, pairs.displacements_m, pairs.views.width, WARPS[name])
     claimed, alike = errors <= setup.threshold_px, pairs.true_px <= setup.threshold_px
     right = claimed & alike
     precision, precision_interval = _share(right, claimed, setup.seed)

@@ -18,8 +18,7 @@ from skyline.build.spacing import lost_shares
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
-from skyline.paper.plan import PlanConfig
-from skyline.paper.planned import build_planned
+from skyline.paper.plan import PlanConfig, build_planned
 from skyline.store import open_store
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.store.places import Places

@@ -1,16 +1,78 @@
-"""Least-squares alignment of a curve to many others by an affine map.
+"""Section 3, matching: the affine map between two skylines.
 
-RANSAC's map rests on keypoints, whose place along a smooth skyline is uncertain by several px;
-the whole curve then says where it fits best. Without this the distance after warping measures
-RANSAC's luck more than the likeness of the skylines.
+RANSAC finds the map that most correspondences agree on. It rests on keypoints, whose place along a
+smooth skyline is uncertain by several px; the whole curve then says where it fits best. Without
+that the distance after warping measures RANSAC's luck more than the likeness of the skylines.
 """
 
+import cv2
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 
-_ROUNDS = 6
+INLIER_PX = 4.0
+"""A correspondence agrees with a map that puts its point this near."""
+
+_RANSAC_ROUNDS = 100
+
+_MIN_INLIERS = 3
+"""Fewer correspondences define no affine map."""
+
+_MAX_SCALE = 1.25
+"""Singular values of a map lie between 1 / 1.25 and 1.25."""
+
+_MAX_TURN_DEG = 15.0
+
+_ALIGN_ROUNDS = 6
 _DAMPING = 1e-3
+
+
+def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> Float64Array:
+    """Return the affine maps that most correspondences agree on, by OpenCV's RANSAC.
+
+    Points of a low skyline lie nearly on a line, which leaves the action of an affine map across
+    it open. Where the affine map is not plausible the similarity is taken that most agree on.
+
+    Parameters
+    ----------
+    source : (P, 2) float64
+    target : (F, P, 2) float64
+        The points in each of F sets of correspondences.
+    used : (F, P) bool
+        Which correspondences there are; target may be NaN where there is none.
+
+    Returns
+    -------
+    (F, 2, 3) float64
+        NaN where no plausible map is found.
+    """
+    maps = np.full((len(target), 2, 3), np.nan)
+    for estimate in (cv2.estimateAffine2D, cv2.estimateAffinePartial2D):
+        for row in np.flatnonzero(~plausible(maps) & (used.sum(axis=1) >= _MIN_INLIERS)):
+            found, _ = estimate(
+                source[used[row]],
+                target[row, used[row]],
+                method=cv2.RANSAC,
+                ransacReprojThreshold=INLIER_PX,
+                maxIters=_RANSAC_ROUNDS,
+            )
+            if found is not None:
+                maps[row] = found
+    maps[~plausible(maps)] = np.nan
+    return maps
+
+
+def plausible(maps: Float64Array) -> BoolArray:
+    """Return which maps (F, 2, 3) neither mirror nor turn nor scale too much; NaN is none."""
+    linear = np.nan_to_num(maps[..., :2])
+    scale = np.linalg.svd(linear, compute_uv=False)
+    turn_deg = np.degrees(np.arctan2(linear[..., 1, 0], linear[..., 0, 0]))
+    return np.asarray(
+        (np.linalg.det(linear) > 0.0)
+        & (scale[..., 0] <= _MAX_SCALE)
+        & (scale[..., 1] >= 1.0 / _MAX_SCALE)
+        & (np.abs(turn_deg) <= _MAX_TURN_DEG)
+    )
 
 
 def align_curves(
@@ -19,12 +81,11 @@ def align_curves(
     weight: Float64Array,
     y_px: Float32Array,
     bin_px: float,
-    outlier_px: float,
 ) -> Float64Array:
     """Return better affine maps (C, 2, 3) from one curve to each of C closed curves.
 
     Damped Gauss-Newton on the vertical distance between the warped points and the curve at the
-    azimuth they land on. A point farther off than about ``outlier_px`` counts less and less.
+    azimuth they land on. A point farther off than about `INLIER_PX` counts less and less.
 
     Parameters
     ----------
@@ -36,8 +97,6 @@ def align_curves(
         The other curves, over a whole turn.
     bin_px : float
         Width of a bin.
-    outlier_px : float
-        Scale of the Cauchy weights.
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)
@@ -46,7 +105,7 @@ def align_curves(
     begin = np.arange(count)[:, np.newaxis] * (bins + 1)
     homogeneous = np.concatenate([points_px, np.ones((len(points_px), 1))], axis=1)
     affine = affine.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(_ALIGN_ROUNDS):
         x, y = np.moveaxis(np.nan_to_num(affine) @ homogeneous.T, 1, 0)
         position = x / bin_px + bins // 2
         position -= bins * np.floor(position / bins)
@@ -59,7 +118,7 @@ def align_curves(
         miss = y - there
         usable = np.isfinite(miss) & np.isfinite(steepness)
         miss, steepness = np.where(usable, miss, 0.0), np.where(usable, steepness, 0.0)
-        pull = np.where(usable, weight, 0.0) / (1.0 + (miss / outlier_px) ** 2)
+        pull = np.where(usable, weight, 0.0) / (1.0 + (miss / INLIER_PX) ** 2)
         normal, gradient = _normal_equations(pull, steepness, miss, homogeneous)
         diagonal = np.einsum("ckk->ck", normal)
         damping = _DAMPING * diagonal + 1e-9 * (1.0 + diagonal.max(axis=1, keepdims=True))
