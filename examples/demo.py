@@ -25,7 +25,7 @@ from skyline.photo.read import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labelled_panorama import save_panorama
-from skyline.report.pictures import save_depth_pictures
+from skyline.report.plan_pictures import save_depth_pictures
 from skyline.report.reports import matched, report_matches
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

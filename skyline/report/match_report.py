@@ -18,15 +18,14 @@ from skyline.match.records import (
 )
 from skyline.match.results import COLUMNS, columns_of
 from skyline.report.exports import write_geojson
+from skyline.report.figures import encode_figure, unnamed_in_words
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
-from skyline.report.labels import unnamed_in_words
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, most_prominent_first, visible_peaks
-from skyline.report.pictures import encode_figure
-from skyline.report.posed_picture import Panorama, median_gap_deg
 from skyline.report.shapes import Ellipse
+from skyline.report.viewer import Panorama, gap_deg
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
@@ -195,13 +194,13 @@ def _overlay_caption(overlay: Overlay) -> str:
     trusted = 100.0 * float(overlay.query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
     unnamed = unnamed_in_words(overlay.unnamed, "; ")
-    pose = overlay.pose
+    pose = overlay.candidate
     if pose is None or overlay.panorama is None:
         return f"{caption}; no skyline was rendered to compare it with{unnamed}."
-    gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
+    apart_deg = np.median(np.abs(gap_deg(pose, overlay.query, overlay.panorama)))
     return (
-        f"{caption}, and the skyline rendered at {pose_name(pose.candidate)}; they are "
-        f"{gap_deg:.2f}° apart in the median column, up or down{unnamed}."
+        f"{caption}, and the skyline rendered at {pose_name(pose)}; they are "
+        f"{apart_deg:.2f}° apart in the median column, up or down{unnamed}."
     )
 
 

@@ -1,4 +1,4 @@
-"""A query's picture with the skyline found in it, the candidate's rendered one, and peaks."""
+"""A query's picture with its skyline, the skyline rendered at a candidate, and named peaks."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,12 +16,11 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.match.ranking import Candidate
 from skyline.match.records import pose_name
 from skyline.photo.query import QuerySkyline
-from skyline.report.labels import Placed, extent_px, place_labels
+from skyline.report.figures import Placed, encode_figure, extent_px, place_labels
 from skyline.report.peaks import Sighting
-from skyline.report.pictures import encode_figure
-from skyline.report.posed_picture import Panorama, PosedPicture
+from skyline.report.viewer import AROUND, Panorama, peaks_in_picture, pixels_of
 
-FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
+_FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
 _LONGEST_PX, _NARROWEST_PX = 1600.0, 700.0
 _DPI = 100.0
@@ -30,50 +29,40 @@ _LABEL_POINTS = 10.0
 _MOST_ROWS = 6
 _KEY_ROW_PX = 23.0
 _FOUR_KEYS_PX = 1200.0
-_AROUND = 0.52
-"""How far from the middle, in widths, the rendered skyline is drawn: a little beyond the border."""
 _CANVAS_RGB = (239, 241, 238)
 _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """What is drawn over one query's picture."""
+    """One query's picture and the skylines and peaks to draw over it."""
 
     query: QuerySkyline
     photo: UInt8Array | None = None
-    """(H, W, 3) uint8. RGB, of the query's size; None draws on a blank canvas."""
+    """(H, W, 3) uint8 RGB, of the query's size; None draws on a blank canvas."""
     candidate: Candidate | None = None
-    """The pose to draw from."""
+    """The pose at which ``panorama`` and ``sightings`` are seen."""
     panorama: Panorama | None = None
-    """The rendered skyline of the candidate."""
+    """The skyline rendered at the candidate."""
     sightings: Sequence[Sighting] = ()
-    """Peaks that the candidate sees, most important first."""
-
-    @property
-    def pose(self) -> PosedPicture | None:
-        """The picture as the candidate takes it."""
-        if self.candidate is None:
-            return None
-        query = self.query
-        return PosedPicture(query.width_px, query.height_px, self.candidate, query.projection)
+    """Peaks visible from the candidate, the most important first."""
 
     @property
     def unnamed(self) -> int:
-        """How many peaks in the picture have no room for their names."""
+        """Number of peaks in the picture without room for their names."""
         peaks, labels = _place_peaks(self, Figure(dpi=_DPI))
         return len(peaks) - len(labels)
 
     def jpeg(self) -> bytes:
-        """Return the drawn picture, the query's at most 1600 px wide and high in it."""
+        """Return the drawn picture; the query's picture in it is at most 1600 px wide and high."""
         with warnings.catch_warnings():
-            # A name in a script that the font lacks is drawn as boxes; that is worth no warning.
+            # Letters that the font lacks are drawn as boxes, which needs no warning.
             warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
             return encode_figure(_draw(self), "jpeg", _DPI)
 
 
 def _scale(query: QuerySkyline) -> float:
-    """Return the drawn picture's pixels a pixel of the query's."""
+    """Return the size of the query's pixels in the drawn picture, in its pixels."""
     return min(
         _LONGEST_PX / max(query.width_px, query.height_px),
         max(1.0, _NARROWEST_PX / query.width_px),
@@ -83,14 +72,15 @@ def _scale(query: QuerySkyline) -> float:
 def _place_peaks(
     overlay: Overlay, figure: Figure
 ) -> tuple[list[tuple[str, float, float]], list[Placed]]:
-    """Return the peaks in the drawn picture, label, column and row each, and their labels."""
-    pose, scale = overlay.pose, _scale(overlay.query)
+    """Return the peaks in the drawn picture (label, column, row) and the labels that have room."""
+    query, pose, scale = overlay.query, overlay.candidate, _scale(overlay.query)
     peaks: list[tuple[str, float, float]] = []
-    for sighting, *place_px in [] if pose is None else pose.peaks(overlay.sightings):
-        column, row = _drawn(place_px, scale).tolist()
-        peaks.append((sighting.label, column, row))
+    if pose is not None:
+        for sighting, *place_px in peaks_in_picture(pose, query, overlay.sightings):
+            column, row = _drawn(place_px, scale).tolist()
+            peaks.append((sighting.label, column, row))
     widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
-    width = max(8.0, overlay.query.width_px * scale)
+    width = max(8.0, query.width_px * scale)
     return peaks, place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
 
 
@@ -120,7 +110,7 @@ def _draw(overlay: Overlay) -> Figure:
     axis.plot(
         _drawn(np.arange(query.width_px), scale),
         _drawn(query.row_px, scale),
-        color=FOUND_COLOUR,
+        color=_FOUND_COLOUR,
         linewidth=1.6,
         path_effects=_HALO,
         label="skyline found in the query",
@@ -133,7 +123,7 @@ def _draw(overlay: Overlay) -> Figure:
 
 
 def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
-    """Turn pixel centres of the query to coordinates of the drawn picture."""
+    """Convert pixel centres of the query to coordinates of the drawn picture."""
     return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
 
 
@@ -154,15 +144,15 @@ def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -
 
 
 def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
-    """Draw the rendered skyline, dotted where the data's border may hide what is farther."""
-    pose = overlay.pose
+    """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
+    query, pose = overlay.query, overlay.candidate
     if pose is None or overlay.panorama is None:
         return
-    panorama = overlay.panorama.from_azimuth(pose.candidate.grid_heading_deg + 180.0)
-    column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
-    near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
+    panorama = overlay.panorama.facing(pose.grid_heading_deg)
+    column, row = pixels_of(pose, query, panorama.azimuth_deg, panorama.elevation_tan)
+    near = np.abs(column - query.width_px / 2.0) <= AROUND * query.width_px
     for sure, style, label in (
-        (True, "-", f"skyline rendered at {pose_name(pose.candidate)}"),
+        (True, "-", f"skyline rendered at {pose_name(pose)}"),
         (False, ":", "the same, where the elevation data end"),
     ):
         drawn = near & (panorama.is_sure == sure)
@@ -171,7 +161,7 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
                 _drawn(column, scale),
                 np.where(drawn, _drawn(row, scale), np.nan),
                 style,
-                color=RENDERED_COLOUR,
+                color=_RENDERED_COLOUR,
                 linewidth=1.5,
                 path_effects=_HALO,
                 label=label,

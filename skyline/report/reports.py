@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from skyline import report
 from skyline.match.matcher import Matcher
 from skyline.match.rendered_scene import RenderedScene
 from skyline.match.results import MatchResult
@@ -42,16 +41,18 @@ def report_matches(
     InputError
         A file cannot be written.
     """
+    from skyline.report.match_report import write_match_report  # noqa: PLC0415  (slow to load)
+
     frame, places, told = matcher.frame, matcher.viewpoints, list(matches)
     made_by = f"skyline {package_version()}"
     if terrain is None:
-        return report.write_match_report(folder, told, Surroundings(frame, places), made_by)
+        return write_match_report(folder, told, Surroundings(frame, places), made_by)
     curvature = curvature_of(matcher.header)
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
     scene = RenderedScene(terrain, config, matcher.render_thread)
     try:
         around = Surroundings(frame, places, terrain, scene.render, peaks, curvature)
-        return report.write_match_report(folder, told, around, made_by)
+        return write_match_report(folder, told, around, made_by)
     finally:
         scene.release()
 

@@ -14,11 +14,12 @@ from scenes import candidate_at, field_of, fractal
 from skyline.build.grid import uniform_grid
 from skyline.geodesy import Frame
 from skyline.photo.query import QuerySkyline
-from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.report.maps import Area, draw_bearings
+from skyline.report.match_report import write_match_report
+from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
-from skyline.report.peaks import Sighting
-from skyline.report.posed_picture import Panorama, PosedPicture, median_gap_deg
-from skyline.report.relief import Area, draw_bearings
+from skyline.report.peaks import Peaks, Sighting
+from skyline.report.viewer import Panorama, directions_of, gap_deg, pixels_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -40,13 +41,13 @@ def render(viewpoints, headings):
 
 
 PANORAMA = Panorama.of(oracle.skyline(FIELD, EYE, 256))
-PICTURE = PosedPicture(WIDTH_PX, HEIGHT_PX, BEST)
+BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
 
 
 def true_query():
     """The query that the best candidate would take, a fifth of its columns masked."""
-    around = PANORAMA.from_azimuth(BEST.grid_heading_deg + 180.0)
-    column, row = PICTURE.pixels(around.azimuth_deg, around.elevation_tan)
+    around = PANORAMA.facing(BEST.grid_heading_deg)
+    column, row = pixels_of(BEST, BLANK, around.azimuth_deg, around.elevation_tan)
     seen = np.isfinite(column)
     order = np.argsort(column[seen])
     row_px = np.interp(np.arange(WIDTH_PX), column[seen][order], row[seen][order])
@@ -68,20 +69,24 @@ def like(image, rgb, within=90):
 
 
 def test_a_picture_s_directions_are_seen_where_they_came_from():
-    azimuth_deg, y = PICTURE.directions(QUERY)
-    column, row = PICTURE.pixels(azimuth_deg, y)
+    azimuth_deg, y = directions_of(BEST, QUERY)
+    column, row = pixels_of(BEST, QUERY, azimuth_deg, y)
     np.testing.assert_allclose(column, np.flatnonzero(QUERY.trusted), atol=1e-8)
     np.testing.assert_allclose(row, QUERY.row_px[QUERY.trusted], atol=1e-8)
 
 
+def median_gap_deg(panorama):
+    return np.median(np.abs(gap_deg(BEST, QUERY, panorama)))
+
+
 def test_the_gap_is_the_angle_between_found_and_rendered():
-    assert median_gap_deg(PICTURE, QUERY, PANORAMA) < 0.02
+    assert median_gap_deg(PANORAMA) < 0.02
     higher = Panorama(
         PANORAMA.azimuth_deg,
         np.tan(np.arctan(PANORAMA.elevation_tan) + np.radians(0.5)),
         PANORAMA.is_sure,
     )
-    assert median_gap_deg(PICTURE, QUERY, higher) == pytest.approx(0.5, abs=0.02)
+    assert median_gap_deg(higher) == pytest.approx(0.5, abs=0.02)
 
 
 def test_the_overlay_draws_both_skylines_where_they_are():
@@ -134,7 +139,7 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     assert band > 15
     text = (named[: band - 8] < 100).all(axis=-1)
     middle = np.flatnonzero(text.any(axis=0)).mean()
-    assert middle == pytest.approx(PICTURE.pixels(BEST.grid_heading_deg, 0.2)[0], abs=10.0)
+    assert middle == pytest.approx(pixels_of(BEST, QUERY, BEST.grid_heading_deg, 0.2)[0], abs=10.0)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (40, 3000), (6000, 60)])

@@ -12,8 +12,8 @@ from shapely import MultiPolygon, Polygon
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.photo.query import QuerySkyline
-from skyline.report import Matched
 from skyline.report.exports import VIEW_REACH_M, export_matches, write_geojson
+from skyline.report.matched import Matched
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
 UTM = Frame.from_crs("EPSG:32632")
