@@ -195,7 +195,7 @@ def test_a_part_of_the_round_has_its_peaks_alone(mountains):
     whole = view_from(field, 150.0, 150.0, peaks)
     part = view_from(field, 150.0, 150.0, peaks, heading_deg=350.0, fov_deg=60.0)
     assert 0 < len(part.sightings) < len(whole.sightings)
-    off = [(one.azimuth_deg + part.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
+    off = [(one.azimuth_deg + part.landscape.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
            for one in part.sightings]  # fmt: skip
     assert np.abs(off).max() <= 30.0
     azimuth = part.landscape.azimuth_deg
