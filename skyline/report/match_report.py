@@ -1,4 +1,4 @@
-"""What a person sees of matches: a folder with one page, its pictures, and GeoJSON."""
+"""Reports of matches: a folder with one page, its pictures, and GeoJSON."""
 
 import datetime
 from collections.abc import Sequence
@@ -17,12 +17,13 @@ from skyline.match.records import (
     pose_name,
 )
 from skyline.match.results import COLUMNS, columns_of
+from skyline.photo.query import QuerySkyline
 from skyline.report.exports import write_geojson
 from skyline.report.figures import encode_figure, unnamed_in_words
-from skyline.report.html import Page, Part, Picture, Section, Table, Text
+from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.matched import Matched, Surroundings
-from skyline.report.overlay import Overlay
+from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, most_prominent_first, visible_peaks
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Panorama, gap_deg
@@ -37,15 +38,15 @@ def write_match_report(
 ) -> Path:
     """Write ``index.html``, its pictures, and ``matches.geojson`` into a folder; return the page.
 
-    The page holds its pictures itself, so that it can be sent as one file. A photo's own
-    position, should it be in its EXIF, does not get into any of them.
+    The pictures are embedded in the page, so that it can be sent as one file. No file repeats the
+    position noted in a photo's EXIF.
 
-    Raises `InputError` where a file cannot be written.
+    Raises `InputError` if a file cannot be written.
 
     Parameters
     ----------
     folder : Path
-        Made if need be; files of the same names are replaced.
+        Created if missing; files of the same names are replaced.
     made_by : str
         The program and its version.
     """
@@ -55,15 +56,15 @@ def write_match_report(
     ]
     lead = _answered(matches) + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-    page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
+    content = page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
     write_geojson(folder / "matches.geojson", matches, surroundings.frame)
     path = folder / "index.html"
-    page.write(path)
+    write_with_folders(path, content)
     return path
 
 
 def _answered(matches: Sequence[Matched]) -> str:
-    """Return how many searches were answered; empty where all poses are a person's."""
+    """Return the number of answered searches in words; empty if all poses were set by hand."""
     searched = [one for one in matches if not one.candidates or one.candidates[0].rank]
     answered = sum(one.is_answered and bool(one.candidates) for one in searched)
     return f"{answered} of {len(searched)} queries answered. " if searched else ""
@@ -84,37 +85,36 @@ def _about(surroundings: Surroundings) -> str:
     )
 
 
-def _section(folder: Path, number: int, matched: Matched, surroundings: Surroundings) -> Section:
+def _section(folder: Path, number: int, matched: Matched, surroundings: Surroundings) -> str:
     best = matched.candidates[0] if matched.candidates else None
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
-    overlay = Overlay(matched.query, matched.photo, best, panorama, sightings)
-    parts: list[Part] = [
-        Text(_result(matched), _kind(matched), None if best is None else _map_link(best)),
-        Picture(
-            _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
-            _overlay_caption(overlay),
+    overlay, unnamed = draw_overlay(matched.query, matched.photo, best, panorama, sightings)
+    caption = _overlay_caption(matched.query, best, panorama, unnamed)
+    parts = [
+        text(_result(matched), _kind(matched), None if best is None else _map_link(best)),
+        figures(
+            [
+                picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
+                *_maps(folder, number, matched.candidates, surroundings, sightings),
+            ]
         ),
-        *_maps(folder, number, matched.candidates, surroundings, sightings),
     ]
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
     claim = claim_in_words(matched.query.noted, best, matched.is_answered, with_place=False)
     beyond = beyond_in_words(None if best is None else best.beyond_share)
-    parts += [Text(said) for said in (claim, beyond) if said]
     done = " ".join(matched.done)
-    parts.append(
-        Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
-    )
-    return Section(matched.name, parts)
+    took = f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": ")
+    return section(matched.name, [*parts, *(text(one) for one in (claim, beyond, took) if one)])
 
 
-def _keep(path: Path, picture: bytes) -> bytes:
-    write_with_folders(path, picture)
-    return picture
+def _keep(path: Path, data: bytes) -> bytes:
+    write_with_folders(path, data)
+    return data
 
 
 def _view_of(best: Candidate, surroundings: Surroundings) -> tuple[Panorama | None, list[Sighting]]:
-    """Render what a candidate sees, as far as there is something to render it with."""
+    """Return the skyline rendered at a candidate and its visible peaks, as far as is possible."""
     eye = surroundings.eye_of(best)
     if eye is None or surroundings.terrain is None:
         return None, []
@@ -136,8 +136,8 @@ def _maps(
     candidates: Sequence[Candidate],
     surroundings: Surroundings,
     sightings: Sequence[Sighting],
-) -> list[Picture]:
-    """Draw all candidates, and the first one from nearby where that shows more."""
+) -> list[str]:
+    """Draw all candidates, and the first from nearby if that shows more."""
     whole = overview_area(candidates, surroundings)
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
@@ -150,7 +150,7 @@ def _maps(
     for name, area, caption in areas:
         figure = draw_match_map(candidates, surroundings, area, sightings)
         data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
-        pictures.append(Picture(data, f"{caption}. The arrow points to true north.", wide=False))
+        pictures.append(picture(data, f"{caption}. The arrow points to true north.", wide=False))
     return pictures
 
 
@@ -178,7 +178,7 @@ def _result(matched: Matched) -> str:
 
 
 def _kind(matched: Matched) -> str:
-    """Return what kind of result is shown; see `Text`."""
+    """Return the kind of the result; see `skyline.report.html.text`."""
     if matched.candidates and matched.candidates[0].rank != 1:
         return "pose"
     return "answer" if matched.candidates and matched.is_answered else "refusal"
@@ -190,25 +190,26 @@ def _map_link(candidate: Candidate) -> tuple[str, str]:
     return address, "On a map."
 
 
-def _overlay_caption(overlay: Overlay) -> str:
-    trusted = 100.0 * float(overlay.query.trusted.mean())
+def _overlay_caption(
+    query: QuerySkyline, pose: Candidate | None, panorama: Panorama | None, unnamed: int
+) -> str:
+    trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
-    unnamed = unnamed_in_words(overlay.unnamed, "; ")
-    pose = overlay.candidate
-    if pose is None or overlay.panorama is None:
-        return f"{caption}; no skyline was rendered to compare it with{unnamed}."
-    apart_deg = np.median(np.abs(gap_deg(pose, overlay.query, overlay.panorama)))
+    without_name = unnamed_in_words(unnamed, "; ")
+    if pose is None or panorama is None:
+        return f"{caption}; no skyline was rendered to compare it with{without_name}."
+    apart_deg = np.median(np.abs(gap_deg(pose, query, panorama)))
     return (
         f"{caption}, and the skyline rendered at {pose_name(pose)}; they are "
-        f"{apart_deg:.2f}° apart in the median column, up or down{unnamed}."
+        f"{apart_deg:.2f}° apart in the median column, up or down{without_name}."
     )
 
 
-def _candidate_table(candidates: Sequence[Candidate]) -> Table:
+def _candidate_table(candidates: Sequence[Candidate]) -> str:
     rows: list[list[object]] = []
     for candidate in candidates:
         ellipse = Ellipse.of(candidate)
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
         rows.append([candidate.rank, *columns_of(candidate), candidate.refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
-    return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
+    return table(columns, rows, "Candidates; headings from true north, a lower score is better")

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -33,32 +32,60 @@ _CANVAS_RGB = (239, 241, 238)
 _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Overlay:
-    """One query's picture and the skylines and peaks to draw over it."""
+def draw_overlay(
+    query: QuerySkyline,
+    photo: UInt8Array | None = None,
+    pose: Candidate | None = None,
+    panorama: Panorama | None = None,
+    sightings: Sequence[Sighting] = (),
+) -> tuple[bytes, int]:
+    """Draw skylines and peaks over a query's picture.
 
-    query: QuerySkyline
-    photo: UInt8Array | None = None
-    """(H, W, 3) uint8 RGB, of the query's size; None draws on a blank canvas."""
-    candidate: Candidate | None = None
-    """The pose at which ``panorama`` and ``sightings`` are seen."""
-    panorama: Panorama | None = None
-    """The skyline rendered at the candidate."""
-    sightings: Sequence[Sighting] = ()
-    """Peaks visible from the candidate, the most important first."""
+    Parameters
+    ----------
+    photo : (H, W, 3) uint8, optional
+        RGB, of the query's size; None draws on a blank canvas.
+    pose : Candidate, optional
+        The pose from which ``panorama`` and ``sightings`` are seen.
+    panorama : Panorama, optional
+        The rendered skyline.
+    sightings : sequence of Sighting
+        Visible peaks, the most important first.
 
-    @property
-    def unnamed(self) -> int:
-        """Number of peaks in the picture without room for their names."""
-        peaks, labels = _place_peaks(self, Figure(dpi=_DPI))
-        return len(peaks) - len(labels)
-
-    def jpeg(self) -> bytes:
-        """Return the drawn picture; the query's picture in it is at most 1600 px wide and high."""
-        with warnings.catch_warnings():
-            # Letters that the font lacks are drawn as boxes, which needs no warning.
-            warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
-            return encode_figure(_draw(self), "jpeg", _DPI)
+    Returns
+    -------
+    bytes, int
+        A JPEG with the query's picture at most 1600 px wide and high, and the number of peaks in
+        the picture without room for their names.
+    """
+    figure = Figure(dpi=_DPI)
+    FigureCanvasAgg(figure)
+    peaks = [] if pose is None else _peaks_drawn(query, pose, sightings)
+    width, height = (max(8.0, side * _scale(query)) for side in (query.width_px, query.height_px))
+    widths = [extent_px(figure, name, _LABEL_POINTS)[0] for name, _, _ in peaks]
+    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    axis = _draw_picture(figure, photo, (width, height), labels)
+    _draw_masked(axis, query, height)
+    if pose is not None and panorama is not None:
+        _draw_rendered(axis, query, pose, panorama)
+    axis.plot(
+        _drawn(query, np.arange(query.width_px)),
+        _drawn(query, query.row_px),
+        color=_FOUND_COLOUR,
+        linewidth=1.6,
+        path_effects=_HALO,
+        label="skyline found in the query",
+    )
+    for label in labels:
+        name, column, row = peaks[label.index]
+        _draw_label(axis, name, label, (column, row))
+    axis.legend(
+        loc="lower left", fontsize=9, frameon=False, ncols=_keys_across(width), borderpad=0.1
+    )
+    with warnings.catch_warnings():
+        # Letters that the font lacks are drawn as boxes, which needs no warning.
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
+        return encode_figure(figure, "jpeg", _DPI), len(peaks) - len(labels)
 
 
 def _scale(query: QuerySkyline) -> float:
@@ -69,66 +96,52 @@ def _scale(query: QuerySkyline) -> float:
     )
 
 
-def _place_peaks(
-    overlay: Overlay, figure: Figure
-) -> tuple[list[tuple[str, float, float]], list[Placed]]:
-    """Return the peaks in the drawn picture (label, column, row) and the labels that have room."""
-    query, pose, scale = overlay.query, overlay.candidate, _scale(overlay.query)
+def _drawn(query: QuerySkyline, pixel: ArrayLike) -> Float64Array:
+    """Convert pixel centres of the query to coordinates of the drawn picture."""
+    return (np.asarray(pixel, dtype=np.float64) + 0.5) * _scale(query)
+
+
+def _peaks_drawn(
+    query: QuerySkyline, pose: Candidate, sightings: Sequence[Sighting]
+) -> list[tuple[str, float, float]]:
+    """Return the label, column and row of each peak in the drawn picture."""
     peaks: list[tuple[str, float, float]] = []
-    if pose is not None:
-        for sighting, *place_px in peaks_in_picture(pose, query, overlay.sightings):
-            column, row = _drawn(place_px, scale).tolist()
-            peaks.append((sighting.label, column, row))
-    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
-    width = max(8.0, query.width_px * scale)
-    return peaks, place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    for sighting, *place_px in peaks_in_picture(pose, query, sightings):
+        column, row = _drawn(query, place_px).tolist()
+        peaks.append((sighting.label, column, row))
+    return peaks
 
 
-def _draw(overlay: Overlay) -> Figure:
-    query, scale = overlay.query, _scale(overlay.query)
-    width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
-    figure = Figure(dpi=_DPI)
-    FigureCanvasAgg(figure)
-    peaks, labels = _place_peaks(overlay, figure)
+def _keys_across(width: float) -> int:
+    """Return the number of the legend's keys side by side."""
+    return 4 if width >= _FOUR_KEYS_PX else 2
+
+
+def _draw_picture(
+    figure: Figure, photo: UInt8Array | None, size_px: tuple[float, float], labels: Sequence[Placed]
+) -> Axes:
+    """Draw the photo, or a blank canvas, between a band of labels and the legend."""
+    width, height = size_px
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )
-    keys_across = 4 if width >= _FOUR_KEYS_PX else 2
-    foot = _KEY_ROW_PX * 4 / keys_across
+    foot = _KEY_ROW_PX * 4 / _keys_across(width)
     figure.set_size_inches(width / _DPI, (height + band + foot) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
     axis.set(xlim=(0.0, width), ylim=(height + foot, -band))
     axis.autoscale(False)
     picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
-    if overlay.photo is not None:
+    if photo is not None:
         size = round(width), max(1, round(height))
-        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
+        picture = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
     axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
-    _draw_masked(axis, query, scale, height)
-    _draw_rendered(axis, overlay, scale)
-    axis.plot(
-        _drawn(np.arange(query.width_px), scale),
-        _drawn(query.row_px, scale),
-        color=_FOUND_COLOUR,
-        linewidth=1.6,
-        path_effects=_HALO,
-        label="skyline found in the query",
-    )
-    for label in labels:
-        text, column, row = peaks[label.index]
-        _draw_label(axis, text, label, (column, row))
-    axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
-    return figure
+    return axis
 
 
-def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
-    """Convert pixel centres of the query to coordinates of the drawn picture."""
-    return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
-
-
-def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -> None:
+def _draw_masked(axis: Axes, query: QuerySkyline, height: float) -> None:
     """Veil the columns in which no skyline is trusted."""
+    scale = _scale(query)
     edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start * scale, (end - start) * scale) for start, end in edges]
     if spans:
@@ -143,12 +156,9 @@ def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -
         )
 
 
-def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
+def _draw_rendered(axis: Axes, query: QuerySkyline, pose: Candidate, panorama: Panorama) -> None:
     """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
-    query, pose = overlay.query, overlay.candidate
-    if pose is None or overlay.panorama is None:
-        return
-    panorama = overlay.panorama.facing(pose.grid_heading_deg)
+    panorama = panorama.facing(pose.grid_heading_deg)
     column, row = pixels_of(pose, query, panorama.azimuth_deg, panorama.elevation_tan)
     near = np.abs(column - query.width_px / 2.0) <= AROUND * query.width_px
     for sure, style, label in (
@@ -158,8 +168,8 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
         drawn = near & (panorama.is_sure == sure)
         if np.isfinite(row[drawn]).any():
             axis.plot(
-                _drawn(column, scale),
-                np.where(drawn, _drawn(row, scale), np.nan),
+                _drawn(query, column),
+                np.where(drawn, _drawn(query, row), np.nan),
                 style,
                 color=_RENDERED_COLOUR,
                 linewidth=1.5,

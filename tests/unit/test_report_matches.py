@@ -17,7 +17,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.report.maps import Area, draw_bearings
 from skyline.report.match_report import write_match_report
 from skyline.report.matched import Matched, Surroundings
-from skyline.report.overlay import Overlay
+from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
 from skyline.report.viewer import Panorama, directions_of, gap_deg, pixels_of
 from skyline.terrain.viewpoints import stand_on
@@ -91,7 +91,7 @@ def test_the_gap_is_the_angle_between_found_and_rendered():
 
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
-    image = pixels(Overlay(QUERY, photo, BEST, PANORAMA).jpeg())
+    image = pixels(draw_overlay(QUERY, photo, BEST, PANORAMA)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
     found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
@@ -103,16 +103,16 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     # Where the found skyline is masked, the rendered one is there alone, and the ground is veiled.
     assert rendered[:450, 215:365].any(axis=0).mean() > 0.8
     assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
-    bare = pixels(Overlay(QUERY, photo, BEST).jpeg())
+    bare = pixels(draw_overlay(QUERY, photo, BEST)[0])
     assert not like(bare, (0, 224, 255)).any()
 
 
 def test_what_has_no_room_for_a_name_is_counted(tmp_path):
     ahead = Sighting("A name", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, azimuth_deg=BEST.grid_heading_deg + 180.0)
-    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).unnamed == 0
+    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[1] == 0
     # A label's leader keeps others from the place above its own.
-    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind]).unnamed == 3
+    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind])[1] == 3
     turn = np.radians(BEST.grid_heading_deg)
     east, north = 1800.0 + 1500.0 * np.sin(turn), 1800.0 + 1500.0 * np.cos(turn)
     crowd = Peaks(
@@ -133,8 +133,8 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
     above = replace(ahead, label="Above", elevation_tan=3.0)
-    none = pixels(Overlay(QUERY, None, BEST, PANORAMA, [behind, above]).jpeg())
-    named = pixels(Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).jpeg())
+    none = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [behind, above])[0])
+    named = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[0])
     band = len(named) - len(none)
     assert band > 15
     text = (named[: band - 8] < 100).all(axis=-1)
@@ -146,7 +146,7 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
 def test_odd_pictures_are_drawn_too(size):
     width, height = size
     query = QuerySkyline(np.full(width, 0.4 * height), np.ones(width), width, height, 60.0)
-    drawn = pixels(Overlay(query, None, BEST, PANORAMA).jpeg())
+    drawn = pixels(draw_overlay(query, None, BEST, PANORAMA)[0])
     assert max(drawn.shape) < 1700
     assert like(drawn, (255, 45, 111)).any()
 
