@@ -289,7 +289,7 @@ def _sight(
 def _summit(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
-    """Return easting, northing and height of the highest sample near a place, None off the terrain."""
+    """Return easting, northing and height of the highest sample near a place, if there is one."""
     row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
         return None

@@ -65,7 +65,7 @@ class ReliefTiles:
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
     def _heights(self, zoom: int, x: int, y: int) -> tuple[Float32Array, float]:
-        """Return heights (T + 2, T + 2) at a tile's pixels with a border of one, and the pixel size."""
+        """Return heights (T + 2, T + 2) at a tile's pixels and one beyond, and the pixel size."""
         lon, lat = _lonlat(zoom, x, y)
         easting, northing = self._terrain.frame.from_lonlat(lon, lat)
         row, col = self._terrain.to_grid(easting_m=easting, northing_m=northing)

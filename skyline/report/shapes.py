@@ -102,7 +102,7 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
 
 
 def _cut(ring: Float64Array, edge: float) -> list[Float64Array]:
-    """Return the parts of a ring on either side of a longitude, or the ring if it does not cross."""
+    """Return the parts of a ring on either side of a longitude; the ring if it lies on one."""
     count = len(ring) - 1
     is_east = ring[:-1, 0] > edge
     crossed = np.flatnonzero(is_east != np.roll(is_east, -1))
