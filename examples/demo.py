@@ -26,7 +26,7 @@ from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labelled_panorama import save_panorama
 from skyline.report.match_report import report_matches
-from skyline.report.pictures import save_depth_pictures
+from skyline.report.plan_pictures import save_depth_pictures
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_on

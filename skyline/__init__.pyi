@@ -27,15 +27,15 @@ from .photo.trace import read_trace, write_trace
 from .render.horizon import RenderConfig, render_views
 from .render.thread import RenderThread
 from .report.exports import export_matches
-from .report.labelled_panorama import PanoramaConfig, save_panorama
+from .report.labelled_panorama import save_panorama
+from .report.landscape import PanoramaConfig
 from .report.located import write_located
 from .report.match_report import report_matches
 from .report.peaks import Peaks, read_peaks
 from .report.relief_tiles import ReliefTiles
 from .report.viewer import SeenPeak, Sight, Viewer
 from .skylines import Views
-from .solar.horizon_at import horizon
-from .solar.local_horizons import LocalHorizons, sky_view_factor
+from .solar.local_horizons import LocalHorizons, horizon, sky_view_factor
 from .store import PlaceMap, Store, StoreHeader, open_store
 from .store.places import Places
 from .terrain.dem import DemOptions, read_dem

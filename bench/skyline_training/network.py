@@ -21,7 +21,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from skyline.arrays import Float32Array, Progress, UInt8Array
 from skyline.files import write_whole
-from skyline.photo.evidence import levelled
+from skyline.photo.extract import levelled
 from skyline_training.landscapes import UNKNOWN, TrainingPhoto
 
 INPUTS = 4

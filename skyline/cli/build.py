@@ -5,7 +5,6 @@ from typing import Annotated
 
 from typer import Option
 
-from skyline import report
 from skyline.build.cluster import runner_of
 from skyline.build.parts import BuildResult, build_store
 from skyline.build.plans import DEFAULT_LOSS, PlacePlan
@@ -77,7 +76,9 @@ def build(
     if drawn is not None:
         with open_store(output) as opened:
             places = Places.concatenate(list(opened.places().blocks()))
-        report.save_place_map(terrain, places, drawn)
+        from skyline.report.maps import save_place_map  # noqa: PLC0415  (slow to load)
+
+        save_place_map(terrain, places, drawn)
 
 
 def print_built(result: BuildResult, path: Path, rows: str) -> None:

@@ -12,7 +12,6 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer import Argument, Option
 
-from skyline import report as reports
 from skyline.build.cluster import runner_of
 from skyline.cli.console import (
     AsJson,
@@ -188,7 +187,9 @@ def match(
     for path in exports if found else ():
         export_matches(path, found, matching.frame)
     if report is not None and found:
-        reports.report_matches(report, matching, found, gazetteer, done=done)
+        from skyline.report.match_report import report_matches  # noqa: PLC0415  (slow to load)
+
+        report_matches(report, matching, found, gazetteer, done=done)
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 

@@ -6,7 +6,6 @@ from typing import Annotated, TypeVar
 
 from typer import Option
 
-from skyline import report
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import RenderingPlan
@@ -153,7 +152,9 @@ def render(
             plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
-        report.save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
+        from skyline.report.plan_pictures import save_depth_pictures  # noqa: PLC0415  (slow to load)
+
+        save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
     print_built(result, output, "renderings")
 
 
@@ -197,4 +198,6 @@ def _build_planned(
         f"{plan.batches} batches, rendering {plan.render_s:.1f} s, planning {plan.plan_s:.1f} s"
     )
     if drawn is not None:
-        report.save_coverage_map(plan, drawn)
+        from skyline.report.plan_pictures import save_coverage_map  # noqa: PLC0415  (slow to load)
+
+        save_coverage_map(plan, drawn)

@@ -24,12 +24,11 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.report.labelled_panorama import PanoramaConfig, save_panorama_of
+from skyline.report.landscape import PanoramaConfig
 from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.solar.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
-from skyline.solar.local_horizons import LocalHorizons
+from skyline.solar.local_horizons import DEFAULT_STEP_DEG, LocalHorizons, horizons_of
 from skyline.terrain.dem import DemOptions, read_blocks, read_dem
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
 from skyline.terrain.surface import read_surface
@@ -159,6 +158,8 @@ def panorama(
     reproject: Reproject = False,
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
+    from skyline.report.labelled_panorama import save_panorama_of  # noqa: PLC0415  (slow to load)
+
     lonlat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     options = DemOptions(crs=crs, reproject=reproject)
@@ -169,13 +170,13 @@ def panorama(
         else:
             blocks, over = read_blocks(dem, options), None
         gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-        drawn = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
-    landscape = drawn.view.landscape
+        view, unnamed = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+    landscape = view.landscape
     _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
-    seen = len(drawn.view.sightings)
+    seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
-    if drawn.unnamed:
-        named += f", {drawn.unnamed} of them without a name for want of room"
+    if unnamed:
+        named += f", {unnamed} of them without a name for want of room"
     print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 

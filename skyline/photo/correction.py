@@ -1,8 +1,8 @@
-"""A photo's skyline, mended by a person's strokes and found again after each.
+"""A photo's skyline, corrected by strokes of a brush and found again after each stroke.
 
-What speaks for sky and ground is gathered once. A stroke of the brush says of pixels that they are
-sky, or ground; the skyline is then the cheapest path that keeps to that. A drawn line is taken as
-it is. What no stroke changes stays as it was found.
+The evidence for sky and ground is gathered once. A stroke marks pixels as sky or as ground; the
+skyline is then the cheapest path that respects the marks. A drawn line is the skyline itself.
+Columns that no stroke changes keep the skyline found first.
 """
 
 from collections.abc import Sequence
@@ -28,22 +28,22 @@ from skyline.photo.read import Photo
 from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 
 _PAINTED_CONFIDENCE = 0.6
-"""Least confidence of a column that a brush has touched: a person has looked at it."""
+"""Least confidence of a column under a brush stroke: a person has looked at it."""
 _HULL_PX = 64
-"""Photo columns beside changed ones that are found again with them."""
+"""Photo columns on each side of changed columns that are found again with them."""
 
 
 class StrokeKind(StrEnum):
-    """What a stroke says of what it touches.
+    """The meaning of a stroke.
 
     Attributes
     ----------
     SKY, GROUND
-        Its pixels are sky, or ground.
+        The pixels under it are sky, or ground.
     LINE
         The skyline runs along it.
     ERASE
-        Its columns show no skyline.
+        The columns under it show no skyline.
     """
 
     SKY = "sky"
@@ -54,20 +54,20 @@ class StrokeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One stroke of a person's hand over a photo.
+    """One stroke over a photo.
 
     Attributes
     ----------
     kind : StrokeKind
     points_px : tuple of (float, float)
-        Columns and rows, joined by straight lines; pixel centres are at whole numbers.
+        Columns and rows of points joined by straight lines; pixel centres are at whole numbers.
     radius_px : float
-        Of the brush; a line has none.
+        Radius of the brush; 0 for a line.
 
     Raises
     ------
     InputError
-        No points, a coordinate that is not finite, or a radius below 0.
+        There are no points, a coordinate is not finite, or the radius is negative.
     """
 
     kind: StrokeKind
@@ -90,8 +90,8 @@ class Correction:
     ----------
     photo : Photo
     found : QuerySkyline, optional
-        The skyline to begin with, a trace for example; by default what the extractor finds, or
-        what the photo shows where it is a sky mask.
+        The skyline to start from, for example a trace. By default it is extracted from the photo,
+        or is the border of a sky mask.
 
     Raises
     ------
@@ -104,18 +104,18 @@ class Correction:
         self._extraction = Extraction.of(photo.rgb)
         if found is None and is_sky_mask(photo.rgb):
             found = skyline_of_mask(photo.rgb)
-        self._found, (self._row_px, self._confidence) = found, self._began(found)
+        self._found, (self._row_px, self._confidence) = found, self._start(found)
 
     def restarted(self, found: QuerySkyline) -> "Correction":
-        """Return the same photo's correction that begins with a skyline, such as a trace."""
+        """Return a correction of the same photo that starts from a skyline, such as a trace."""
         again = copy(self)
-        again._found, (again._row_px, again._confidence) = found, self._began(found)
+        again._found, (again._row_px, again._confidence) = found, self._start(found)
         return again
 
     def solve(self, strokes: Sequence[Stroke] = ()) -> QuerySkyline:
-        """Return the skyline under all strokes given, a later one over an earlier.
+        """Return the skyline under all given strokes; later strokes override earlier ones.
 
-        It may have no trusted column. Its field of view and projection are the photo's.
+        The skyline may have no trusted column. Its field of view and projection are the photo's.
         """
         left, top = self._extraction.content.left, self._extraction.content.top
         row_px, confidence = self._row_px.copy(), self._confidence.copy()
@@ -140,7 +140,7 @@ class Correction:
         known = np.isfinite(row_px)
         query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
         if self._found is not None:
-            # Beside the photo, in borders that a mask or a trace need not have, it stays as it was.
+            # A mask or a trace may have rows in the borders beside the photo; they are kept.
             beside = np.ones(query.width_px, dtype=bool)
             beside[left : left + width] = False
             query = replace(
@@ -150,7 +150,7 @@ class Correction:
             )
         return self._photo.described(query)
 
-    def _began(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
+    def _start(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
         extraction = self._extraction
         if found is None:
             return extraction.row_px, extraction.confidence
@@ -161,7 +161,7 @@ class Correction:
     def _solve_again(
         self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array
     ) -> None:
-        """Write the rows and the confidence of the columns that painted pixels change."""
+        """Update the rows and the confidence of the columns that painted pixels change."""
         extraction, evidence = self._extraction, self._extraction.evidence
         cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
         path = shortest_path(cost, *STEPS)
@@ -177,7 +177,7 @@ class Correction:
 
 
 def _columns(stroke: Stroke, width: int) -> IntArray:
-    """Return the columns of a photo that a stroke spans."""
+    """Return the photo's columns under a stroke."""
     across = [column for column, _ in stroke.points_px]
     first = max(0, round(min(across) - stroke.radius_px))
     last = min(width - 1, round(max(across) + stroke.radius_px))
@@ -185,7 +185,7 @@ def _columns(stroke: Stroke, width: int) -> IntArray:
 
 
 def _along(stroke: Stroke, columns: IntArray) -> Float64Array:
-    """Return a line's row at columns; where it runs back over itself the last row counts."""
+    """Return a line's rows at columns; where it runs back over itself, the later row counts."""
     rows: dict[int, float] = {}
     before = stroke.points_px[0]
     for here in stroke.points_px:
@@ -204,7 +204,7 @@ _LABELS = {StrokeKind.SKY: 1, StrokeKind.GROUND: 2}
 
 
 def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
-    """Return what is painted at working size, (h, w): 0 nothing, 1 sky, 2 ground."""
+    """Return the painted pixels at working size, (h, w): 0 none, 1 sky, 2 ground."""
     evidence = extraction.evidence
     (work_height, work_width), photo = evidence.cost.shape, extraction.photo
     labels = np.zeros((work_height, work_width), dtype=np.uint8)
@@ -221,7 +221,7 @@ def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
 
 
 def _forbidden(labels: UInt8Array) -> BoolArray:
-    """Return where the skyline cannot be, (h, w): in painted sky and above, in ground and below."""
+    """Return the pixels (h, w) closed to the skyline: painted sky and above, ground and below."""
     sky, ground = (labels == label for label in _LABELS.values())
     sky_here_or_below = np.logical_or.accumulate(sky[::-1], axis=0)[::-1]
     return np.asarray(sky_here_or_below | np.logical_or.accumulate(ground, axis=0))

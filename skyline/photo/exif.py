@@ -1,7 +1,8 @@
-"""Where a photo was taken and which way the camera looked, as far as its EXIF notes that.
+"""The place and the heading of the camera that a photo's EXIF notes.
 
-What EXIF notes is taken as the standard defines it (EXIF 2.32, 4.6.6, and 3.0). Where a tag is
-missing that decides what a number means, the number is not guessed at but left aside, in words.
+Tags mean what the standard defines (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the meaning
+of a number is missing, the number is not guessed but left aside, with a sentence that gives the
+reason.
 """
 
 import re
@@ -17,7 +18,7 @@ from skyline.photo.lens import number, positive
 
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0
 _ERROR_PER_DOP_M = 5.0
-"""Error of the ranges that a receiver measures; how satellites stand (DOP) multiplies it."""
+"""Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
 _UP, _DOWN, _UP_ELLIPSOIDAL, _DOWN_ELLIPSOIDAL = range(4)
 """GPSAltitudeRef; EXIF 3.0 added heights above the ellipsoid."""
@@ -28,22 +29,22 @@ _Tags = Mapping[int, object]
 
 @dataclass(frozen=True, slots=True)
 class NotedPlace:
-    """Where a photo says that it was taken; what is None it does not say.
+    """The place and the heading noted in a photo; None for values that it does not note.
 
     Attributes
     ----------
     lonlat_deg : (float, float), optional
         Longitude and latitude, WGS 84.
     elevation_m : float, optional
-        Above sea level.
+        Elevation above sea level.
     heading_deg : float, optional
-        Of the optical axis, clockwise from north, in [0, 360).
+        Heading of the optical axis, clockwise from north, in [0, 360).
     is_magnetic : bool or None
-        Whether that is magnetic north and not true north; None where the photo does not say.
+        Whether the heading counts from magnetic north; None if the photo does not note it.
     accuracy_m : float, optional
-        How far off the camera took its position to be.
+        The camera's own estimate of the error of its position.
     left_aside : str
-        Which of the photo's GPS tags cannot be used, and why, in sentences without the position.
+        Sentences on GPS tags that cannot be used and the reason, without the position itself.
     """
 
     lonlat_deg: tuple[float, float] | None = None
@@ -58,11 +59,11 @@ NOTHING_NOTED = NotedPlace()
 
 
 class _UnusableError(Exception):
-    """Why a GPS tag cannot be used, in words."""
+    """The reason, in words, that a GPS tag cannot be used."""
 
 
 def place_from_exif(gps: _Tags) -> NotedPlace:
-    """Return what a photo's GPS directory says of where it was taken."""
+    """Return the place and the heading noted in a photo's GPS directory."""
     left_aside: list[str] = []
 
     def noted(name: str, read: Callable[[_Tags], T | None]) -> T | None:
@@ -112,7 +113,7 @@ def _lonlat_deg(gps: _Tags) -> tuple[float, float] | None:
 def _angle_deg(
     gps: _Tags, name: str, tag: int, side_tag: int, sides: str, most_deg: float
 ) -> float:
-    """Return an angle given as degrees, minutes and seconds, and by one of two letters its side."""
+    """Return an angle from degrees, minutes and seconds, and its sign from one of two letters."""
     parts = gps.get(tag)
     numbers = [number(part) for part in parts] if isinstance(parts, tuple) else []
     known = [one for one in numbers if one is not None]
@@ -124,7 +125,7 @@ def _angle_deg(
     side = _text(gps, side_tag)[:1]
     if side not in tuple(sides):
         raise _UnusableError(f"the {name} does not say whether it is {' or '.join(sides)}")
-    # The difference, since -0.0 would be shown with its sign.
+    # A difference, since -0.0 would be shown with its sign.
     return 0.0 - angle_deg if side == sides[1] else angle_deg
 
 
@@ -133,7 +134,7 @@ def _elevation_m(gps: _Tags) -> float | None:
         return None
     _require_fix(gps)
     height_m = number(gps[GPS.GPSAltitude])
-    reference = gps.get(GPS.GPSAltitudeRef, _UP)  # The standard's default.
+    reference = gps.get(GPS.GPSAltitudeRef, _UP)  # The default in the standard.
     reference = number(int.from_bytes(reference) if isinstance(reference, bytes) else reference)
     if height_m is None:
         raise _UnusableError("it is not a number")
@@ -162,7 +163,7 @@ def _require_fix(gps: _Tags) -> None:
 
 
 def _text(gps: _Tags, tag: int) -> str:
-    """Return a tag's text in capitals; "" where it has none."""
+    """Return a tag's text in capitals; "" if it has none."""
     value = gps.get(tag, "")
     text = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
     return text.strip("\0 ").upper()

@@ -1,67 +1,100 @@
 """Photo to query skyline: the likeliest path through the columns, refined along its edge.
 
-A skyline is one border row per column. A path is cheap where a network says that the skyline runs
-and where there is an edge, and it is not steep; dynamic programming finds the cheapest exactly. The
-path is found at about 0.4 million pixels, then refined to sub-pixel in a narrow band of the full
-photo. A column is trusted where the network holds it likely that the skyline runs along the path.
+A skyline is one border row per column. A network gives the odds of the border in every pixel: it
+learned from synthetic photographs how mountains, clouds, trees and windows look together
+(``sky.onnx.gz``, trained by ``python -m skyline_training sky-model``). A path is cheap where the
+network expects the skyline and where there is an edge, and if it is not steep; dynamic programming
+finds the cheapest path exactly, at about 0.4 million pixels. It is then refined to sub-pixel in a
+narrow band of the full photo. A column is trusted if the network holds it likely that the skyline
+runs along the path.
 """
 
+import gzip
 import logging
 from dataclasses import dataclass
-from math import ceil
+from functools import lru_cache
+from importlib.resources import files
+from math import ceil, log, sqrt
+from threading import Lock
 from typing import Self
 
+import cv2
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
-from skyline.photo.evidence import Evidence, gather_evidence, to_lab
 from skyline.photo.query import QuerySkyline
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
 MAX_ASPECT = 30.0
-"""Longest side over shortest; full circles of a low panorama have about 12."""
+"""Longest side over shortest; a low panorama of a full turn has about 12."""
 
 _COLOUR_TOLERANCE = 10
-"""Greatest difference per channel within one uniform border; JPEG rings by a few levels."""
+"""Greatest difference per channel within a uniform border; JPEG rings by a few levels."""
 _BAR_SHARE = 0.6
-"""Share of a row that must be a bar's own colour; the rest may be its caption."""
+"""Share of a row that must have the bar's colour; the rest may be its caption."""
 _EDGE_SHARE = 0.9
-"""Share of the first row of content that must differ from the bar, but for the borders at its
-ends: bars end in a straight line."""
+"""Share of the first row of content, without the borders at its ends, that must differ from the
+bar: bars end in a straight line."""
 _BAR_BLUR_PX = 3
-"""Rows beyond a bar that resizing and JPEG have mixed with it."""
+"""Rows beyond a bar that resizing and JPEG mix with it."""
 _MAX_BAR_SHARE = 0.3
 """Tallest bar, as a share of the image."""
 _SAMPLES = 500
-"""Pixels of a row that are looked at, at least; of a shorter row all."""
+"""Least number of pixels sampled from a row; shorter rows are read whole."""
 
 TRUST_THRESHOLD = 0.59
-"""Columns of less confidence are masked."""
+"""Columns of lower confidence are masked."""
 MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""
 _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
 
 STEPS = (8, 0.1, 3.0)
-"""Of a path at working size; see `shortest_path`."""
+"""Arguments of `shortest_path` at working size."""
 FORBIDDEN = 1e3
+"""Cost of a pixel that the skyline must not cross."""
 
 _REFINE_STEPS = (2, 0.05, 1.0)
-"""Of a path along the edge of the full photo."""
+"""Arguments of `shortest_path` along the edge in the full photo."""
 _REFINE_REACH = 1.5
-"""Working pixels by which a working path may be off; at least three photo pixels are searched."""
+"""Largest error of a working path, in working pixels; at least three photo pixels are searched."""
+
+_NETWORK_PIXELS = 110_000
+"""Size of the network's input, that of its training."""
+_MULTIPLE_PX = 32
+"""The sides of the network's input are multiples of this."""
+_WORK_PIXELS = 400_000
+"""Working size, to which photos are reduced for their edges and for the path along them."""
+
+_LEVELS = (1.0, 99.0)
+"""Percentiles of a channel that become its darkest and its brightest value."""
+
+_LEAST_LOG_SHARE = -10.0
+"""Floor of the log-probability, or the network would decide alone in scenes unknown to it."""
+_ODDS_WEIGHT = 0.25
+"""Reward for a factor e in the probability, in units of a full edge."""
+_EDGE_REACH_SHARE = 0.02
+"""Neighbourhood up and down, as a share of all rows, whose sharpest edge counts fully."""
+_FULL_SHARE = 0.5
+"""Edges of this share of that sharpness count fully too: rock before sky must not lose to snow."""
+_EDGE_FLOOR = 3.0
+"""L*a*b* difference, typical of JPEG and noise, that halves an edge."""
+_SAME_SHARE = 0.01
+"""Two rows nearer than this share of all rows count as the same skyline."""
+
+_network_lock = Lock()
 
 
 def extract_skyline(image: UInt8Array) -> QuerySkyline:
     """Find the skyline of a photo.
 
-    Uniform borders and caption bars are set aside; columns whose skyline is not clear, lies on
-    the photo's edge or is hidden are masked, not guessed. Raises `InputError` for an image that is
-    not (H, W, 3) uint8 RGB, too small, or without a skyline.
+    Uniform borders and caption bars are cut off. Columns whose skyline is unclear, on the photo's
+    edge or hidden are masked, not guessed. Raises `InputError` if the image is not (H, W, 3) uint8
+    RGB, too small, or shows no skyline.
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
@@ -71,7 +104,7 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     query = extraction.query(extraction.row_px, extraction.confidence)
     content = extraction.content
     share = float(query.trusted[content.left : content.right].mean())
-    log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
+    _log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
     if share < MIN_TRUSTED_SHARE:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
@@ -91,15 +124,15 @@ class Content:
     right: int
 
     def crop(self, image: UInt8Array) -> UInt8Array:
-        """Return the photo inside its borders, a view."""
+        """Return the photo inside its borders as a view of the image."""
         return image[self.top : self.bottom, self.left : self.right]
 
     def skyline(
         self, row_px: Float64Array, confidence: Float64Array, shape: tuple[int, ...]
     ) -> QuerySkyline:
-        """Return the skyline of an image of a shape (H, W, ...) from that of its photo, (w,) each.
+        """Return the skyline of an image of a shape (H, W, ...) from the rows (w,) of its photo.
 
-        Columns without a row (NaN) are masked, and so is all beside the photo.
+        Columns without a row (NaN) and columns beside the photo are masked.
         """
         height, width = shape[:2]
         rows, confidences = np.full(width, np.nan), np.zeros(width)
@@ -110,21 +143,45 @@ class Content:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """The network's probabilities and the path's costs of a photo at working size, (h, w)."""
+
+    share: Float32Array
+    """(h, w) float32. Probability that the column's skyline runs through the pixel. The sum over a
+    column is the probability that it shows a skyline at all."""
+    cost: Float32Array
+    """(h, w) float32. Cost of a path through the pixel, in units of the reward for a full edge."""
+    row_scale: float
+    """Working rows per photo row."""
+
+    def confidence(self, row: IntArray) -> Float64Array:
+        """Return the probability (w,) that the skyline runs along a path (w,)."""
+        height, width = self.share.shape
+        summed = np.vstack([np.zeros((1, width)), np.cumsum(self.share, axis=0, dtype=np.float64)])
+        near = max(2, round(_SAME_SHARE * height))
+        columns = np.arange(width)
+        above = summed[np.clip(row - near, 0, height), columns]
+        inside = summed[np.clip(row + near + 1, 0, height), columns] - above
+        # A path along the photo's edge has found the edge, not a skyline.
+        return np.where((row <= 1) | (row >= height - 2), 0.0, inside)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
-    """A photo's skyline with what it was found from, so that it can be found again."""
+    """A photo's skyline with the evidence and the path from which it was found."""
 
     shape: tuple[int, int]
     """Height and width of the image."""
     content: Content
-    """What of the image is photo."""
+    """The part of the image that is photo."""
     photo: UInt8Array
-    """(H, W, 3) uint8. That part."""
+    """(H, W, 3) uint8. The pixels of that part."""
     evidence: Evidence
     path: IntArray
-    """(w,) intp. The path found at working size."""
+    """(w,) intp. The cheapest path at working size."""
     row_px: Float64Array
     confidence: Float64Array
-    """``row_px``, ``confidence``: (W,) float64. Of the photo's columns, whether trusted or not."""
+    """``row_px``, ``confidence``: (W,) float64. Of all columns of the photo, trusted or not."""
 
     @classmethod
     def of(cls, image: UInt8Array) -> Self:
@@ -138,7 +195,7 @@ class Extraction:
         return cls((height, width), content, photo, evidence, path, row_px, confidence)
 
     def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
-        """Return rows of the photo's columns as a query of the image, doubtful ones masked."""
+        """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
         trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
         return self.content.skyline(trusted_px, confidence, self.shape)
 
@@ -146,9 +203,9 @@ class Extraction:
 def on_photo(
     photo: UInt8Array, evidence: Evidence, path: IntArray, columns: slice = slice(None)
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the rows of a working path, refined on the photo, and the confidence in them, 0 to 1.
+    """Return the rows of a working path, refined on the photo, and their confidence, 0 to 1.
 
-    Both are of some of the photo's columns.
+    Both arrays cover the given columns of the photo.
     """
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415  (slow to load)
 
@@ -162,7 +219,7 @@ def on_photo(
 
 
 def to_work_columns(width: int, evidence: Evidence) -> Float64Array:
-    """Return where each photo column's centre lies at working size."""
+    """Return the position at working size of each photo column's centre."""
     at_work = (np.arange(width) + 0.5) * evidence.cost.shape[1] / width - 0.5
     return np.asarray(at_work, dtype=np.float64)
 
@@ -198,8 +255,8 @@ def shortest_path(
 ) -> IntArray:
     """Return the cheapest path's row in each column, (W,) intp, for costs (H, W) float32.
 
-    A step of up to ``reach`` rows costs a price for each, and one of any size, at a cliff, a trunk
-    or the edge of an occluder, ``jump_price``.
+    A step of up to ``reach`` rows costs ``price_per_row`` for each row; a step of any size, as at a
+    cliff, a trunk or the edge of an occluder, costs ``jump_price``.
     """
     n_rows, n_columns = cost.shape
     offsets = np.arange(-reach, reach + 1)
@@ -230,8 +287,8 @@ def content_of(image: UInt8Array) -> Content:
 
     A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
     in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
-    and dark ground are uniform too, but they end in a skyline. Raises `InputError` where less than
-    32 x 32 pixels are left of the image (H, W, 3) uint8, or it is a sliver.
+    and dark ground are uniform too, but they end in a skyline. Raises `InputError` if less than
+    32 x 32 pixels of the image (H, W, 3) uint8 remain, or if it is a sliver.
     """
     height, width = image.shape[:2]
     if max(height, width) > MAX_ASPECT * min(height, width):
@@ -255,7 +312,7 @@ def content_of(image: UInt8Array) -> Content:
 
 
 def _bar_length(image: UInt8Array) -> int:
-    """Return how many rows at the start of the image are a bar."""
+    """Return the number of rows at the start of the image that form a bar."""
     longest = int(_MAX_BAR_SHARE * len(image))
     if longest < 1:
         return 0
@@ -268,9 +325,9 @@ def _bar_length(image: UInt8Array) -> int:
 
 
 def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
-    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
+    """Whether a row (N, 3) differs from a bar's colour nearly everywhere.
 
-    Borders of that colour at the row's ends are left out, as long as most of the row remains.
+    Borders of that colour at the row's ends are ignored, as long as most of the row remains.
     """
     differs = np.flatnonzero(~_alike(row, colour))
     if differs.size < _BAR_SHARE * len(row):
@@ -279,5 +336,68 @@ def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
 
 
 def _alike(pixels: UInt8Array, colour: Float64Array) -> BoolArray:
-    """Return which of pixels (N, 3) are of a colour."""
+    """Return which pixels (N, 3) have a colour, within the tolerance."""
     return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)
+
+
+def gather_evidence(photo: UInt8Array) -> Evidence:
+    """Reduce a photo (H, W, 3) uint8 RGB to working size and collect the evidence for a skyline."""
+    height, width = photo.shape[:2]
+    shrink = min(1.0, sqrt(_WORK_PIXELS / (height * width)))
+    h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
+    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    odds = _network_odds(np.asarray(small, dtype=np.uint8))
+    # Odds of no skyline, relative to a row of the enlarged picture.
+    none = log(h / len(odds))
+    odds = np.asarray(cv2.resize(odds, (w, h), interpolation=cv2.INTER_LINEAR), np.float32)
+    greatest = np.maximum(odds.max(axis=0), none)
+    share = np.exp(odds - greatest)
+    share /= share.sum(axis=0) + np.exp(none - greatest)
+    likely = np.maximum(np.log(share + np.float32(1e-12)), _LEAST_LOG_SHARE)
+    cost = -_ODDS_WEIGHT * likely - _edges(to_lab(np.asarray(small, dtype=np.uint8)))
+    return Evidence(share, np.asarray(cost, dtype=np.float32), h / height)
+
+
+def to_lab(rgb: UInt8Array) -> Float32Array:
+    """Convert (..., 3) uint8 RGB, three axes, to float32 CIE L*a*b*."""
+    scaled = np.ascontiguousarray(rgb, dtype=np.float32) / np.float32(255.0)
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), dtype=np.float32)
+
+
+@lru_cache(maxsize=1)
+def _network() -> cv2.dnn.Net:
+    packed = files("skyline.photo").joinpath("sky.onnx.gz").read_bytes()
+    return cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(packed), dtype=np.uint8))
+
+
+def levelled(rgb: UInt8Array) -> Float32Array:
+    """Return (H, W, 3) from -1 to 1, each channel scaled to its own range, which removes a tint."""
+    low, high = np.percentile(rgb.reshape(-1, 3), _LEVELS, axis=0).astype(np.float32)
+    share = (rgb - low) / np.maximum(high - low, np.float32(1.0))
+    return np.asarray(2.0 * np.clip(share, 0.0, 1.0) - 1.0, dtype=np.float32)
+
+
+def _network_odds(photo: UInt8Array) -> Float32Array:
+    """Return log-odds (h', w') of a column's skyline in each pixel against no skyline."""
+    height, width = photo.shape[:2]
+    shrink = sqrt(_NETWORK_PIXELS / (height * width))
+    h, w = (max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX for side in (height, width))
+    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    picture = np.empty((1, 4, h, w), dtype=np.float32)
+    picture[0, :3] = levelled(np.asarray(small, dtype=np.uint8)).transpose(2, 0, 1)
+    picture[0, 3] = np.linspace(-1.0, 1.0, h, dtype=np.float32)[:, np.newaxis]
+    with _network_lock:
+        _network().setInput(picture)
+        scores = _network().forward()
+    return np.asarray(scores[0, 0], dtype=np.float32)
+
+
+def _edges(lab: Float32Array) -> Float32Array:
+    """Return edges (h, w), 0 where smooth and 1 on nearly the sharpest edge up and down from it."""
+    across = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
+    down = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
+    steepness = np.sqrt((across**2 + down**2).sum(axis=2))
+    reach = max(2, round(_EDGE_REACH_SHARE * len(lab)))
+    sharpest = cv2.dilate(steepness, np.ones((2 * reach + 1, 1), dtype=np.uint8))
+    edges = steepness / (_FULL_SHARE * sharpest + _EDGE_FLOOR)
+    return np.asarray(np.minimum(edges, 1.0), dtype=np.float32)

@@ -1,11 +1,11 @@
-"""How wide a view the lens of a photo had, as far as its EXIF or its XMP notes that.
+"""The horizontal field of view that a photo's EXIF or XMP notes.
 
-A lens is noted in two ways: by the 35 mm equivalent (CIPA DCG-001 compares diagonals), and by the
-focal length with the resolution of the focal plane (EXIF 2.32, 4.6.5). Either is wrong in whole
-series of cameras, so each alone is a hint, and only the two together are a measurement. Both are of
-the frame whose size the camera noted; a panorama notes its own frame in XMP. A file of that shape
-was at most resized since, which changes nothing. One of another shape was cropped, and what was
-kept is at most the frame.
+EXIF notes a lens in two ways: the 35 mm equivalent (CIPA DCG-001 compares diagonals), and the focal
+length with the resolution of the focal plane (EXIF 2.32, 4.6.5). Each is wrong in whole series of
+cameras, so one alone is a hint, and only two that agree are a measurement. Both describe the frame
+whose size the camera noted; a panorama notes its own frame in XMP. A file of the frame's shape was
+at most resized, which changes nothing. A file of another shape was cropped, and shows at most the
+frame.
 """
 
 import re
@@ -19,47 +19,47 @@ from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 
 _FULL_FRAME_DIAGONAL_MM = hypot(36.0, 24.0)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-"""FocalPlaneResolutionUnit: inch, centimetre, millimetre, micrometre; inch where absent."""
+"""FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 _ASPECT_TOLERANCE = 0.02
 MAX_PINHOLE_ASPECT = 2.5
-"""Wider photos are stitched or swept panoramas, or strips; the lens says nothing about those."""
+"""Wider photos are stitched or swept panoramas, or strips, whose width no lens determines."""
 _MAX_FOV_DEG = 135.0
-"""Of the frame's diagonal lenses that draw straight lines straight see no more."""
+"""Widest diagonal field of view of lenses that draw straight lines straight."""
 _SENSOR_MM = (2.0, 80.0)
-"""Diagonals of sensors, of phones to medium format."""
+"""Diagonals of sensors, from phones to medium format."""
 _AGREE = log(1.1)
-"""Focal lengths nearer to each other than this are one: a 35 mm equivalent is rounded."""
+"""Largest difference of the logarithms of two focal lengths that agree: one is rounded."""
 _FILM_ALONE = 0.1
 """Deviation of the logarithm of a 35 mm equivalent: it is rounded to a millimetre (2 %), compares
 widths in some cameras (5 %), and is of the sensor before stabilization crops it (8 %)."""
 _PLANE_ALONE = 0.5 * log(1.5)
-"""Deviation of the logarithm of what a focal plane says: cameras that note it wrong are off by the
-step between two formats of sensors, 1.5 (Exiv2's issue 3097), or by a reduced picture's."""
+"""Deviation of the logarithm of a focal length from the focal plane: wrong values are off by the
+step between two sensor formats, 1.5 (Exiv2's issue 3097), or by the scale of a reduced picture."""
 _SWEPT = 6.0
-"""CustomRendered of a panorama, as Apple's phones note it."""
+"""Value of CustomRendered that Apple's phones note for a panorama."""
 _SWEPT_HEIGHT, _SWEPT_SD = 0.83, 0.12
-"""Part of the camera's height that a panorama has, between 0.7 and nearly all, and how sure its
-width is."""
+"""Share of the camera's height that a swept panorama keeps, between 0.7 and nearly all, and the
+relative deviation of its width."""
 _KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
-"""Of the greatest field of view that a crop can have: between half and all of it, evenly."""
+"""Of a crop's greatest possible field of view: evenly between half and all of it."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 """Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """What a file notes of the horizontal field of view of its photo.
+    """The horizontal field of view that a file notes for its photo.
 
     Attributes
     ----------
     fov_deg : float or None
-        The likeliest, degrees; None where nothing is known.
+        The likeliest, degrees; None if nothing is known.
     sd_deg : float or None
-        Its deviation; None where it is as good as one that a person gives.
+        Its deviation; None if it is as good as a value that a person gives.
     most_deg : float or None
-        The greatest that is possible, where the photo was cropped.
+        The greatest possible, if the photo was cropped.
     said : str
-        Why, in words; empty where the file notes no lens.
+        The reason in words; empty if the file notes no lens.
     """
 
     fov_deg: float | None = None
@@ -72,7 +72,7 @@ class Lens:
 class _Focal:
     """A focal length in diagonals of the frame, and the deviation of its logarithm.
 
-    The deviation is None where two sources agree.
+    The deviation is None if two sources agree.
     """
 
     diagonals: float
@@ -81,7 +81,7 @@ class _Focal:
 
 
 def lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens:
-    """Return what a photo's EXIF, the main and the Exif directories joined, says of its lens.
+    """Return the lens noted in a photo's EXIF, whose main and Exif directories are joined.
 
     ``size_px`` is the width and the height of the file's pixels, upright.
     """
@@ -109,10 +109,10 @@ def lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens:
 
 
 def swept_lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens | None:
-    """Return what EXIF says of a panorama that a phone swept; None where it does not say so.
+    """Return the field of view of a panorama that a phone swept; None if EXIF notes none.
 
-    ``size_px`` is the panorama's width and height, upright. Its scale is the camera's, held on end,
-    but phones keep more or less of the height.
+    ``size_px`` is the panorama's width and height, upright. Its scale is that of the camera held
+    upright, but phones keep more or less of the height.
     """
     if positive(tags.get(Base.CustomRendered)) != _SWEPT:
         return None
@@ -127,12 +127,13 @@ def swept_lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens 
 
 
 def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
-    """Return what a file's XMP says of a panorama; None where it does not say that it is one.
+    """Return the projection and field of view of a panorama; None if XMP notes no panorama.
 
     ``size_px`` is the width and the height of the file's pixels, upright. XMP notes the size of the
-    panorama when it was made, and how wide a whole turn would be. A file of that shape has the
-    whole panorama, one of all its rows or all its columns the part that its size says, and any
-    other has between what its pixels span at the panorama's own scale and all that has its shape.
+    panorama when it was made and the width of a full turn. A file of that shape shows the whole
+    panorama. A file with all its rows or all its columns was cropped to its own size. Any other
+    file shows at least its pixels at the panorama's scale, and at most the largest part of its
+    shape.
     """
     tags = dict(_GPANO.findall(xmp))
     width, turn, height = (
@@ -156,7 +157,7 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
 def _panorama_lens(
     size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
 ) -> Lens:
-    """Return how wide a file's part of a panorama is that was once so wide and so high."""
+    """Return the field of view of a file's part of a panorama of the given width and height."""
     kept_px = width if height is None else _kept(size_px, (width, height))[0]
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:
@@ -168,7 +169,7 @@ def _panorama_lens(
         is_known = _is_unscaled(size_px, frame) or _is_whole(size_px, frame, rounding)
     if is_known:
         return Lens(fov_deg, said="XMP notes a panorama of this shape and scale")
-    # A crop is shrunk at times, and hardly ever enlarged.
+    # Crops are sometimes shrunk, hardly ever enlarged.
     least_deg = deg_per_px * min(float(size_px[0]), 0.5 * kept_px)
     return Lens(
         max(sqrt(least_deg * fov_deg), MIN_FOV_DEG),
@@ -179,7 +180,7 @@ def _panorama_lens(
 
 
 def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Focal | None, str]:
-    """Return the focal length to believe, and what was dropped for what reason."""
+    """Return the likeliest focal length, and the values that were dropped with their reasons."""
     equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
     focal_mm = positive(tags.get(Base.FocalLength))
     sensor_mm = _sensor_diagonal_mm(tags, frame)
@@ -207,16 +208,16 @@ def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Foc
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Whether a focal length, in diagonals of its frame, is one of a lens before a sensor."""
+    """Whether a focal length, in diagonals of its frame, is possible for a lens and a sensor."""
     if 2.0 * degrees(atan(0.5 / diagonals)) > _MAX_FOV_DEG:
         return False
     return focal_mm is None or _SENSOR_MM[0] <= focal_mm / diagonals <= _SENSOR_MM[1]
 
 
 def _sensor_diagonal_mm(tags: Mapping[int, object], frame: tuple[float, float]) -> float | None:
-    """Return the diagonal of what the frame's pixels took of the focal plane.
+    """Return the diagonal of the focal plane that the frame's pixels cover.
 
-    None where EXIF does not say how many pixels the frame had: the file's own may be fewer.
+    None if EXIF does not note the frame's number of pixels: the file itself may have fewer.
     """
     unit_mm = _MM_PER_UNIT.get(int(positive(tags.get(Base.FocalPlaneResolutionUnit)) or 2))
     across = positive(tags.get(Base.FocalPlaneXResolution))
@@ -227,10 +228,10 @@ def _sensor_diagonal_mm(tags: Mapping[int, object], frame: tuple[float, float]) 
 
 
 def _frame(tags: Mapping[int, object], size_px: tuple[int, int]) -> tuple[float, float]:
-    """Return the size the camera noted, which resizing leaves and cropping contradicts.
+    """Return the frame size that the camera noted; resizing keeps its shape, cropping does not.
 
-    Photos on end are noted lying or upright. What fits a file best is taken, and of what fits none
-    the wider part.
+    Cameras note upright photos either upright or lying. The better fit to the file is taken, and if
+    neither fits, the one of which the file shows the wider part.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))
@@ -245,7 +246,7 @@ def _frame(tags: Mapping[int, object], size_px: tuple[int, int]) -> tuple[float,
 
 
 def _kept(size_px: tuple[int, int], frame: tuple[float, float]) -> tuple[float, float]:
-    """Return the greatest part of a frame, in its pixels, that has the shape of a file."""
+    """Return the largest part of a frame, in its pixels, that has the shape of a file."""
     if _is_unscaled(size_px, frame):
         return float(size_px[0]), float(size_px[1])
     scale = min(frame[0] / size_px[0], frame[1] / size_px[1])
@@ -260,12 +261,12 @@ def _is_whole(
 
 
 def _is_unscaled(size_px: tuple[int, int], frame: tuple[float, float]) -> bool:
-    """Whether a file has all columns or all rows of the frame, and no more of the other."""
+    """Whether a file has all columns or all rows of the frame, and at most its rows or columns."""
     return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0
 
 
 def number(value: object) -> float | None:
-    """Return a tag's number where it is one: a rational may be 0/0."""
+    """Return a tag's finite number, else None: a rational may be 0/0."""
     try:
         as_float = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):
@@ -274,6 +275,6 @@ def number(value: object) -> float | None:
 
 
 def positive(value: object) -> float | None:
-    """Return a tag's number where it is one above 0."""
+    """Return a tag's number if it is above 0, else None."""
     found = number(value)
     return found if found is not None and found > 0.0 else None

@@ -1,4 +1,4 @@
-"""How a photo's columns and rows become rays: through a lens, or along a panorama."""
+"""Projections of photos: from columns and rows to rays, through a lens or along a panorama."""
 
 from enum import StrEnum
 
@@ -15,7 +15,7 @@ _MET = 1e-9
 
 
 class Projection(StrEnum):
-    """What equal steps across a photo are equal steps of.
+    """The quantity of which equal steps in a photo are equal steps.
 
     Attributes
     ----------
@@ -33,11 +33,11 @@ class Projection(StrEnum):
 
     @property
     def is_panorama(self) -> bool:
-        """Whether the photo was swept round, not taken through one lens."""
+        """Whether the photo was swept or stitched, not taken through one lens."""
         return self is not Projection.PERSPECTIVE
 
     def check_fov_deg(self, fov_deg: float) -> float:
-        """Return a horizontal field of view that is possible, else raise `InputError`."""
+        """Return a horizontal field of view, or raise `InputError` if it is impossible."""
         greatest = MAX_PANORAMA_DEG if self.is_panorama else MAX_FOV_DEG
         if not MIN_FOV_DEG <= fov_deg <= greatest:
             hint = (
@@ -55,7 +55,7 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Turn places in a photo to places u, v on an image of unit focal length.
+        """Return places u, v on an image of unit focal length for places in a photo.
 
         Through a lens u and v are right and up over forward: the ray is (u, v, 1). A panorama's
         image is a cylinder: u is the azimuth from its middle, radians, v the tangent of the
@@ -77,7 +77,7 @@ class Projection(StrEnum):
     def places(
         self, u: Float64Array, v: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return where u and v lie in a photo, across and above: the inverse of `rays`."""
+        """Return the places across and above in a photo of rays u, v: the inverse of `rays`."""
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return u / np.tan(half), v / np.tan(half)
@@ -95,10 +95,10 @@ class Projection(StrEnum):
 def undistorted(
     across: Float64Array, above: Float64Array, distortion: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the places in a photo at which a lens that bends nothing would show what is at places.
+    """Return the places in a photo that a lens without distortion would give for places in one.
 
-    A distortion k moves what is shown r halves of the width from the middle outwards by k r^2 of r:
-    a barrel's is above 0.
+    The distortion k multiplies the distance r from the middle, in halves of the width, by
+    1 + k r^2; it is positive for barrel distortion.
     """
     stretch = 1.0 + distortion * (across**2 + above**2)
     return across * stretch, above * stretch
@@ -107,11 +107,11 @@ def undistorted(
 def distorted(
     across: Float64Array, above: Float64Array, distortion: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the inverse of `undistorted`; NaN for what no place in the photo shows."""
+    """Return the inverse of `undistorted`; NaN for places that the lens does not show."""
     if distortion == 0.0:
         return across, above
     aim = np.hypot(across, above)
-    # Beyond this, a lens that draws its image in would show things twice.
+    # Beyond this radius a negative distortion would show things twice.
     farthest = np.inf if distortion > 0.0 else 1.0 / np.sqrt(-3.0 * distortion)
     r = np.minimum(aim, 0.9 * min(farthest, 1.0))
     for _ in range(_NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""The query skyline: what of a photo is matched, whether extracted, drawn or masked."""
+"""The query skyline of a photo: extracted, drawn as a trace, or the border of a mask."""
 
 from dataclasses import dataclass, replace
 
@@ -18,22 +18,22 @@ class QuerySkyline:
     Attributes
     ----------
     row_px : (W,) float64
-        Row of the border between sky and ground (the last sky pixel's row plus 0.5 where it is
-        known to the pixel only); NaN where it is absent or not trusted.
+        Row of the border between sky and ground; NaN where it is absent or not trusted. A border
+        known to the pixel only is the row of the last sky pixel plus 0.5.
     confidence : (W,) float64
         0 to 1; 0 where ``row_px`` is NaN.
     width_px, height_px : int
         Size of the photo the rows refer to.
     fov_deg : float or None
-        Horizontal field of view, where it is known.
+        Horizontal field of view, None if unknown.
     projection : Projection
-        How columns and rows become rays.
+        Maps columns and rows to rays.
     noted : NotedPlace
-        Where the photo says that it was taken.
+        Place and heading that the photo notes.
     lens : Lens, optional
-        How good `fov_deg` is, where it is what the photo's EXIF says.
+        Accuracy of `fov_deg`, if it comes from the photo's EXIF or XMP.
     eye_height_m : float, optional
-        Of the camera above the ground, where it is known.
+        Height of the camera above the ground, None if unknown.
     """
 
     row_px: Float64Array
@@ -74,7 +74,7 @@ class QuerySkyline:
 
     @property
     def trusted(self) -> BoolArray:
-        """Which columns have a skyline, shape (W,)."""
+        """Whether each column has a skyline, shape (W,)."""
         return np.isfinite(self.row_px)
 
     def with_fov(self, fov_deg: float) -> "QuerySkyline":
@@ -91,14 +91,14 @@ class QuerySkyline:
         fov_deg : float, optional
             Horizontal field of view, degrees; overrides the query's own.
         distortion : float
-            Of the lens; see `skyline.photo.projection.undistorted`.
+            Distortion of the lens; see `skyline.photo.projection.undistorted`.
 
         Returns
         -------
         u, v : (N,) float64
-            To the right of and above the image's middle; square pixels. Of a perspective photo
-            rays (u, v, 1), u = ((2q + 1)/W - 1) tan(fov/2) and v = (H - 1 - 2r)/W tan(fov/2); of a
-            panorama see `Projection.rays`.
+            To the right of and above the image's middle; square pixels. A perspective photo has
+            rays (u, v, 1), u = ((2q + 1)/W - 1) tan(fov/2) and v = (H - 1 - 2r)/W tan(fov/2); for
+            panoramas see `Projection.rays`.
 
         Raises
         ------
@@ -112,9 +112,9 @@ class QuerySkyline:
         return self.projection.rays(across, above, self._known_fov_deg(fov_deg))
 
     def visible_deg(self, fov_deg: float | None = None) -> float:
-        """Return how many degrees of azimuth the trusted columns span together; see `image_plane`.
+        """Return the degrees of azimuth that the trusted columns span together; see `image_plane`.
 
-        Each trusted column counts the angle between its two edges, the camera held level.
+        Each trusted column counts the angle between its edges with the camera held level.
         """
         spans = self.projection.column_deg(self.width_px, self._known_fov_deg(fov_deg))
         return float(spans[self.trusted].sum())
@@ -130,7 +130,7 @@ class QuerySkyline:
 
 
 def check_of_image(query: QuerySkyline, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` where a skyline is not of an image of a shape (H, W, ...)."""
+    """Raise `InputError` unless a skyline belongs to an image of a shape (H, W, ...)."""
     height, width = shape[:2]
     if (width, height) != (query.width_px, query.height_px):
         raise InputError(

@@ -1,6 +1,6 @@
-"""Query files to query skylines, and a picture of what was found.
+"""Reading photos, sky masks and traces, and drawing a skyline on its photo.
 
-Pillow decodes, not OpenCV: it hands out EXIF along with the pixels, refuses a truncated JPEG
+Pillow decodes, not OpenCV: it returns EXIF along with the pixels, refuses a truncated JPEG
 (OpenCV fills the rest with grey, which has a skyline), reports through exceptions rather than on
 stderr, and shrinks huge JPEGs while decoding them.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,6 @@ from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, lens_of, panorama_of_xm
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import (
-    SkySession,
     is_sky_mask,
     load_sky_model,
     model_skyline,
@@ -37,41 +37,39 @@ from skyline.photo.sky_model import (
 )
 from skyline.photo.trace import read_trace
 
-log = logging.getLogger(__name__)
-
-SkyModel = SkySession | str | Path | None
+_log = logging.getLogger(__name__)
 
 MAX_DECODED_PIXELS = 100_000_000
 """Larger JPEGs are decoded at a half to an eighth of their size; other formats are refused."""
 MAX_JPEG_PIXELS = 400_000_000
-"""A progressive JPEG is held whole, two or three numbers a pixel, whatever it is decoded at."""
+"""Larger JPEGs are refused: a progressive JPEG is decoded whole, at any size."""
 
 _size_limit = Lock()
 
 _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
-"""What Pillow may decode, as far as it can: others run programs, or are no pictures."""
+"""Formats that Pillow may decode; others run programs, or are no pictures."""
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 _SKYLINE_RGB = (255, 0, 60)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photo:
-    """An image file's pixels, and what the file notes of them.
+    """An image file's pixels and the file's notes on the camera.
 
     Attributes
     ----------
     rgb : (H, W, 3) uint8
         Upright; transparent parts are white.
     fov_deg : float or None
-        Horizontal field of view, up to 360, where EXIF or XMP has it.
+        Horizontal field of view, up to 360; None if EXIF and XMP note none.
     projection : Projection
-        Perspective, unless XMP says that it is a panorama.
+        Perspective, unless EXIF or XMP note a panorama.
     place : NotedPlace
-        Where it was taken and which way, as far as EXIF has it.
+        Place and heading noted in EXIF.
     lens : Lens, optional
-        How good the field of view is, where it is what the file notes.
+        Accuracy of the field of view, if the file notes it.
     """
 
     rgb: UInt8Array
@@ -81,7 +79,7 @@ class Photo:
     lens: Lens | None = None
 
     def described(self, query: QuerySkyline) -> QuerySkyline:
-        """Return a skyline of this photo with what the file notes of it."""
+        """Return a skyline of this photo with the file's notes on the camera."""
         return replace(
             query,
             fov_deg=self.fov_deg,
@@ -96,7 +94,7 @@ def read_query(
     fov_deg: float | None = None,
     *,
     projection: Projection | None = None,
-    sky_model: SkyModel = None,
+    sky_model: Any = None,
 ) -> QuerySkyline:
     """Read a query: a trace (``.csv``), a sky mask (nearly black and white), else a photo.
 
@@ -104,12 +102,12 @@ def read_query(
     ----------
     path : str or Path
     fov_deg : float, optional
-        Horizontal field of view, degrees: 1 to 179, of a panorama to 360; by default the photo's
-        EXIF or XMP is asked.
+        Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
+        from the photo's EXIF or XMP.
     projection : Projection, optional
-        By default perspective, unless the photo's XMP says that it is a panorama.
-    sky_model : SkySession or path, optional
-        Finds the sky in photos; see `load_sky_model`.
+        Perspective by default, unless the photo's EXIF or XMP note a panorama.
+    sky_model : onnxruntime.InferenceSession or path, optional
+        Segments the sky in photos; see `skyline.photo.sky_model`.
 
     Raises
     ------
@@ -129,17 +127,17 @@ def extract_photo(
     fov_deg: float | None = None,
     *,
     projection: Projection | None = None,
-    sky_model: SkyModel = None,
+    sky_model: Any = None,
 ) -> tuple[UInt8Array, QuerySkyline]:
-    """Read a photo or a sky mask and find its skyline; as `read_query`, with the pixels.
+    """Read a photo or a sky mask and find its skyline, as `read_query`.
 
-    These are (H, W, 3) uint8 RGB, upright.
+    The first item is the pixels, (H, W, 3) uint8 RGB, upright.
     """
     photo = read_photo(path, fov_deg, projection=projection)
     height, width = photo.rgb.shape[:2]
-    is_said = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
-    if not is_said and width > MAX_PINHOLE_ASPECT * height:
-        log.warning(
+    is_noted = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
+    if not is_noted and width > MAX_PINHOLE_ASPECT * height:
+        _log.warning(
             "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
             "--projection cylindrical and --fov-deg",
             path,
@@ -156,25 +154,25 @@ def extract_photo(
 def read_photo(
     path: str | Path, fov_deg: float | None = None, *, projection: Projection | None = None
 ) -> Photo:
-    """Read a photo or a sky mask: its pixels, upright, and what its file notes of them.
+    """Read a photo or a sky mask: its pixels, upright, and its file's notes on the camera.
 
     Parameters
     ----------
     path : str or Path
     fov_deg, projection
-        As of `read_query`.
+        As in `read_query`.
 
     Raises
     ------
     MissingFileError
         There is no such file.
     InputError
-        It cannot be decoded, or is a sliver.
+        The file cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
     with opened_image(Path(path)) as image:
         photo = _photo(Path(path), image)
-    # A lens says nothing of a panorama, nor a panorama of a lens.
+    # Notes on a lens say nothing about a panorama, and the other way round.
     is_as_noted = projection is None or projection.is_panorama == photo.projection.is_panorama
     lens = photo.lens if fov_deg is None and is_as_noted else None
     if lens is not None:
@@ -186,12 +184,12 @@ def read_photo(
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
-    """Refuse an impossible field of view before a file is looked at; raises `InputError`."""
+    """Raise `InputError` for an impossible field of view, before any file is read."""
     if fov_deg is not None:
         (projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)
 
 
-def _find(image: UInt8Array, sky_model: SkyModel) -> QuerySkyline:
+def _find(image: UInt8Array, sky_model: Any) -> QuerySkyline:
     if is_sky_mask(image):
         return skyline_of_mask(image)
     if sky_model is None:
@@ -215,7 +213,7 @@ def read_picture(path: str | Path) -> UInt8Array | None:
 def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
-    Raises `InputError` where the skyline is of an image of another size, or the file cannot be
+    Raises `InputError` if the skyline belongs to an image of another size, or the file cannot be
     written.
     """
     check_of_image(query, photo.shape)
@@ -232,14 +230,14 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
 
 @contextmanager
 def opened_image(path: Path) -> Iterator[Image.Image]:
-    """Open an image file; raises as `read_photo` for what cannot be decoded while it is open."""
+    """Open an image file; errors of decoding in the ``with`` block raise as in `read_photo`."""
     if not path.exists():
         raise MissingFileError(f"{path} does not exist; expected a photo, a sky mask or a trace")
     if not path.is_file():
         raise InputError(f"{path} is not a file; expected a photo, a sky mask or a trace")
     try:
         with warnings.catch_warnings(), _unlimited_size():
-            # Pillow warns of large images, which are bounded here, and of odd EXIF.
+            # Pillow warns about large images, which are bounded here, and about odd EXIF.
             warnings.simplefilter("ignore")
             if _is_heic(path):
                 with suppress(ImportError):
@@ -249,13 +247,13 @@ def opened_image(path: Path) -> Iterator[Image.Image]:
             with Image.open(path, formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
-        said = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
+        reason = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
         if _is_heic(path):
-            said = (
+            reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
                 "pip install pillow-heif"
             )
-        raise InputError(f"{path} is {said}") from error
+        raise InputError(f"{path} is {reason}") from error
     except InputError:
         raise
     except Exception as error:  # Decoders raise nearly anything on damaged files.
@@ -269,8 +267,8 @@ def _photo(path: Path, image: Image.Image) -> Photo:
     width, height = image.size
     _require_bounded(path, image)
     upright = ImageOps.exif_transpose(image)
-    # Some decoders turn the pixels, some even their size before, and each leaves other tags: what
-    # is upright says whether the file's own size is.
+    # Some decoders turn the pixels, some their size as well, and each leaves other tags. Whether
+    # the file's size is upright follows from the upright picture.
     if (upright.width < upright.height) != (width < height):
         width, height = height, width
     exif = image.getexif()
@@ -282,7 +280,7 @@ def _photo(path: Path, image: Image.Image) -> Photo:
 def _camera(
     image: Image.Image, exif: Image.Exif, size_px: tuple[int, int]
 ) -> tuple[Projection, Lens]:
-    """Return what a file, so wide and so high upright, notes of its projection and its lens."""
+    """Return the projection and the lens that a file of an upright size notes."""
     xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
     text = xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp)
     panorama = panorama_of_xmp(text, size_px)
@@ -297,7 +295,7 @@ def _camera(
 
 @contextmanager
 def _unlimited_size() -> Iterator[None]:
-    """Lift Pillow's own limit, which refuses what `_require_bounded` shrinks."""
+    """Lift Pillow's limit, which refuses pictures that `_require_bounded` shrinks."""
     with _size_limit:
         before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
@@ -307,7 +305,7 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def _require_bounded(path: Path, image: Image.Image) -> None:
-    """Have a large JPEG decoded smaller, and refuse what cannot be."""
+    """Have a large JPEG decoded at a smaller size; raise `InputError` for other large images."""
     width, height = image.size
     if width * height <= MAX_JPEG_PIXELS:
         for shrink in (2, 4, 8):

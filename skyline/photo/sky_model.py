@@ -1,72 +1,60 @@
-"""Images of the sky: masks, white for sky and black for ground, and what a model of one's own says.
+"""Skylines of sky masks, white for sky and black for ground, and of sky segmentation models.
 
-A sky segmentation model in ONNX stands in place of the built-in extraction. The contract: one
-input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or
-(1, 2, h', w'), the sky's probability or logits; of two channels the second is the sky. A model that
-states its h and w gets these, any other the photo with at most 1024 px a side, rounded to multiples
-of 32.
+A sky segmentation model in ONNX may replace the built-in extraction. The contract: one input,
+float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or
+(1, 2, h', w'), the sky's probability or logits; of two channels the second is the sky. The photo is
+resized to the h and w that the model states, or else to at most 1024 px a side, rounded to
+multiples of 32.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 import cv2
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
+from skyline.arrays import Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError, library
 from skyline.photo.extract import content_of
 from skyline.photo.query import QuerySkyline
 
 _NEARLY = 24
-"""Levels from black or white that still count as such: masks saved as JPEG ring."""
+"""Levels within which a pixel counts as black or white: masks saved as JPEG ring."""
 _MIN_SHARE = 0.98
-"""Share of a mask's pixels that are nearly black or white; the rest is its smoothed border."""
+"""Least share of a mask's pixels that are nearly black or white; the rest is its border."""
 _SAMPLES = 500
 _MIDDLE = 127.5
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32
 _STEP_SHARE = 0.012
-"""Rows, as a share of all, above and below the border between which the probability must fall."""
+"""Distance above and below the border, as a share of all rows, over which the fall is measured."""
 _MIN_CONFIDENCE = 0.5
-"""Fall of the probability below which a column is masked."""
+"""Least fall of the probability across the border; columns below it are masked."""
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
 
-class SkySession(Protocol):
-    """What of ``onnxruntime.InferenceSession`` is used."""
+def load_sky_model(path: str | Path) -> Any:
+    """Return the ``onnxruntime.InferenceSession`` of a model that keeps this module's contract.
 
-    def get_inputs(self) -> Sequence[Any]:
-        """Return the model's inputs."""
-
-    def run(self, names: None, feed: dict[str, Float32Array]) -> Sequence[object]:
-        """Return the model's outputs."""
-
-
-def load_sky_model(path: str | Path) -> SkySession:
-    """Open an ONNX model; see this module for what it takes and gives.
-
-    Raises `MissingFileError`, and `InputError` where onnxruntime is not installed or the file is
-    not a model.
+    Raises `MissingFileError`, and `InputError` if onnxruntime is not installed or the file is not a
+    model.
     """
     if not Path(path).is_file():
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
     runtime = library("onnxruntime", "onnx", str(path))
     try:
-        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    except Exception as error:  # The runtime's own errors share no base class.
+        return runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    except Exception as error:  # The runtime's errors share no base class.
         raise InputError(f"{path} is not a model that can be run ({_line(error)})") from error
-    return cast(SkySession, session)
 
 
-def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
+def model_skyline(image: UInt8Array, session: Any) -> QuerySkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
-    A column's skyline is its topmost crossing of one half; its confidence is how far the
-    probability falls there within a hundredth of the rows. Raises `InputError` where the model does
-    not keep the contract, or no column has sky above ground.
+    A column's skyline is its topmost crossing of one half; its confidence is the fall of the
+    probability there within a hundredth of the rows. Raises `InputError` if the model breaks the
+    contract, or no column has sky above ground.
     """
     content = content_of(image)
     photo = content.crop(image)
@@ -77,7 +65,7 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     at = np.clip(at, 0.0, len(row_px) - 1.0)
     left = np.floor(at).astype(np.intp)
     right = np.minimum(left + 1, len(row_px) - 1)
-    # Beside a masked column there is nothing to interpolate to: NaN passes on.
+    # Beside a masked column the row is NaN, since there is nothing to interpolate to.
     share = at - left
     row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
     query = content.skyline(row, np.minimum(confidence[left], confidence[right]), image.shape)
@@ -86,8 +74,8 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     return query
 
 
-def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
-    """Return the sky's probability, (h, w) as the model gives it."""
+def _probability(photo: UInt8Array, session: Any) -> Float64Array:
+    """Return the sky's probability at the size of the model's output, (h, w)."""
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")
@@ -118,7 +106,7 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return row and confidence of each column's border, NaN and 0 where there is none."""
+    """Return row and confidence of each column's border; NaN and 0 if there is none."""
     height, width = probability.shape
     row_px, first = topmost_border(probability, 0.5)
     columns = np.arange(width)
@@ -135,9 +123,9 @@ def _line(error: Exception) -> str:
 
 
 def is_sky_mask(image: UInt8Array) -> bool:
-    """Return whether an RGB image (H, W, 3) uint8 is grey, and nearly all of it black or white.
+    """Whether an RGB image (H, W, 3) uint8 is grey and nearly all black or white.
 
-    About five hundred rows and columns are looked at.
+    About five hundred rows and columns are sampled.
     """
     step_down, step_across = (max(1, side // _SAMPLES) for side in image.shape[:2])
     sample = image[::step_down, ::step_across].astype(np.int16)
@@ -148,10 +136,10 @@ def is_sky_mask(image: UInt8Array) -> bool:
 
 
 def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
-    """Return the border of each column's topmost ground; NaN where a column has no sky above it.
+    """Return the border above each column's topmost ground; NaN if it has no sky above ground.
 
     A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` where no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
+    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
     """
     row_px, _ = topmost_border(image[:, :, 1].astype(np.float64), _MIDDLE)
     drawn = np.isfinite(row_px)
@@ -164,14 +152,14 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
 
 
 def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
-    """Return where each column (w,) of how much is sky (h, w) first falls below a middle.
+    """Return the row at which each column (w,) of a sky image (h, w) first falls below a middle.
 
-    That is to a fraction of a row, NaN where it never does or begins below, and the row of the
-    first pixel of ground.
+    The row is fractional, NaN if the column never falls or starts below the middle. The second
+    array is the row of the first pixel of ground.
     """
     is_ground = sky < middle
     first = np.argmax(is_ground, axis=0)
-    # A column that starts with ground has its skyline above the image, one without below it.
+    # The skyline lies above the image if a column starts with ground, below it if it has none.
     seen = is_ground.any(axis=0) & (first > 0)
     columns = np.arange(sky.shape[1])
     above, below = sky[first - 1, columns], sky[first, columns]

@@ -1,4 +1,4 @@
-"""Skyline traces: CSV files that hold a skyline, written here or drawn by a person."""
+"""Skyline traces: CSV files of a skyline, written here or drawn by a person."""
 
 import csv
 import math
@@ -24,10 +24,10 @@ _FORM = "expected a first line '# width=W height=H', then the header 'column_px,
 
 
 def write_trace(query: QuerySkyline, path: str | Path) -> None:
-    """Write a skyline as CSV: one row per trusted column, one break per run of masked ones.
+    """Write a skyline as CSV: one row per trusted column, one break per run of masked columns.
 
     A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
-    `read_trace` gives back the same rows, bit for bit, the field of view and the projection.
+    `read_trace` returns the same rows, bit for bit, the field of view and the projection.
     """
     lines = [f"# width={query.width_px} height={query.height_px}"]
     if query.projection.is_panorama:
@@ -54,17 +54,17 @@ def read_trace(
 
     The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
     at whole numbers. Lines that begin with # may also note ``fov_deg=``, with ``fov_slack=`` (its
-    deviation as a share of it), ``eye_height_m=`` and ``projection=``; a field of view and a
-    projection that are given go before. Consecutive points are joined unless they are more than a
-    tenth of the width apart or a row with an empty or ``nan`` ``row_px`` stands between them. Drawn
-    columns have confidence 1.
+    deviation as a share of it), ``eye_height_m=`` and ``projection=``; the arguments override a
+    field of view and a projection noted in the file. Consecutive points are joined unless they are
+    more than a tenth of the width apart or a row with an empty or ``nan`` ``row_px`` stands between
+    them. Drawn columns have confidence 1.
 
     Raises
     ------
     MissingFileError
         There is no such file.
     InputError
-        Not such a file, a point outside the image, or two rows for one column.
+        The file is no trace, a point lies outside the image, or a column has two rows.
     """
     path = Path(path)
     if not path.is_file():
@@ -97,7 +97,7 @@ def read_trace(
 
 
 def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, int]:
-    """Return numbers and the projection that lines before the header note, and its index."""
+    """Return the numbers and the projection noted before the header, and the header's index."""
     heading = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
     notes: dict[str, float] = {}
     projection = Projection.PERSPECTIVE
@@ -121,7 +121,7 @@ def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, 
 def _points(
     path: Path, lines: list[str], heading: int, width: int, height: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Return columns and rows in order of the columns; a NaN row is a break."""
+    """Return columns and rows in order of the columns; a row of NaN is a break."""
     records = list(csv.reader(lines[heading:]))
     header = tuple(name.strip() for name in records[0]) if records else ()
     if header[:2] != _COLUMNS:

@@ -1,16 +1,15 @@
-"""Pages of text, tables and pictures in one HTML file that asks nothing of any network."""
+"""HTML pages of text, tables and pictures in one file that loads nothing from a network.
+
+Each function returns HTML; texts given to them, file names included, are escaped.
+"""
 
 import base64
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from html import escape
-from itertools import groupby
 from numbers import Real
-from pathlib import Path
 
 from skyline.errors import InputError, printable
-from skyline.files import write_with_folders
 
 _MIME_OF_HEAD = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
@@ -52,119 +51,69 @@ footer { margin-top: 3rem; font-size: 0.85rem; }
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
-    """A paragraph, and after it a link where there is one.
+def page(title: str, lead: str, sections: Iterable[str], foot: str = "") -> str:
+    """Return a whole page: title, a sentence or two of introduction, `section`s and a footer."""
+    body = "\n".join(sections)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{_escaped(title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
+        f"<h1>{_escaped(title)}</h1>\n<p class=lead>{_escaped(lead)}</p>\n"
+        f"{body}\n"
+        f"<footer>{_escaped(foot)}</footer>\n</body></html>\n"
+    )
 
-    ``kind`` sets a result off: ``answer``, ``refusal`` or ``pose``.
+
+def section(title: str, parts: Iterable[str]) -> str:
+    """Return a section with a heading."""
+    return "\n".join([f"<section><h2>{_escaped(title)}</h2>", *parts, "</section>"])
+
+
+def text(words: str, kind: str = "", link: tuple[str, str] | None = None) -> str:
+    """Return a paragraph; ``link`` is an address and its words, appended to the paragraph.
+
+    ``kind`` highlights a result: ``answer``, ``refusal`` or ``pose``.
     """
-
-    text: str
-    kind: str = ""
-    link: tuple[str, str] | None = None
-    """The address, and the words that lead there."""
-
-    def html(self) -> str:
-        """Return the paragraph's HTML."""
-        shown = _escaped(self.text)
-        if self.link is not None:
-            address, words = map(_escaped, self.link)
-            shown += f' <a href="{address}" rel="noreferrer">{words}</a>'
-        return f'<p class="result {self.kind}">{shown}</p>' if self.kind else f"<p>{shown}</p>"
+    shown = _escaped(words)
+    if link is not None:
+        address, link_words = map(_escaped, link)
+        shown += f' <a href="{address}" rel="noreferrer">{link_words}</a>'
+    return f'<p class="result {kind}">{shown}</p>' if kind else f"<p>{shown}</p>"
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Rows of plain values under named columns; numbers are set to the right."""
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> str:
+    """Return a table with one value per column in each row; numbers are aligned to the right.
 
-    columns: Sequence[str]
-    rows: Sequence[Sequence[object]]
-    """One value a column; None is a dash, floats have six digits unless they are text already."""
-    caption: str = ""
-
-    def html(self) -> str:
-        """Return the table's HTML."""
-        aligned = [_is_numeric([row[at] for row in self.rows]) for at in range(len(self.columns))]
-        body = "".join(_row("td", map(_shown, row), aligned) + "\n" for row in self.rows)
-        caption = f"<caption>{_escaped(self.caption)}</caption>" if self.caption else ""
-        head = _row("th", self.columns, aligned)
-        thead = f"<thead>{head}</thead>" if any(self.columns) else ""
-        return f"<div class=scroll><table>{caption}{thead}<tbody>\n{body}</tbody></table></div>"
+    None is shown as a dash, a float with six digits.
+    """
+    aligned = [_is_numeric([row[at] for row in rows]) for at in range(len(columns))]
+    body = "".join(_row("td", map(_shown, row), aligned) + "\n" for row in rows)
+    above = f"<caption>{_escaped(caption)}</caption>" if caption else ""
+    thead = f"<thead>{_row('th', columns, aligned)}</thead>" if any(columns) else ""
+    return f"<div class=scroll><table>{above}{thead}<tbody>\n{body}</tbody></table></div>"
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A PNG or JPEG; ``wide`` gives it the whole width of the page."""
-
-    data: bytes = field(repr=False)
-    caption: str
-    wide: bool = True
-
-    def __post_init__(self) -> None:
-        if self._mime is None:
-            raise InputError(f"picture {self.caption!r} is neither PNG nor JPEG; save it as PNG")
-
-    @property
-    def _mime(self) -> str | None:
-        known = (mime for head, mime in _MIME_OF_HEAD.items() if self.data.startswith(head))
-        return next(known, None)
-
-    def html(self) -> str:
-        """Return the figure's HTML, the picture in it."""
-        data = base64.b64encode(self.data).decode()
-        return (
-            f"<figure{' class=wide' if self.wide else ''}>"
-            f'<img src="data:{self._mime};base64,{data}" alt="{_escaped(self.caption)}">'
-            f"<figcaption>{_escaped(self.caption)}</figcaption></figure>"
-        )
+def figures(pictures: Iterable[str]) -> str:
+    """Return `picture`s in a grid."""
+    shown = "\n".join(pictures)
+    return f"<div class=figures>\n{shown}\n</div>"
 
 
-Part = Text | Table | Picture
+def picture(data: bytes, caption: str, *, wide: bool = True) -> str:
+    """Return a PNG or JPEG as a figure; ``wide`` gives it the whole width of the page.
 
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """A headed part of a page; pictures that follow one another share a grid."""
-
-    title: str
-    parts: Sequence[Part]
-
-    def html(self) -> str:
-        """Return the section's HTML."""
-        lines = [f"<section><h2>{_escaped(self.title)}</h2>"]
-        for are_pictures, parts in groupby(self.parts, lambda part: isinstance(part, Picture)):
-            shown = "\n".join(part.html() for part in parts)
-            lines.append(f"<div class=figures>\n{shown}\n</div>" if are_pictures else shown)
-        return "\n".join([*lines, "</section>"])
-
-
-@dataclass(frozen=True, slots=True)
-class Page:
-    """A report: any text in it, file names among them, is shown as it is and never as HTML."""
-
-    title: str
-    lead: str
-    """What the report is about, in a sentence or two."""
-    sections: Sequence[Section]
-    foot: str = ""
-    """What made it, and when."""
-
-    def html(self) -> str:
-        """Return the whole page."""
-        sections = "\n".join(section.html() for section in self.sections)
-        return (
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{_escaped(self.title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
-            f"<h1>{_escaped(self.title)}</h1>\n<p class=lead>{_escaped(self.lead)}</p>\n"
-            f"{sections}\n"
-            f"<footer>{_escaped(self.foot)}</footer>\n</body></html>\n"
-        )
-
-    def write(self, path: Path) -> None:
-        """Write the page to a file; raises `InputError` where it cannot be written."""
-        write_with_folders(path, self.html())
+    Raises `InputError` if the data is neither.
+    """
+    mime = next((mime for head, mime in _MIME_OF_HEAD.items() if data.startswith(head)), None)
+    if mime is None:
+        raise InputError(f"picture {caption!r} is neither PNG nor JPEG; save it as PNG")
+    content = base64.b64encode(data).decode()
+    return (
+        f"<figure{' class=wide' if wide else ''}>"
+        f'<img src="data:{mime};base64,{content}" alt="{_escaped(caption)}">'
+        f"<figcaption>{_escaped(caption)}</figcaption></figure>"
+    )
 
 
 def _escaped(text: str) -> str:
@@ -172,7 +121,7 @@ def _escaped(text: str) -> str:
 
 
 def _is_numeric(values: Sequence[object]) -> bool:
-    """Whether a column holds some numbers, written out or not, and nothing but them and dashes."""
+    """Whether a column holds at least one number, and only numbers (also as text) and None."""
     given = [value for value in values if value is not None]
     return bool(given) and all(
         (isinstance(value, Real) and not isinstance(value, bool))
@@ -190,7 +139,7 @@ def _shown(value: object) -> str:
 
 
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
-    """Return a row of cells; to the right where ``aligned``."""
+    """Return a row of cells, those of ``aligned`` columns set to the right."""
     cells = (
         f"<{tag}{' class=n' if right else ''}>{_escaped(text)}</{tag}>"
         for text, right in zip(texts, aligned, strict=True)

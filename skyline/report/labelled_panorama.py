@@ -1,58 +1,46 @@
-"""Makes labelled panoramas of what is seen from a place."""
+"""Panoramas to print: terrain that fades with distance, ridges, a compass and named summits."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from scipy.ndimage import map_coordinates
 
-from skyline import report
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.files import write_whole
-from skyline.geodesy import Curvature
-from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
-from skyline.solar.horizon_at import horizons_of
-from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
-from skyline.terrain.summits import PROMINENCE_REACH
+from skyline.geodesy import degrees_in_words
+from skyline.report.figures import encode_figure, extent_px, place_labels, unnamed_in_words
+from skyline.report.landscape import (
+    COLUMNS,
+    PanoramaConfig,
+    PanoramaView,
+    panorama_view,
+    row_count,
+)
+from skyline.report.peaks import Peaks
+from skyline.terrain.heightfield import HeightField, TerrainBlocks
 from skyline.terrain.surface import Dem, read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, place_on
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
-_LEAST_FOV_DEG = 5.0
-_SURFACE_STEP_DEG = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class PanoramaConfig:
-    """What a panorama shows; by default all the way round, from north to north.
-
-    Attributes
-    ----------
-    heading_deg, fov_deg : float
-        The picture's middle, from true north, and its angle, 5 to 360 degrees.
-    eye_height_m : float
-        Above ground.
-    summit_within_m : float, optional
-        As of `skyline.horizon`.
-    """
-
-    heading_deg: float = 180.0
-    fov_deg: float = 360.0
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
-    summit_within_m: float | None = None
-
-    def __post_init__(self) -> None:
-        if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
-            raise InputError(
-                f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "
-                f"expected a field of view of {_LEAST_FOV_DEG:g} to 360"
-            )
-
-    @property
-    def start_deg(self) -> float:
-        """The picture's left border."""
-        return (self.heading_deg - 0.5 * self.fov_deg) % 360.0
+SUMMIT = "summit"
+"""The id of summits' names in the figure."""
+_WIDTH_IN, _MARGIN_IN, _SCALE_IN, _TITLE_IN = 16.0, 0.45, 0.7, 0.45
+_NAMES_APART_IN = 0.015
+_DPI = 150
+_BELOW_DEG, _LEAST_DEG = 7.0, 12.0
+_FONT_PT = 8.0
+_LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
+"""Direction of the light: over the viewer's left shoulder in every direction of view."""
+_ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
+_SKY, _TREES = "#f4f8fb", "#2e8b57"
+_LIFTED_M = 0.5
+_POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 
 
 def save_panorama(
@@ -65,7 +53,7 @@ def save_panorama(
     config: PanoramaConfig | None = None,
     surface: Dem | None = None,
 ) -> int:
-    """Draw what is seen from a place, with the names of the peaks that are seen.
+    """Draw the terrain visible from a place, with the names of the visible peaks.
 
     Parameters
     ----------
@@ -74,43 +62,29 @@ def save_panorama(
     lon, lat : float
         Degrees (WGS 84).
     peaks : Peaks, optional
-        `skyline.read_peaks`.
+        Named summits; see `skyline.read_peaks`.
     surface : path, paths or HeightField, optional
-        A surface or canopy model: how far trees and houses may rise is drawn as a green line.
+        A surface or canopy model: a green line shows how far trees and houses may rise.
 
     Returns
     -------
     int
-        How many of the peaks are seen in the picture. Of two whose names would overlap, the less
-        prominent goes without its name; the picture says how many do.
+        Number of peaks visible in the picture. If two names would overlap, the less prominent
+        peak gets none; the picture's title gives the number of peaks without a name.
 
     Raises
     ------
     OffMapError
         The place is off the map or on a hole.
     InputError
-        Another suffix, a file that cannot be written, or a surface that is not over the DEM.
+        The suffix is unknown, the file cannot be written, or the surface does not cover the DEM.
     ContextError
-        No OpenGL context can be made, which a surface needs.
+        A surface is given and no OpenGL context can be created.
     """
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
-    drawn = save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
-    return len(drawn.view.sightings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnPanorama:
-    """A panorama that has been drawn.
-
-    Attributes
-    ----------
-    unnamed : int
-        How many of the peaks that are seen have no room for their names.
-    """
-
-    view: "report.PanoramaView"
-    unnamed: int
+    view, _ = save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
+    return len(view.sightings)
 
 
 def save_panorama_of(
@@ -120,61 +94,239 @@ def save_panorama_of(
     peaks: Peaks | None,
     config: PanoramaConfig,
     surface: HeightField | None = None,
-) -> DrawnPanorama:
-    """Draw what is seen of blocks; without a surface, hidden ones are not made.
+) -> tuple[PanoramaView, int]:
+    """Draw the terrain visible from a place, as `save_panorama`; blocks are read as needed.
 
-    As `save_panorama` otherwise; the surface is one that is read.
+    Returns the view and the number of visible peaks without room for their names.
     """
     path = Path(path)
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
     view = panorama_view(blocks, lonlat, peaks, config, surface)
-    figure = report.draw_panorama(view)
-    write_whole(path, report.encode_panorama(figure, path.suffix[1:].lower()))
-    return DrawnPanorama(view, len(view.sightings) - report.count_names(figure))
+    figure = draw_panorama(view)
+    write_whole(path, encode_figure(figure, path.suffix[1:].lower(), _DPI))
+    return view, len(view.sightings) - _count_names(figure)
 
 
-def panorama_view(
-    blocks: TerrainBlocks,
-    lonlat: tuple[float, float],
-    peaks: Peaks | None,
-    config: PanoramaConfig,
-    surface: HeightField | None = None,
-) -> "report.PanoramaView":
-    """Look at what one eye sees and find its peaks; see `save_panorama_of`."""
-    start_deg, fov_deg = config.start_deg, config.fov_deg
-    place_m = place_on(blocks.frame, blocks.grid.bounds, *lonlat)
-    landscape = report.Landscape.of(
-        blocks,
-        (float(place_m[0][0]), float(place_m[1][0])),
-        config.eye_height_m,
-        report.picture_azimuths_deg(start_deg, fov_deg),
-        config.summit_within_m,
+def draw_panorama(view: PanoramaView) -> Figure:
+    """Draw a panorama in rows; a degree has the same length upwards and sideways."""
+    figure = Figure(dpi=_DPI)
+    FigureCanvasAgg(figure)
+    rows = [_Row.of(view, row, figure) for row in range(row_count(view.config.fov_deg))]
+    total_in = _TITLE_IN + sum(row.total_in for row in rows)
+    figure.set_size_inches(_WIDTH_IN, total_in)
+    left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
+    top_in, colours = total_in - _TITLE_IN, _colours(view)
+    for row in rows:
+        bottom_in = top_in - row.names_in - row.high_in
+        axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
+        _draw_row(axis, view, row, colours)
+        _draw_names(axis, row)
+        top_in -= row.total_in
+    title = _title(view) + unnamed_in_words(len(view.sightings) - _count_names(figure), "; ")
+    figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
+    return figure
+
+
+def _count_names(figure: Figure) -> int:
+    """Return the number of summits with names in a panorama."""
+    return len(figure.findobj(lambda one: one.get_gid() == SUMMIT))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """One row of the picture: its azimuths, elevation angles and names."""
+
+    columns: slice
+    """Columns of the landscape."""
+    ends_deg: tuple[float, float]
+    span_deg: tuple[float, float]
+    names: list[tuple[str, float, float, float, float]]
+    """(label, azimuth_deg, summit_deg, wide_in, high_in) of each; width and height of the label
+    before it is turned upright."""
+
+    @classmethod
+    def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
+        columns = slice(row * COLUMNS, (row + 1) * COLUMNS)
+        row_deg = view.config.fov_deg / row_count(view.config.fov_deg)
+        ends = view.config.start_deg + row * row_deg, view.config.start_deg + (row + 1) * row_deg
+        skyline_deg = view.landscape.skyline_deg[columns]
+        highest_deg = skyline_deg if view.surface_deg is None else view.surface_deg[columns]
+        high_deg = float(highest_deg.max()) + 1.0
+        low_deg = max(float(skyline_deg.min()) - _BELOW_DEG, -89.0)
+        low_deg = min(low_deg, high_deg - _LEAST_DEG)
+        names = []
+        for one in view.sightings:
+            azimuth = ends[0] + (one.azimuth_deg + view.landscape.convergence_deg - ends[0]) % 360.0
+            summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
+            if azimuth < ends[1] and summit_deg > low_deg:
+                label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
+                wide_px, high_px = extent_px(figure, label, _FONT_PT)
+                size_in = wide_px / figure.dpi, high_px / figure.dpi
+                names.append((label, azimuth, summit_deg, *size_in))
+        return cls(columns, ends, (low_deg, high_deg), names)
+
+    @property
+    def in_a_deg(self) -> float:
+        """Inches per degree, sideways and upwards."""
+        return (_WIDTH_IN - 2.0 * _MARGIN_IN) / (self.ends_deg[1] - self.ends_deg[0])
+
+    @property
+    def high_in(self) -> float:
+        """Height of the landscape."""
+        return self.in_a_deg * (self.span_deg[1] - self.span_deg[0])
+
+    @property
+    def names_in(self) -> float:
+        """Height of the names above the landscape."""
+        return max((name[3] for name in self.names), default=0.0) + 0.35 * bool(self.names)
+
+    @property
+    def total_in(self) -> float:
+        """Height of the row with its names and scale."""
+        return self.names_in + self.high_in + _SCALE_IN
+
+
+def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) -> None:
+    """Draw the landscape of a row, and its scales."""
+    (begin, end), (low, high) = row.ends_deg, row.span_deg
+    pixel_deg = (end - begin) / COLUMNS
+    azimuth = view.landscape.azimuth_deg[row.columns]
+    elevation = np.arange(low + 0.5 * pixel_deg, high, pixel_deg)
+    seen = view.landscape.seen(row.columns, elevation)
+    axis.imshow(
+        colours[seen],
+        extent=(begin, end, low, high),
+        origin="lower",
+        aspect="auto",
+        interpolation="nearest",
     )
-    terrain, eye = landscape.terrain, landscape.eye
-    seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
-    convergence_deg = float(
-        blocks.frame.convergence_deg(easting_m=eye.easting_m[0], northing_m=eye.northing_m[0])
-    )
-    inside = [
-        one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
-    ]
-    if inside:
-        inside = most_prominent_first(_around(blocks, inside), inside)
-    surface_deg = None
-    if surface is not None:
-        both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
-        surface_deg = np.interp(
-            landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
+    ridge_m, ridge_deg = view.landscape.ridges()
+    haze = _haze(ridge_m, view.landscape.reach_m)[::-1, np.newaxis]
+    lines = ridge_deg[::-1, row.columns]
+    axis.add_collection(
+        LineCollection(
+            [np.stack([azimuth, line], axis=1) for line in lines],
+            colors=(1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE,
+            linewidths=0.7,
+            capstyle="round",
         )
-    return report.PanoramaView(landscape, inside, start_deg, fov_deg, surface_deg)
+    )
+    if view.surface_deg is not None:
+        axis.plot(azimuth, view.surface_deg[row.columns], color=_TREES, linewidth=0.7)
+    axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
+    _draw_compass(axis, (begin, end))
 
 
-def _around(blocks: TerrainBlocks, sightings: Sequence[Sighting]) -> HeightField:
-    """Return the terrain around summits, of which some is hidden from the eye that sees them."""
-    wanted = np.zeros(blocks.highest_m.shape, np.bool_)
-    for one in sightings:
-        east_m, north_m = np.abs(blocks.around_m(one.easting_m, one.northing_m))
-        grid, reach = blocks.grid, PROMINENCE_REACH + 0.5 * BLOCK
-        wanted |= (east_m <= reach * grid.step_east) & (north_m <= reach * grid.step_north)
-    return blocks.field(wanted)
+def _colours(view: PanoramaView) -> UInt8Array:
+    """Return RGBA colours (P + 1, 4) of the landscape's points and of the sky, which is last."""
+    landscape, terrain, eye = view.landscape, view.landscape.terrain, view.landscape.eye
+    away_m = landscape.distance_m
+    grid = np.radians(landscape.azimuth_deg - view.landscape.convergence_deg)[landscape.column]
+    place = terrain.to_grid(
+        easting_m=eye.easting_m[0] + away_m * np.sin(grid),
+        northing_m=eye.northing_m[0] + away_m * np.cos(grid),
+    )
+    north, east = _slopes(terrain, *place)
+    towards = grid + np.pi - _LIGHT_ASIDE
+    facing = east * np.sin(towards) + north * np.cos(towards)
+    lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * facing
+    light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
+    haze = _haze(away_m, landscape.reach_m)[:, np.newaxis]
+    lighted = _ROCK * (0.25 + 1.25 * light[:, np.newaxis])
+    colours = np.zeros((len(away_m) + 1, 4), np.uint8)
+    colours[:-1, :3] = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0) * 255.0 + 0.5
+    colours[:-1, 3] = 255
+    return colours
+
+
+def _slopes(
+    terrain: HeightField, row: Float64Array, col: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the rise of the terrain to the north and to the east at positions (P,)."""
+
+    def height_m(down: float, right: float) -> Float64Array:
+        at = [row + down, col + right]
+        return np.asarray(map_coordinates(terrain.heights_m, at, order=1, mode="nearest"))
+
+    return (
+        (height_m(-1.0, 0.0) - height_m(1.0, 0.0)) / (2.0 * terrain.spacing_north_m),
+        (height_m(0.0, 1.0) - height_m(0.0, -1.0)) / (2.0 * terrain.spacing_east_m),
+    )
+
+
+def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
+    return np.asarray(0.85 * (1.0 - np.exp(-2.0 * distance_m / reach_m)))
+
+
+def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
+    """Draw degrees along the bottom, with the points of the compass, and up the side."""
+    wide = ends[1] - ends[0]
+    step, fine = (15, 1.0) if wide > 60.0 else (5, 1.0) if wide > 20.0 else (1, 0.1)
+    ticks = np.arange(np.ceil(ends[0] / step) * step, ends[1] + 1e-9, step)
+    names = [f"{tick % 360:.0f}°\n{_POINTS.get(int(tick) % 360, '')}" for tick in ticks]
+    axis.set_xticks(ticks, names)
+    # Drawing hundreds of matplotlib ticks would take a second.
+    axis.vlines(
+        np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine),
+        -0.012,
+        0.0,
+        transform=axis.get_xaxis_transform(),
+        color="black",
+        linewidth=0.5,
+        clip_on=False,
+    )
+    axis.tick_params(labelsize=_FONT_PT)
+    axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
+    axis.yaxis.set_major_formatter("{x:.0f}°")
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+
+
+def _draw_names(axis: Axes, row: _Row) -> None:
+    """Write upright names above the landscape, with lines down to their summits."""
+    (begin, end), in_a_deg = row.ends_deg, row.in_a_deg
+    placed = place_labels(
+        [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
+        [high_in for *_, high_in in row.names],
+        (end - begin) * in_a_deg,
+        rows=1,
+        gap_px=_NAMES_APART_IN,
+    )
+    leaders = []
+    for label in placed:
+        text, azimuth, summit_deg, _, _ = row.names[label.index]
+        middle = begin + 0.5 * (label.left_px + label.right_px) / in_a_deg
+        high = row.span_deg[1]
+        foot = high + 0.15 / in_a_deg
+        leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
+        axis.text(
+            middle,
+            foot + 0.04 / in_a_deg,
+            text,
+            gid=SUMMIT,
+            rotation=90,
+            ha="center",
+            va="bottom",
+            fontsize=_FONT_PT,
+            parse_math=False,
+        )
+    axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
+
+
+def _title(view: PanoramaView) -> str:
+    eye = view.landscape.eye
+    lon, lat = (
+        float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
+    )
+    surface_m = float(
+        view.landscape.terrain.height_at(easting_m=eye.easting_m, northing_m=eye.northing_m)[0]
+    )
+    ground_m = view.landscape.ground_m
+    beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
+    return (
+        f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "
+        f"seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
+        "azimuths from true north"
+        + ("; green: how far trees and houses may rise" if view.surface_deg is not None else "")
+    )

@@ -1,11 +1,13 @@
-"""The terrain one eye sees: how far away it is in every direction, and its ridges.
+"""The terrain and the named summits that one eye sees in a panorama.
 
-Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; what is seen
-is what stands higher than all that is nearer. Terrain that nearer terrain hides is not made.
+Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; a point is
+seen if it stands higher than all nearer points. Blocks of terrain that nearer terrain hides are
+never read.
 """
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -14,34 +16,151 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
-from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.report.peaks import (
+    HIDDEN_DEG,
+    UNDERFOOT_SAMPLES,
+    Peaks,
+    Sighting,
+    most_prominent_first,
+    visible_peaks,
+)
+from skyline.solar.local_horizons import horizons_of
+from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
+from skyline.terrain.summits import PROMINENCE_REACH
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, place_on, stand_on
+
+ROW_DEG = 120.0
+"""The widest row of a panorama; a wider panorama has several rows of equal width."""
+COLUMNS = 2265
+"""Pixels across a row."""
+_LEAST_FOV_DEG = 5.0
+_SURFACE_STEP_DEG = 0.1
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
 _SAMPLES_A_STEP = 1.0
 _RINGS_SAMPLES = (300.0, 1000.0, math.inf)
-"""Outer radii of rings round the eye; what is seen of one hides terrain of the next."""
+"""Outer radii of rings around the eye; terrain seen in one ring hides terrain of the next."""
 _HIDDEN_DEG = HIDDEN_DEG + 0.05
-"""Terrain so far below what is nearer is hidden, and so are peaks on it between two columns."""
+"""Terrain this far below nearer terrain is hidden, as are peaks on it between two columns."""
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
-"""How much farther what is behind a ridge must be: times as far, and samples beyond that."""
+"""How much farther terrain behind a ridge must be: times as far, and samples beyond that."""
 _RANGES_A_DOUBLING = 10
 _NOTHING_DEG = -90.0
 
 
+@dataclass(frozen=True, slots=True)
+class PanoramaConfig:
+    """The view that a panorama shows; by default the full turn from north to north.
+
+    Attributes
+    ----------
+    heading_deg, fov_deg : float
+        Azimuth of the picture's middle from true north, and its width, 5 to 360 degrees.
+    eye_height_m : float
+        Height of the eye above ground.
+    summit_within_m : float, optional
+        As in `skyline.horizon`.
+    """
+
+    heading_deg: float = 180.0
+    fov_deg: float = 360.0
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    summit_within_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
+            raise InputError(
+                f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "
+                f"expected a field of view of {_LEAST_FOV_DEG:g} to 360"
+            )
+
+    @property
+    def start_deg(self) -> float:
+        """Azimuth of the picture's left border."""
+        return (self.heading_deg - 0.5 * self.fov_deg) % 360.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanoramaView:
+    """The terrain and the summits that a panorama shows."""
+
+    landscape: "Landscape"
+    """Its columns are those of the picture, row by row; see `picture_azimuths_deg`."""
+    sightings: Sequence[Sighting]
+    """Visible summits, the most prominent first."""
+    config: PanoramaConfig
+    surface_deg: Float64Array | None = None
+    """(C,) float64. Elevation angle up to which trees and houses may rise in each column."""
+
+
+def panorama_view(
+    blocks: TerrainBlocks,
+    lonlat: tuple[float, float],
+    peaks: Peaks | None,
+    config: PanoramaConfig,
+    surface: HeightField | None = None,
+) -> PanoramaView:
+    """Return the view from a place and its visible peaks; raises as `Landscape.of`."""
+    start_deg, fov_deg = config.start_deg, config.fov_deg
+    easting_m, northing_m = place_on(blocks.frame, blocks.grid.bounds, *lonlat)
+    landscape = Landscape.of(
+        blocks,
+        (float(easting_m[0]), float(northing_m[0])),
+        config.eye_height_m,
+        picture_azimuths_deg(start_deg, fov_deg),
+        config.summit_within_m,
+    )
+    terrain, eye = landscape.terrain, landscape.eye
+    seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
+    inside = [
+        one
+        for one in seen
+        if (one.azimuth_deg + landscape.convergence_deg - start_deg) % 360.0 < fov_deg
+    ]
+    if inside:
+        inside = most_prominent_first(_terrain_around(blocks, inside), inside)
+    surface_deg = None
+    if surface is not None:
+        both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
+        surface_deg = np.interp(
+            landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
+        )
+    return PanoramaView(landscape, inside, config, surface_deg)
+
+
+def _terrain_around(blocks: TerrainBlocks, sightings: Sequence[Sighting]) -> HeightField:
+    """Return the terrain around summits, including parts hidden from the eye."""
+    wanted = np.zeros(blocks.highest_m.shape, np.bool_)
+    for one in sightings:
+        east_m, north_m = np.abs(blocks.around_m(one.easting_m, one.northing_m))
+        grid, reach = blocks.grid, PROMINENCE_REACH + 0.5 * BLOCK
+        wanted |= (east_m <= reach * grid.step_east) & (north_m <= reach * grid.step_north)
+    return blocks.field(wanted)
+
+
+def picture_azimuths_deg(start_deg: float, fov_deg: float) -> Float64Array:
+    """Return the azimuths from true north of all columns of a panorama's pixels, row by row."""
+    columns = row_count(fov_deg) * COLUMNS
+    return np.asarray(start_deg + (np.arange(columns) + 0.5) * (fov_deg / columns), np.float64)
+
+
+def row_count(fov_deg: float) -> int:
+    """Return the number of rows of a panorama, each at most `ROW_DEG` wide."""
+    return int(np.ceil(fov_deg / ROW_DEG - 1e-9))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What one eye sees in C columns: P points, by column and outwards in each."""
+    """The terrain that one eye sees in C columns: P points, by column and outwards in each."""
 
     terrain: HeightField
-    """What is hidden from the eye may be missing."""
+    """Parts hidden from the eye may be missing."""
     eye: Viewpoints
-    """One."""
+    """A single eye."""
     ground_m: float
-    """Height of the ground on which it stands: of a summit where the eye is on one."""
+    """Height of the ground below the eye; on a summit, the height of the summit."""
     azimuth_deg: Float64Array
-    """(C,) float64. From true north, increasing."""
+    """(C,) float64. Azimuth from true north, increasing."""
     begins: Int64Array
     """(C + 1,) int64. The points of column c are ``begins[c]`` to ``begins[c + 1]``."""
     distance_m: Float64Array
@@ -60,19 +179,19 @@ class Landscape:
         azimuth_deg: Float64Array,
         summit_within_m: float | None = 0.0,
     ) -> Self:
-        """Look at the terrain, over the Earth's curvature with k = 0.13.
+        """Find the visible terrain, over the Earth's curvature with refraction k = 0.13.
 
-        Raises `OffMapError` where the place is off the map or on a hole, and `InputError` where no
-        terrain is seen.
+        Raises `OffMapError` if the place is off the map or on a hole, and `InputError` if no
+        terrain is visible.
 
         Parameters
         ----------
         place_m : (float, float)
             Easting and northing.
         eye_height_m, summit_within_m : float
-            As of `skyline.stand_on`.
+            As in `skyline.stand_on`.
         azimuth_deg : (C,) float64
-            From true north, in equal steps, at least two.
+            Azimuths from true north in equal steps, at least two.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         easting_m, northing_m = place_m
@@ -80,7 +199,9 @@ class Landscape:
         wanted = from_m <= near_m + (summit_within_m or 0.0)
         terrain = blocks.field(wanted)
         if np.isnan(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
-            terrain = blocks.field(np.zeros_like(wanted))  # For an error that names all of the map.
+            terrain = blocks.field(
+                np.zeros_like(wanted)
+            )  # Its error names the extent of the whole map.
         eye = stand_on(
             terrain,
             easting_m=easting_m,
@@ -101,22 +222,31 @@ class Landscape:
 
     @property
     def skyline_deg(self) -> Float32Array:
-        """The highest elevation angle in each column, (C,); -90 where nothing is seen."""
+        """Highest elevation angle in each column, (C,); -90 if the column sees no terrain."""
         highest = self.elevation_deg[np.maximum(self.begins[1:], 1) - 1]
         return np.where(np.diff(self.begins) > 0, highest, np.float32(_NOTHING_DEG))
 
     @property
+    def convergence_deg(self) -> float:
+        """Azimuth from true north minus grid azimuth, at the eye."""
+        return float(
+            self.terrain.frame.convergence_deg(
+                easting_m=self.eye.easting_m[0], northing_m=self.eye.northing_m[0]
+            )
+        )
+
+    @property
     def reach_m(self) -> float:
-        """How far away the farthest terrain seen is."""
+        """Distance of the farthest visible terrain."""
         return float(self.distance_m.max())
 
     @property
     def column(self) -> Int64Array:
-        """The column of each point, (P,)."""
+        """Column of each point, (P,)."""
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return which point is seen in K columns, (E, K); the number of points for the sky.
+        """Return the indices of the points seen in K columns, (E, K); P stands for the sky.
 
         Parameters
         ----------
@@ -144,13 +274,13 @@ class Landscape:
         ranges = (np.log2(distance_m / first_m) * _RANGES_A_DOUBLING).astype(np.intp)
         shape = ranges.max(initial=0) + 1, len(self.azimuth_deg)
         ridge_deg = np.full(shape, np.nan, np.float32)
-        # Later ones stand higher.
+        # The last of several in a range stands highest.
         ridge_deg[ranges, self.column[self.is_ridge]] = self.elevation_deg[self.is_ridge]
         return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
 
 
 class _Look:
-    """Follows columns outwards; see `Landscape`."""
+    """Follows columns of azimuth outwards; see `Landscape`."""
 
     def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
         self._blocks, self._curvature = blocks, Curvature()
@@ -166,7 +296,7 @@ class _Look:
         self._seen: list[tuple[Int64Array, Int64Array, Float32Array]] = []
 
     def walk(self, terrain: HeightField, from_m: float, to_m: float, until_m: Float64Array) -> None:
-        """Go on from one distance to another, in each column no farther than a third, (C,)."""
+        """Continue from one distance to another, in each column at most to ``until_m``, (C,)."""
         begin, end = np.searchsorted(self._distance_m, [from_m, to_m]).tolist()
         for start in range(0, len(until_m), _COLUMNS_AT_ONCE):
             for first in range(begin, end, _STEPS_AT_ONCE):
@@ -183,7 +313,7 @@ class _Look:
     def points(
         self, terrain: HeightField
     ) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
-        """Return what was seen, as `Landscape` has it, ridges as high as the surface is there."""
+        """Return the points of a `Landscape`; ridges have the exact height of the surface there."""
         column, step, up_deg = (np.concatenate(part) for part in zip(*self._seen, strict=True))
         if not len(column):
             raise InputError(
@@ -198,7 +328,7 @@ class _Look:
         is_ridge = behind_m > _RIDGE_JUMP * distance_m + samples_m
         crest_deg = self._crest_deg(terrain, column[is_ridge], step[is_ridge])
         up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg)
-        # Such a ridge hides some of what was seen behind it.
+        # A raised ridge may hide points found behind it.
         highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
         seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
         begins = np.searchsorted(column[seen], np.arange(len(self._so_far_deg) + 1))
@@ -207,9 +337,9 @@ class _Look:
     def _crest_deg(
         self, terrain: HeightField, column: Int64Array, step: Int64Array
     ) -> Float32Array:
-        """Return the highest elevation angle between the steps before and after each of some.
+        """Return the highest elevation angle between the steps before and after each ridge step.
 
-        It is where the ray crosses an edge of the surface, since between two edges that is a plane.
+        It lies where the ray crosses an edge of the surface, which is a plane between two edges.
         """
         last = len(self._distance_m) - 1
         ends_m = self._distance_m[np.stack([np.maximum(step - 1, 0), np.minimum(step + 1, last)])]
@@ -232,7 +362,7 @@ class _Look:
     def _up_deg(
         self, terrain: HeightField, columns: Int64Array, distance_m: Float64Array
     ) -> Float32Array:
-        """Return the elevation angles of the ground of K columns at distances (D,) or (K, D)."""
+        """Return the ground's elevation angles in K columns at distances (D,) or (K, D)."""
         east, north = (turn(self._grid_rad[columns])[:, np.newaxis] for turn in (np.sin, np.cos))
         ground_m = terrain.height_at(
             easting_m=self._place[0] + distance_m * east,
@@ -243,9 +373,9 @@ class _Look:
         return np.nan_to_num(up_deg, nan=_NOTHING_DEG).astype(np.float32)
 
     def may_be_seen(self, near_m: float) -> tuple[BoolArray, Float64Array]:
-        """Return the blocks (R, C) beyond a distance that what was seen up to it does not hide.
+        """Return which blocks (R, C) beyond a distance the nearer terrain leaves unhidden.
 
-        And how far away the farthest of them is in each column, (C,).
+        The second array is the distance of the farthest of them in each column, (C,).
         """
         blocks = self._blocks
         east_m, north_m = blocks.around_m(*self._place)
@@ -255,7 +385,7 @@ class _Look:
         up_deg = np.degrees(np.arctan(up_m / np.where(up_m > 0.0, from_m, to_m))) + _HIDDEN_DEG
         far = np.flatnonzero((to_m > near_m) & (up_deg > self._so_far_deg.min()))
         half_rad = np.arcsin(radius_m / away_m.flat[far])
-        # Columns all the way round, twice, so that none of the spans is cut.
+        # Columns of two full turns, so that no span is cut.
         columns, turn = len(self._so_far_deg), round(2.0 * math.pi / self._column_rad)
         hidden_deg = np.full((2, turn), np.inf)
         hidden_deg[:, :columns] = self._so_far_deg

@@ -1,8 +1,8 @@
-"""A copy of a photo whose EXIF says the place and the direction that were found (2.32, 4.6.6).
+"""A copy of a photo with the place and the heading of a pose in its EXIF (2.32, 4.6.6).
 
-A JPEG keeps its pixels bit for bit. Its EXIF keeps everything but the GPS directory where it was:
-makers' notes hold offsets into it, and previews stand in it. Any other photo is written as a JPEG
-of the upright picture. XMP loses what it says of where the camera stood and how it was held.
+A JPEG keeps its pixels bit for bit. In its EXIF all but the GPS directory keeps its position, since
+makers' notes hold offsets and previews lie there. Any other photo is written as a JPEG of the
+upright picture. XMP tags of the camera's place and attitude are removed.
 """
 
 import io
@@ -23,38 +23,38 @@ from skyline.photo.read import opened_image, read_photo
 _EXIF, _XMP = b"Exif\x00\x00", b"http://ns.adobe.com/xap/1.0/\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA
 _LONGEST = 0xFFFF - 2
-"""Bytes that a segment holds beside its length."""
+"""Greatest number of bytes in a segment, without its length."""
 _NO_EXIF = b"II*\x00\x08\x00\x00\x00" + bytes(6)
-"""A TIFF whose only directory is empty."""
+"""A TIFF with one empty directory."""
 _SHORT, _LONG = 3, 4
 _OF_THE_PHOTO = {
     Base.ImageDescription, Base.Make, Base.Model, Base.Software, Base.DateTime, Base.Artist,
     Base.Copyright, Base.ExifOffset,
 }  # fmt: skip
-"""What a TIFF's directory says beside how its own pixels are stored."""
+"""Tags of a TIFF's directory that do not describe how its own pixels are stored."""
 _POSE = (
     rb"(?!xmlns:)[\w-]+:(?:(?i:gps)\w*|(?:Gimbal|Flight)\w+Degree|(?:Absolute|Relative)Altitude)"
     rb"|GPano:(?:Pose|InitialView)\w+"
 )
-"""XMP's names of place and attitude: EXIF's GPS tags, and those of drones and of panoramas."""
+"""XMP names of place and attitude: EXIF's GPS tags and the tags of drones and panoramas."""
 _XMP_POSE = re.compile(
     rb"\s(?:%b)\s*=\s*(?:\"[^\"]*\"|'[^']*')"
     rb"|<(?P<name>%b)(?:\s[^>]*?)?(?:/>|>.*?</(?P=name)\s*>)" % (_POSE, _POSE),
     re.DOTALL,
 )
-"""An attribute or an element of such a name."""
+"""An attribute or an element with such a name."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Candidate) -> None:
-    """Write a copy of a photo that says where and in which direction it was taken.
+    """Write a copy of a photo with the place and the heading of a candidate in its EXIF.
 
-    What else the photo says of its place (another radius, the time of a fix, where it was heading)
-    is of another pose, and is left out.
+    Other GPS tags of the photo (its error, the time of a fix, a destination) belong to another pose
+    and are removed.
 
     Parameters
     ----------
     source : str or Path
-        The photo; it is not changed.
+        The photo, which is not changed.
     path : str or Path
         The JPEG to write.
 
@@ -63,14 +63,14 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
     MissingFileError
         There is no such photo.
     InputError
-        It cannot be read, its EXIF has no room for more, or the copy cannot be written.
+        The photo cannot be read, its EXIF has no room, or the copy cannot be written.
     """
     source = Path(source)
     rgb, jpeg = read_photo(source).rgb, source.read_bytes()
     with opened_image(source) as image:
         is_jpeg = image.format in {"JPEG", "MPO"}
         if not is_jpeg:
-            image.load()  # A PNG may have its EXIF behind its pixels.
+            image.load()  # A PNG may store its EXIF after its pixels.
         exif = image.info.get("exif") or _exif_of_tags(image.getexif())
     if not is_jpeg:
         held = io.BytesIO()
@@ -101,13 +101,13 @@ def _gps(candidate: Candidate) -> dict[int, object]:
 
 
 def _method(candidate: Candidate) -> str:
-    """Return how the place was found; EXIF has a word of its own for "by hand"."""
+    """Return the method by which the place was found; EXIF's word for "by hand" is MANUAL."""
     is_by_hand = candidate.rank is None and not candidate.refined
     return "MANUAL" if is_by_hand else f"SKYLINE: {candidate.origin}"
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
-    """Return degrees, minutes and seconds of an angle's size, to a ten-thousandth of a second."""
+    """Return degrees, minutes and seconds of an absolute angle, to a ten-thousandth of a second."""
     parts = round(abs(degrees) * 36_000_000)
     whole, rest = divmod(parts, 36_000_000)
     minutes, seconds = divmod(rest, 600_000)
@@ -115,7 +115,7 @@ def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
 
 
 def _exif_of_tags(tags: Image.Exif) -> bytes:
-    """Return the EXIF of a file that holds none as such: a TIFF's own tags are its EXIF."""
+    """Return the EXIF of a file without an EXIF block: the tags of a TIFF."""
     tags.get_ifd(IFD.Exif)
     for tag in set(tags) - _OF_THE_PHOTO:
         del tags[tag]
@@ -123,10 +123,10 @@ def _exif_of_tags(tags: Image.Exif) -> bytes:
 
 
 def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> bytes:
-    """Return EXIF with this GPS directory and a main directory that points to it, both at its end.
+    """Return EXIF with a GPS directory and a main directory that points to it appended.
 
-    Where the picture was ``made_upright``, its orientation says so, and its preview, which was not,
-    is left out. EXIF without a main directory is taken for none.
+    If the picture was ``made_upright``, the orientation becomes upright, and the preview, which was
+    not turned, is dropped. EXIF without a main directory counts as empty.
     """
     order = ">" if exif.startswith(b"MM") else "<"
     try:
@@ -163,7 +163,7 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
 
 
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
-    """Return a JPEG with this EXIF in the place of its own, and XMP without place and attitude."""
+    """Return a JPEG with its EXIF replaced, and its XMP without place and attitude."""
     kept, start = [], 0
     for marker, body, end in _segments(jpeg):
         start = end

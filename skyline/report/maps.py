@@ -1,47 +1,121 @@
-"""Maps of a match: its candidates on the terrain."""
+"""Maps over shaded relief: the candidates of a match, and the places of a store."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LightSource, LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike
 
+from skyline.arrays import BoolArray, Float64Array
+from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
-from skyline.report.labels import unnamed_in_words
+from skyline.report.figures import save_figure, unnamed_in_words
 from skyline.report.peaks import Sighting
-from skyline.report.relief import Area, draw_bearings, draw_relief
+from skyline.report.relief_tiles import DARKEST, TINTS
 from skyline.report.shapes import Ellipse, view_wedge_m
 from skyline.report.surroundings import Surroundings
+from skyline.store.places import Places
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"
-
+_BEST_COLOUR, _OTHER_COLOUR = "#d1103d", "#1f5fbf"
 _LEAST_SIDE_M = 2000.0
 _MARGIN = 0.2
+"""Share of a map's side kept free on each side of the outermost places."""
 _WEDGE_SHARE = 0.16
 _MOST_PEAKS = 12
 _NEAR_BORDER = 0.2
-"""Share of the map in which a label would run over its border, were it centred."""
-_WIDTH_IN = 5.8
+"""Share of the map's width near its sides in which a centred label would cross the border."""
+_WIDTH_IN, _PLACES_WIDTH_IN = 5.8, 9.0
+_INK_SHARE = 0.35
+"""Share of the picture that all points together cover."""
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
+_MOST_SAMPLES = 900
+_TINT = LinearSegmentedColormap.from_list("height", TINTS).with_extremes(bad="#e8eef5")
+_NO_TERRAIN = "#eef0ee"
+_EDGE_POINTS = 65
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A rectangle of a map, in metres of its frame."""
+
+    west_m: float
+    south_m: float
+    east_m: float
+    north_m: float
+
+    @classmethod
+    def around(cls, easting_m: ArrayLike, northing_m: ArrayLike, least_m: float) -> "Area":
+        """Return the square around places, at least ``least_m`` wide, with a margin all round."""
+        easting, northing = np.asarray(easting_m), np.asarray(northing_m)
+        widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
+        half = max(widest / (1.0 - 2.0 * _MARGIN), least_m) / 2.0
+        east = float(easting.min() + easting.max()) / 2.0
+        north = float(northing.min() + northing.max()) / 2.0
+        return cls(east - half, north - half, east + half, north + half)
+
+    def within(self, terrain: HeightField | None) -> "Area":
+        """Return the part of the area that a height field covers; all of it if there is none."""
+        if terrain is None:
+            return self
+        west, south, east, north = terrain.bounds_m
+        part = Area(
+            max(west, self.west_m),
+            max(south, self.south_m),
+            min(east, self.east_m),
+            min(north, self.north_m),
+        )
+        return part if part.west_m < part.east_m and part.south_m < part.north_m else self
+
+    def holds(self, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+        """Whether places lie in the area."""
+        easting, northing = np.asarray(easting_m), np.asarray(northing_m)
+        across = (self.west_m <= easting) & (easting <= self.east_m)
+        return across & (self.south_m <= northing) & (northing <= self.north_m)
+
+    @property
+    def width_m(self) -> float:
+        """Extent from west to east."""
+        return self.east_m - self.west_m
+
+    @property
+    def height_m(self) -> float:
+        """Extent from south to north."""
+        return self.north_m - self.south_m
+
+    @property
+    def centre(self) -> dict[str, float]:
+        """Easting and northing of the middle, as keyword arguments of methods of `Frame`."""
+        return {
+            "easting_m": (self.west_m + self.east_m) / 2.0,
+            "northing_m": (self.south_m + self.north_m) / 2.0,
+        }
 
 
 def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
-    """Return the area that shows all candidates and what of the store lies around them."""
+    """Return the area around all candidates, or around the store's viewpoints if there are none."""
     places: Sequence[Candidate | Viewpoints] = candidates or [surroundings.viewpoints]
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
-    area = Area.around(easting, northing, _MARGIN, 2.0 * _LEAST_SIDE_M)
+    area = Area.around(easting, northing, 2.0 * _LEAST_SIDE_M)
     return area.within(surroundings.terrain)
 
 
 def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
-    """Return the area a kilometre or so around one candidate, more where it is less certain."""
+    """Return the area a kilometre or so around one candidate, wider if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    area = Area.around([candidate.easting_m], [candidate.northing_m], _MARGIN, side_m)
+    area = Area.around([candidate.easting_m], [candidate.northing_m], side_m)
     return area.within(surroundings.terrain)
 
 
@@ -51,14 +125,14 @@ def draw_match_map(
     area: Area,
     sightings: Sequence[Sighting] = (),
 ) -> Figure:
-    """Draw candidates, each with its rank, its view and its 95 % ellipse.
+    """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
 
     Parameters
     ----------
     candidates : sequence of Candidate
-        The first is drawn over the others and in another colour.
+        The first is drawn over the others, in another colour.
     sightings : sequence of Sighting
-        Peaks that the first candidate sees.
+        Peaks visible from the first candidate.
     """
     figure = Figure(
         figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
@@ -80,7 +154,7 @@ def draw_match_map(
 
 
 def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
-    """Draw the store's locations in an area; return how many there are."""
+    """Draw the locations of the store within an area; return their number."""
     easting, northing = np.unique(
         np.stack([viewpoints.easting_m, viewpoints.northing_m]), axis=1
     ).reshape(2, -1)
@@ -90,7 +164,7 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
 
 
 def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
-    colour = BEST_COLOUR if is_first else OTHER_COLOUR
+    colour = _BEST_COLOUR if is_first else _OTHER_COLOUR
     order = 4.0 if is_first else 3.0
     reach_m *= 1.0 if is_first else 0.6
     wedge = Polygon(view_wedge_m(candidate, reach_m), closed=True, zorder=order)
@@ -135,3 +209,165 @@ def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Area) -> None:
             annotation_clip=True,
             zorder=5,
         )
+
+
+def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
+    """Save a map (PNG) of the N places of a store, coloured by their spacing.
+
+    Raises `InputError` if the file cannot be written.
+    """
+    spacing_m = 2.0 * places.tolerance_m
+    easting_m, northing_m = places.easting_m, places.northing_m
+    area = Area(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
+    height_in = _PLACES_WIDTH_IN * max(area.height_m, 1.0) / max(area.width_m, 1.0)
+    figure = Figure(figsize=(_PLACES_WIDTH_IN + 1.0, height_in + 0.7), layout="constrained")
+    axis = figure.subplots()
+    draw_relief(axis, terrain, area)
+    points_in = 72.0 * np.sqrt(_INK_SHARE * _PLACES_WIDTH_IN * height_in / len(places))
+    drawn = axis.scatter(
+        easting_m,
+        northing_m,
+        c=spacing_m,
+        s=float(np.clip(points_in, 0.5, 6.0)) ** 2,
+        cmap="plasma",
+        norm=LogNorm(spacing_m.min(), max(spacing_m.max(), 1.01 * spacing_m.min())),
+        linewidths=0.0,
+    )
+    draw_bearings(axis, terrain.frame, area)
+    axis.set_title(f"{len(places):,} places", fontsize=10)
+    bar = figure.colorbar(drawn, ax=axis, shrink=0.8, pad=0.01)
+    bar.set_label("spacing of the places (m)")
+    ticks = np.unique(spacing_m)
+    bar.set_ticks(list(ticks), labels=[f"{tick:.0f}" for tick in ticks])
+    bar.minorticks_off()
+    save_figure(figure, path)
+
+
+def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
+    """Draw the terrain of an area, lit from the north-west and tinted by height.
+
+    Without terrain the map stays plain, with a note.
+    """
+    axis.set_facecolor(_NO_TERRAIN)
+    axis.set(xlim=(area.west_m, area.east_m), ylim=(area.south_m, area.north_m), aspect="equal")
+    crop = None if terrain is None else _crop(terrain, area)
+    if terrain is None or crop is None:
+        axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
+        return
+    heights, extent, step = crop
+    low, high = np.nanpercentile(heights, [0.5, 99.5])
+    tint = Normalize(low, max(high, low + 1.0))
+    shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(
+        np.nan_to_num(heights, nan=low),
+        dx=terrain.spacing_east_m * step,
+        dy=terrain.spacing_north_m * step,
+    )
+    light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
+    rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
+    picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
+    axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
+
+
+def _crop(
+    terrain: HeightField, area: Area
+) -> tuple[Float64Array, tuple[float, float, float, float], int] | None:
+    """Return the heights in an area, their extent (west, east, south, north) and their step."""
+    top, left = (
+        math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.west_m, northing_m=area.north_m)
+    )
+    bottom, right = (
+        math.ceil(at) + 2 for at in terrain.to_grid(easting_m=area.east_m, northing_m=area.south_m)
+    )
+    rows = slice(max(top, 0), min(bottom, terrain.rows))
+    cols = slice(max(left, 0), min(right, terrain.cols))
+    longest = max(rows.stop - rows.start, cols.stop - cols.start)
+    step = max(1, math.ceil(longest / _MOST_SAMPLES))
+    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float64)
+    if min(heights.shape, default=0) < 2 or np.isnan(heights).all():
+        return None
+    # A sample is the middle of its pixel.
+    north, south = rows.start - step / 2.0, rows.start + (len(heights) - 0.5) * step
+    west, east = cols.start - step / 2.0, cols.start + (heights.shape[1] - 0.5) * step
+    (west_m, east_m), (north_m, south_m) = terrain.to_map([north, south], [west, east])
+    return heights, (float(west_m), float(east_m), float(south_m), float(north_m)), step
+
+
+def draw_bearings(axis: Axes, frame: Frame, area: Area) -> None:
+    """Draw degrees along the borders and across the map, a scale bar and true north."""
+    _draw_degrees(axis, frame, area)
+    _draw_scale(axis, frame, area)
+    _draw_north(axis, frame, area)
+
+
+def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
+    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+    easting = area.west_m + along * area.width_m
+    northing = area.south_m + along * area.height_m
+    lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
+    lon = in_turn(lon, float(lon[_EDGE_POINTS // 2, _EDGE_POINTS // 2]))
+    lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
+    for degrees, place, edge, names, way in (
+        (lon, easting, lon[0], "EW", axis.set_xticks),
+        (lat, northing, lat[:, 0], "NS", axis.set_yticks),
+    ):
+        step = _nice_length(float(np.ptp(edge)) / 2.5)
+        levels = step * np.arange(math.ceil(edge.min() / step), math.floor(edge.max() / step) + 1)
+        axis.contour(easting, northing, degrees, levels, **lines)
+        order = np.argsort(edge)
+        ticks = np.interp(levels, edge[order], place[order])
+        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+        way(ticks, [degrees_in_words(level, names, decimals) for level in levels])
+    axis.tick_params(axis="y", labelrotation=90.0)
+    for label in axis.get_yticklabels():
+        label.set_verticalalignment("center")
+
+
+def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
+    """Draw a scale bar, as long as its label says on the ground, in the lower left."""
+    scale = float(frame.scale(**area.centre))
+    length_m = _nice_length(0.28 * area.width_m / scale)
+    west, south = area.west_m + 0.05 * area.width_m, area.south_m + 0.045 * area.height_m
+    east = west + length_m * scale
+    text = f"{length_m / 1000.0:g} km" if length_m >= 1000.0 else f"{length_m:g} m"
+    for colour, width in (("white", 6.0), ("black", 2.5)):
+        axis.plot(
+            [west, east], [south, south], color=colour, linewidth=width, solid_capstyle="butt"
+        )
+    axis.annotate(
+        text,
+        ((west + east) / 2.0, south),
+        xytext=(0, 5),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        bbox={"boxstyle": "round,pad=0.15", "fc": "white", "alpha": 0.7, "lw": 0},
+    )
+
+
+def _draw_north(axis: Axes, frame: Frame, area: Area) -> None:
+    """Draw an arrow to true north in the upper left."""
+    turn = -math.radians(float(frame.convergence_deg(**area.centre)))
+    length = 0.075 * min(area.width_m, area.height_m)
+    east = area.west_m + 0.06 * area.width_m
+    north = area.north_m - 0.055 * area.height_m - length
+    tip = east + length * math.sin(turn), north + length * math.cos(turn)
+    arrow = {"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "lw": 2.0, "color": "black"}
+    axis.annotate("", xy=tip, xytext=(east, north), arrowprops={**arrow, "shrinkA": 0})
+    axis.annotate(
+        "N",
+        tip,
+        ha="center",
+        va="bottom",
+        fontsize=11,
+        fontweight="bold",
+        bbox={"boxstyle": "round,pad=0.1", "fc": "white", "alpha": 0.7, "lw": 0},
+    )
+
+
+def _nice_length(length: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return float(
+        max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length * (1.0 + 1e-9)) * power
+    )

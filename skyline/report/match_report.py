@@ -13,18 +13,18 @@ from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate
 from skyline.match.matcher import Matcher
 from skyline.match.scene import RenderedScene, terrain_at_hand
+from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.render.horizon import RenderConfig
 from skyline.report.exports import write_geojson
-from skyline.report.html import Page, Part, Picture, Section, Table, Text
-from skyline.report.labels import unnamed_in_words
+from skyline.report.figures import encode_figure, unnamed_in_words
+from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
-from skyline.report.overlay import Overlay
+from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import HIDDEN_DEG, Peaks, Sighting, most_prominent_first, visible_peaks
-from skyline.report.pictures import encode_figure
-from skyline.report.posed_picture import Panorama, median_gap_deg
 from skyline.report.shapes import Ellipse
 from skyline.report.surroundings import Surroundings
+from skyline.report.viewer import Panorama, gap_deg
 from skyline.store.format import package_version
 from skyline.store.stored_dem import curvature_of
 
@@ -108,15 +108,15 @@ def write_match_report(
     ]
     lead = _answered(results) + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-    page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
+    content = page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
     write_geojson(folder / "matches.geojson", results, surroundings.frame)
     path = folder / "index.html"
-    page.write(path)
+    write_with_folders(path, content)
     return path
 
 
 def _answered(results: Sequence[MatchResult]) -> str:
-    """Return how many searches were answered; empty where a person chose all poses."""
+    """Return the number of answered searches in words; empty if all poses were set by hand."""
     searched = [one for one in results if one.best is None or one.best.rank]
     answered = sum(one.answer is not None for one in searched)
     return f"{answered} of {len(searched)} queries answered. " if searched else ""
@@ -144,35 +144,34 @@ def _section(
     photo: UInt8Array | None,
     surroundings: Surroundings,
     done: str,
-) -> Section:
+) -> str:
     best = result.best
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
-    overlay = Overlay(result.query, photo, best, panorama, sightings)
-    parts: list[Part] = [
-        Text(result.summary, _kind(result), None if best is None else _map_link(best)),
-        Picture(
-            _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
-            _overlay_caption(overlay),
+    overlay, unnamed = draw_overlay(result.query, photo, best, panorama, sightings)
+    caption = _overlay_caption(result.query, best, panorama, unnamed)
+    parts = [
+        text(result.summary, _kind(result), None if best is None else _map_link(best)),
+        figures(
+            [
+                picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
+                *_maps(folder, number, result.candidates, surroundings, sightings),
+            ]
         ),
-        *_maps(folder, number, result.candidates, surroundings, sightings),
     ]
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
-    parts += [
-        Text(text) for text in (result.exif_in_words(with_place=False), result.beyond) if text
-    ]
-    how = ["What was done:", done, f"It took {result.seconds:.2f} s."]
-    parts.append(Text(" ".join(filter(None, how))))
-    return Section(result.name, parts)
+    how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
+    notes = result.exif_in_words(with_place=False), result.beyond, how
+    return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
 
-def _keep(path: Path, picture: bytes) -> bytes:
-    write_with_folders(path, picture)
-    return picture
+def _keep(path: Path, data: bytes) -> bytes:
+    write_with_folders(path, data)
+    return data
 
 
 def _view_of(best: Candidate, surroundings: Surroundings) -> tuple[Panorama | None, list[Sighting]]:
-    """Render what a candidate sees, as far as there is something to render it with."""
+    """Return the skyline rendered at a candidate and its visible peaks, as far as is possible."""
     eye = surroundings.eye_of(best)
     if eye is None or surroundings.terrain is None:
         return None, []
@@ -194,8 +193,8 @@ def _maps(
     candidates: Sequence[Candidate],
     surroundings: Surroundings,
     sightings: Sequence[Sighting],
-) -> list[Picture]:
-    """Draw all candidates, and the first one from nearby where that shows more."""
+) -> list[str]:
+    """Draw all candidates, and the first from nearby if that shows more."""
     whole = overview_area(candidates, surroundings)
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
@@ -208,12 +207,12 @@ def _maps(
     for name, area, caption in areas:
         figure = draw_match_map(candidates, surroundings, area, sightings)
         data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
-        pictures.append(Picture(data, f"{caption}. The arrow points to true north.", wide=False))
+        pictures.append(picture(data, f"{caption}. The arrow points to true north.", wide=False))
     return pictures
 
 
 def _kind(result: MatchResult) -> str:
-    """Return what kind of result is shown; see `Text`."""
+    """Return the kind of the result; see `skyline.report.html.text`."""
     if result.best is not None and result.best.rank != 1:
         return "pose"
     return "answer" if result.answer is not None else "refusal"
@@ -225,25 +224,26 @@ def _map_link(candidate: Candidate) -> tuple[str, str]:
     return address, "On a map."
 
 
-def _overlay_caption(overlay: Overlay) -> str:
-    trusted = 100.0 * float(overlay.query.trusted.mean())
+def _overlay_caption(
+    query: QuerySkyline, pose: Candidate | None, panorama: Panorama | None, unnamed: int
+) -> str:
+    trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
-    unnamed = unnamed_in_words(overlay.unnamed, "; ")
-    pose = overlay.pose
-    if pose is None or overlay.panorama is None:
-        return f"{caption}; no skyline was rendered to compare it with{unnamed}."
-    gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
+    without_name = unnamed_in_words(unnamed, "; ")
+    if pose is None or panorama is None:
+        return f"{caption}; no skyline was rendered to compare it with{without_name}."
+    apart_deg = np.median(np.abs(gap_deg(pose, query, panorama)))
     return (
-        f"{caption}, and the skyline rendered at {pose.candidate.title}; they are "
-        f"{gap_deg:.2f}° apart in the median column, up or down{unnamed}."
+        f"{caption}, and the skyline rendered at {pose.title}; they are "
+        f"{apart_deg:.2f}° apart in the median column, up or down{without_name}."
     )
 
 
-def _candidate_table(candidates: Sequence[Candidate]) -> Table:
+def _candidate_table(candidates: Sequence[Candidate]) -> str:
     rows: list[list[object]] = []
     for candidate in candidates:
         ellipse = Ellipse.of(candidate)
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
         rows.append([candidate.rank, *candidate.cells(), candidate.refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
-    return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
+    return table(columns, rows, "Candidates; headings from true north, a lower score is better")

@@ -1,8 +1,7 @@
-"""A query's picture with the skyline found in it, the candidate's rendered one, and peaks."""
+"""A query's picture with its skyline, the skyline rendered at a candidate, and named peaks."""
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,12 +14,11 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.match.candidate import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.labels import Placed, extent_px, place_labels
+from skyline.report.figures import Placed, encode_figure, extent_px, place_labels
 from skyline.report.peaks import Sighting
-from skyline.report.pictures import encode_figure
-from skyline.report.posed_picture import Panorama, PosedPicture
+from skyline.report.viewer import AROUND, Panorama, peaks_in_picture, pixels_of
 
-FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
+_FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
 _LONGEST_PX, _NARROWEST_PX = 1600.0, 700.0
 _DPI = 100.0
@@ -29,115 +27,120 @@ _LABEL_POINTS = 10.0
 _MOST_ROWS = 6
 _KEY_ROW_PX = 23.0
 _FOUR_KEYS_PX = 1200.0
-_AROUND = 0.52
-"""How far from the middle, in widths, the rendered skyline is drawn: a little beyond the border."""
 _CANVAS_RGB = (239, 241, 238)
 _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Overlay:
-    """What is drawn over one query's picture."""
+def draw_overlay(
+    query: QuerySkyline,
+    photo: UInt8Array | None = None,
+    pose: Candidate | None = None,
+    panorama: Panorama | None = None,
+    sightings: Sequence[Sighting] = (),
+) -> tuple[bytes, int]:
+    """Draw skylines and peaks over a query's picture.
 
-    query: QuerySkyline
-    photo: UInt8Array | None = None
-    """(H, W, 3) uint8. RGB, of the query's size; None draws on a blank canvas."""
-    candidate: Candidate | None = None
-    """The pose to draw from."""
-    panorama: Panorama | None = None
-    """The rendered skyline of the candidate."""
-    sightings: Sequence[Sighting] = ()
-    """Peaks that the candidate sees, most important first."""
+    Parameters
+    ----------
+    photo : (H, W, 3) uint8, optional
+        RGB, of the query's size; None draws on a blank canvas.
+    pose : Candidate, optional
+        The pose from which ``panorama`` and ``sightings`` are seen.
+    panorama : Panorama, optional
+        The rendered skyline.
+    sightings : sequence of Sighting
+        Visible peaks, the most important first.
 
-    @property
-    def pose(self) -> PosedPicture | None:
-        """The picture as the candidate takes it."""
-        if self.candidate is None:
-            return None
-        query = self.query
-        return PosedPicture(query.width_px, query.height_px, self.candidate, query.projection)
-
-    @property
-    def unnamed(self) -> int:
-        """How many peaks in the picture have no room for their names."""
-        peaks, labels = _place_peaks(self, Figure(dpi=_DPI))
-        return len(peaks) - len(labels)
-
-    def jpeg(self) -> bytes:
-        """Return the drawn picture, the query's at most 1600 px wide and high in it."""
-        with warnings.catch_warnings():
-            # A name in a script that the font lacks is drawn as boxes; that is worth no warning.
-            warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
-            return encode_figure(_draw(self), "jpeg", _DPI)
+    Returns
+    -------
+    bytes, int
+        A JPEG with the query's picture at most 1600 px wide and high, and the number of peaks in
+        the picture without room for their names.
+    """
+    figure = Figure(dpi=_DPI)
+    FigureCanvasAgg(figure)
+    peaks = [] if pose is None else _peaks_drawn(query, pose, sightings)
+    width, height = (max(8.0, side * _scale(query)) for side in (query.width_px, query.height_px))
+    widths = [extent_px(figure, name, _LABEL_POINTS)[0] for name, _, _ in peaks]
+    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    axis = _draw_picture(figure, photo, (width, height), labels)
+    _draw_masked(axis, query, height)
+    if pose is not None and panorama is not None:
+        _draw_rendered(axis, query, pose, panorama)
+    axis.plot(
+        _drawn(query, np.arange(query.width_px)),
+        _drawn(query, query.row_px),
+        color=_FOUND_COLOUR,
+        linewidth=1.6,
+        path_effects=_HALO,
+        label="skyline found in the query",
+    )
+    for label in labels:
+        name, column, row = peaks[label.index]
+        _draw_label(axis, name, label, (column, row))
+    axis.legend(
+        loc="lower left", fontsize=9, frameon=False, ncols=_keys_across(width), borderpad=0.1
+    )
+    with warnings.catch_warnings():
+        # Letters that the font lacks are drawn as boxes, which needs no warning.
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
+        return encode_figure(figure, "jpeg", _DPI), len(peaks) - len(labels)
 
 
 def _scale(query: QuerySkyline) -> float:
-    """Return the drawn picture's pixels a pixel of the query's."""
+    """Return the size of the query's pixels in the drawn picture, in its pixels."""
     return min(
         _LONGEST_PX / max(query.width_px, query.height_px),
         max(1.0, _NARROWEST_PX / query.width_px),
     )
 
 
-def _place_peaks(
-    overlay: Overlay, figure: Figure
-) -> tuple[list[tuple[str, float, float]], list[Placed]]:
-    """Return the peaks in the drawn picture, label, column and row each, and their labels."""
-    pose, scale = overlay.pose, _scale(overlay.query)
+def _drawn(query: QuerySkyline, pixel: ArrayLike) -> Float64Array:
+    """Convert pixel centres of the query to coordinates of the drawn picture."""
+    return (np.asarray(pixel, dtype=np.float64) + 0.5) * _scale(query)
+
+
+def _peaks_drawn(
+    query: QuerySkyline, pose: Candidate, sightings: Sequence[Sighting]
+) -> list[tuple[str, float, float]]:
+    """Return the label, column and row of each peak in the drawn picture."""
     peaks: list[tuple[str, float, float]] = []
-    for sighting, *place_px in [] if pose is None else pose.peaks(overlay.sightings):
-        column, row = _drawn(place_px, scale).tolist()
+    for sighting, *place_px in peaks_in_picture(pose, query, sightings):
+        column, row = _drawn(query, place_px).tolist()
         peaks.append((sighting.label, column, row))
-    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
-    width = max(8.0, overlay.query.width_px * scale)
-    return peaks, place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    return peaks
 
 
-def _draw(overlay: Overlay) -> Figure:
-    query, scale = overlay.query, _scale(overlay.query)
-    width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
-    figure = Figure(dpi=_DPI)
-    FigureCanvasAgg(figure)
-    peaks, labels = _place_peaks(overlay, figure)
+def _keys_across(width: float) -> int:
+    """Return the number of the legend's keys side by side."""
+    return 4 if width >= _FOUR_KEYS_PX else 2
+
+
+def _draw_picture(
+    figure: Figure, photo: UInt8Array | None, size_px: tuple[float, float], labels: Sequence[Placed]
+) -> Axes:
+    """Draw the photo, or a blank canvas, between a band of labels and the legend."""
+    width, height = size_px
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )
-    keys_across = 4 if width >= _FOUR_KEYS_PX else 2
-    foot = _KEY_ROW_PX * 4 / keys_across
+    foot = _KEY_ROW_PX * 4 / _keys_across(width)
     figure.set_size_inches(width / _DPI, (height + band + foot) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
     axis.set(xlim=(0.0, width), ylim=(height + foot, -band))
     axis.autoscale(False)
     picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
-    if overlay.photo is not None:
+    if photo is not None:
         size = round(width), max(1, round(height))
-        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
+        picture = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
     axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
-    _draw_masked(axis, query, scale, height)
-    _draw_rendered(axis, overlay, scale)
-    axis.plot(
-        _drawn(np.arange(query.width_px), scale),
-        _drawn(query.row_px, scale),
-        color=FOUND_COLOUR,
-        linewidth=1.6,
-        path_effects=_HALO,
-        label="skyline found in the query",
-    )
-    for label in labels:
-        text, column, row = peaks[label.index]
-        _draw_label(axis, text, label, (column, row))
-    axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
-    return figure
+    return axis
 
 
-def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
-    """Turn pixel centres of the query to coordinates of the drawn picture."""
-    return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
-
-
-def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -> None:
+def _draw_masked(axis: Axes, query: QuerySkyline, height: float) -> None:
     """Veil the columns in which no skyline is trusted."""
+    scale = _scale(query)
     edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start * scale, (end - start) * scale) for start, end in edges]
     if spans:
@@ -152,25 +155,22 @@ def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -
         )
 
 
-def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
-    """Draw the rendered skyline, dotted where the data's border may hide what is farther."""
-    pose = overlay.pose
-    if pose is None or overlay.panorama is None:
-        return
-    panorama = overlay.panorama.from_azimuth(pose.candidate.grid_heading_deg + 180.0)
-    column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
-    near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
+def _draw_rendered(axis: Axes, query: QuerySkyline, pose: Candidate, panorama: Panorama) -> None:
+    """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
+    panorama = panorama.facing(pose.grid_heading_deg)
+    column, row = pixels_of(pose, query, panorama.azimuth_deg, panorama.elevation_tan)
+    near = np.abs(column - query.width_px / 2.0) <= AROUND * query.width_px
     for sure, style, label in (
-        (True, "-", f"skyline rendered at {pose.candidate.title}"),
+        (True, "-", f"skyline rendered at {pose.title}"),
         (False, ":", "the same, where the elevation data end"),
     ):
         drawn = near & (panorama.is_sure == sure)
         if np.isfinite(row[drawn]).any():
             axis.plot(
-                _drawn(column, scale),
-                np.where(drawn, _drawn(row, scale), np.nan),
+                _drawn(query, column),
+                np.where(drawn, _drawn(query, row), np.nan),
                 style,
-                color=RENDERED_COLOUR,
+                color=_RENDERED_COLOUR,
                 linewidth=1.5,
                 path_effects=_HALO,
                 label=label,

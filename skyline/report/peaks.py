@@ -1,9 +1,9 @@
-"""Named summits: a gazetteer, as CSV or as GeoJSON of OpenStreetMap, and which an eye can see.
+"""Named summits from a gazetteer (CSV, or GeoJSON of OpenStreetMap), and those an eye can see.
 
-A gazetteer's places are good to a hundred metres or so, and a grid of heights cuts summits off.
-So a peak is the highest sample near the place named, at the height the terrain has there, the
-same terrain that may hide it. It is visible where nothing on the straight line to it stands
-more than a tenth of a degree above it.
+The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
+off. A peak therefore stands at the highest sample near its named place, with the terrain's height
+there. It is visible if nothing on the straight line to it stands more than a tenth of a degree
+above it.
 """
 
 import csv
@@ -26,11 +26,11 @@ from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
 
 SUMMIT_RADIUS_M = 150.0
-"""How far from the place named a summit is looked for; terrain this near to it does not hide it."""
+"""Radius around a named place in which its summit is searched, and terrain cannot hide it."""
 UNDERFOOT_SAMPLES = 0.35
-"""Ground nearer than so many samples hides nothing: a model does not know it so well."""
+"""Ground nearer than this many samples hides nothing: the model is too coarse there."""
 HIDDEN_DEG = 0.1
-"""How far terrain before a peak may stand above it while the peak still counts as seen."""
+"""Terrain before a visible peak stands at most this angle above it."""
 _GEOJSON = (".geojson", ".json")
 _FOOT_M, _INCH_M = 0.3048, 0.0254
 _METRES = {
@@ -44,7 +44,7 @@ _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _WITH_UNIT = re.compile(rf"([-+]?{_NUMBER})\s?([a-z]*)")
 _FEET_INCHES = re.compile(rf"""({_NUMBER})['\u2019\u2032](?:\s?({_NUMBER})["\u201d\u2033])?""")
 _HEIGHTS_M = -500.0, 9000.0
-"""No ground on Earth is lower or higher: the Dead Sea's shore is at -430 m, Everest at 8849 m."""
+"""Lowest and highest ground on Earth, with a margin: the Dead Sea at -430 m, Everest at 8849 m."""
 _PLACES = (("lon", "lat"), ("easting", "northing"))
 _log = logging.getLogger(__name__)
 _EXPECTED = "expected a header `name,lon,lat` or `name,easting,northing`, and optionally `height_m`"
@@ -57,10 +57,10 @@ class Peaks:
     Attributes
     ----------
     names : tuple of str
-        Printable: what is not is escaped.
+        Characters that are not printable are escaped.
     easting_m, northing_m : (N,) float64
     height_m : (N,) float64
-        As the gazetteer has it, for its label; NaN where it does not say.
+        Height in the gazetteer, for the label; NaN if it has none.
     """
 
     names: tuple[str, ...]
@@ -82,17 +82,17 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     ----------
     path : str or Path
         GeoJSON (``.geojson``, ``.json``) of points with the properties ``name`` and, optionally,
-        ``ele``, as OpenStreetMap has them (`height_of_ele`); features without a name or a point
-        are left out, and one warning counts the peaks whose ``ele`` is no height. Else CSV: header
-        ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in ``frame``), and
-        optionally ``height_m``, which may be empty.
+        ``ele``, as in OpenStreetMap (`height_of_ele`); features without a name or a point are
+        skipped, and one warning counts the peaks whose ``ele`` is no height. Any other file is CSV
+        with the header ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in
+        ``frame``), and optionally ``height_m``, which may be empty.
 
     Raises
     ------
     MissingFileError
         There is no such file.
     InputError
-        Wrong columns, a row without a name, a value that is not a number, or no named point.
+        The columns are wrong, a row has no name, a value is no number, or no point has a name.
     """
     path = Path(path)
     if not path.is_file():
@@ -156,7 +156,7 @@ def _read_geojson(path: Path, frame: Frame) -> Peaks:
 def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
     """Return name, longitude, latitude and ``ele`` of a feature, None unless it is a named point.
 
-    ``ele`` is as the file has it, None where it is empty.
+    ``ele`` is the value in the file, None if it is empty.
     """
     try:
         properties, geometry = feature["properties"], feature["geometry"]
@@ -171,12 +171,12 @@ def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
 
 
 def height_of_ele(ele: object) -> float:
-    """Return the height in metres that OpenStreetMap's ``ele`` gives; NaN where it gives none.
+    """Return the height in metres of OpenStreetMap's ``ele``; NaN if it is no height.
 
-    A number has a point before its decimals and nothing between its thousands. Without a unit it
-    is metres; with one it is followed by a space and the unit, or written as 14505'3" in feet and
-    inches (wiki, Key:ele and Map features/Units). The space may be missing. Anything else could be
-    read in several ways, as 1,234 can, and a height that no place on Earth has is none.
+    A number has a decimal point and no separator of thousands. It is in metres, or in the unit that
+    follows it after an optional space; feet and inches are also written as 14505'3" (wiki, Key:ele
+    and Map features/Units). Other forms are ambiguous, like 1,234, and are no height; neither is a
+    height that no place on Earth has.
     """
     text, height_m = str(ele).strip().lower(), math.nan
     if (read := _WITH_UNIT.fullmatch(text)) and read[2] in _METRES:
@@ -217,7 +217,7 @@ def _number(path: Path, record: dict[str, str], column: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A peak as an eye sees it."""
+    """A visible peak, as seen from one eye."""
 
     label: str
     easting_m: float
@@ -235,9 +235,9 @@ class Sighting:
 def visible_peaks(
     terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
 ) -> list[Sighting]:
-    """Return the peaks one eye sees, in the gazetteer's order.
+    """Return the peaks visible to one eye, in the gazetteer's order.
 
-    Peaks off the terrain are left out, since nothing says what hides them.
+    Peaks off the terrain are left out, since the terrain that may hide them is unknown.
     """
     return [
         sighting
@@ -248,10 +248,10 @@ def visible_peaks(
 
 
 def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
-    """Return sightings by the prominence of their summits on the terrain, then by their heights.
+    """Return sightings in order of prominence on the terrain, then of height.
 
-    Gazetteers seldom know prominences, and a height says little: a knoll on a high ridge is higher
-    than a mountain that stands alone.
+    Prominence is computed, since gazetteers seldom have it. Height alone misleads: a knoll on a
+    high ridge is higher than a mountain that stands alone.
     """
 
     def rank(sighting: Sighting) -> tuple[float, float]:
@@ -272,7 +272,7 @@ def _sight(
     east, north = easting - float(eye.easting_m[0]), northing - float(eye.northing_m[0])
     distance = math.hypot(east, north)
     if distance <= 2.0 * SUMMIT_RADIUS_M:
-        return None  # Whoever stands on a peak does not see it.
+        return None  # The eye stands on this peak.
     up = surface - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance))
     height = peaks.height_m[index]
     return Sighting(
@@ -289,7 +289,7 @@ def _sight(
 def _summit(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
-    """Return easting, northing and height of the highest sample near a place, if there is any."""
+    """Return easting, northing and height of the highest sample near a place, if there is one."""
     row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
         return None
@@ -326,10 +326,10 @@ def _is_hidden(
 
 
 def _crossings(terrain: HeightField, eye: Viewpoints, sighting: Sighting) -> Float64Array:
-    """Return the shares of the line to a peak at which it crosses an edge of the surface.
+    """Return the crossings of the line to a peak with edges of the surface, as shares of the line.
 
-    Between two edges the surface is a plane, so what stands highest as seen from the eye stands
-    on one of them.
+    Between two edges the surface is a plane, so the highest point as seen from the eye lies on an
+    edge.
     """
     row, col = (
         float(at[0]) for at in terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)

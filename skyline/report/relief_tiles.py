@@ -1,7 +1,7 @@
-"""Shaded relief as the square tiles that map viewers ask for, made from the elevation model.
+"""Shaded relief as square tiles for map viewers, computed from an elevation model.
 
 A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the world, x counts from
-the west and y from the north.
+the west, y from the north.
 """
 
 import threading
@@ -15,13 +15,13 @@ from skyline.errors import InputError
 from skyline.terrain.heightfield import HeightField
 
 TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
-"""The colours of heights on maps, low to high."""
+"""Colours of heights on maps, low to high."""
 DARKEST = 0.35
-"""How dark a slope away from the light is, as a share of a level one."""
+"""Brightness of a slope facing away from the light, relative to level ground."""
 TILE_PX = 256
 MAX_ZOOM = 20
 _MESH = 9
-"""Points along a tile's side at which the map's projection is computed; it is smooth between."""
+"""Points along a tile's side at which the projection is computed; it is interpolated between."""
 _NOWHERE = -1e6
 _STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in TINTS])[:, ::-1]
 _AT = np.linspace(0.0, len(TINTS) - 1.0, 256)
@@ -34,7 +34,7 @@ _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 
 
 class ReliefTiles:
-    """Draws tiles of one elevation model; any thread may ask."""
+    """Draws tiles of one elevation model, from any thread."""
 
     def __init__(self, terrain: HeightField) -> None:
         self._terrain = terrain
@@ -45,7 +45,7 @@ class ReliefTiles:
         self._range_m = float(low), max(float(high), float(low) + 1.0)
         west, south, east, north = terrain.bounds_m
         self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        """West, south, east, north of what there is, degrees; west above east across the
+        """West, south, east and north of the model, degrees; west > east across the
         antimeridian."""
 
     def png(self, zoom: int, x: int, y: int) -> bytes:
@@ -65,11 +65,11 @@ class ReliefTiles:
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
     def _heights(self, zoom: int, x: int, y: int) -> tuple[Float32Array, float]:
-        """Return the heights (T + 2, T + 2) at a tile's pixels and one beyond, and their size."""
+        """Return heights (T + 2, T + 2) at a tile's pixels and one beyond, and the pixel size."""
         lon, lat = _lonlat(zoom, x, y)
         easting, northing = self._terrain.frame.from_lonlat(lon, lat)
         row, col = self._terrain.to_grid(easting_m=easting, northing_m=northing)
-        # Far away from its middle a frame may have no place for a point.
+        # Far from a frame's middle its projection may be undefined.
         row, col = (np.where(np.isfinite(at), at, _NOWHERE) for at in (row, col))
         step = (TILE_PX + 2) / (_MESH - 1)
         across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
@@ -107,7 +107,7 @@ class ReliefTiles:
 
 
 def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
-    """Return longitude and latitude (M, M) of a mesh over a tile and one pixel beyond it."""
+    """Return longitude and latitude (M, M) of a mesh over a tile with a border of one pixel."""
     along = (np.linspace(-1.0, TILE_PX, _MESH) + 0.5) / TILE_PX
     east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)
     lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * south))))
@@ -115,14 +115,14 @@ def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
 
 
 def _on_pixels(mesh: Float64Array) -> Float32Array:
-    """Return values (T + 2, T + 2) at pixels, linear between those of the mesh (M, M)."""
+    """Return values (T + 2, T + 2) at pixels, linearly interpolated from a mesh (M, M)."""
     position = np.linspace(0.0, _MESH - 1.0, TILE_PX + 2)
     weight = np.maximum(0.0, 1.0 - np.abs(position[:, np.newaxis] - np.arange(_MESH)))
     return np.asarray(weight @ mesh @ weight.T, dtype=np.float32)
 
 
 def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> Float32Array:
-    """Return heights at fractional rows and columns, NaN beyond what there is."""
+    """Return heights at fractional rows and columns, NaN outside the model."""
     (top, bottom), (left, right) = (
         np.clip([at.min() - 2, at.max() + 3], 0, length).astype(int).tolist()
         for at, length in zip((rows, cols), heights.shape, strict=True)
@@ -144,7 +144,7 @@ def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> F
 
 
 def _halved(heights: Float32Array) -> Float32Array:
-    """Return the means of 2 by 2 samples, of those that are known."""
+    """Return the means of 2 by 2 samples, without unknown samples."""
     rows, cols = heights.shape[0] // 2 * 2, heights.shape[1] // 2 * 2
     blocks = heights[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
     with warnings.catch_warnings():

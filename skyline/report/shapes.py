@@ -1,4 +1,4 @@
-"""What a candidate covers on the map: its view's wedge and its ellipse of uncertainty."""
+"""Shapes of a candidate on the map: the wedge of its view and its ellipse of uncertainty."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ _CHI_SQUARE_95 = 5.991464547107979
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
 _ON_EDGE_DEG, _SLIVER_DEG = 1e-9, 2e-7
-"""A corner nearer to the antimeridian is on it; a part narrower than 2 cm is left out."""
+"""A corner this near to the antimeridian lies on it; a part narrower than 2 cm is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """The area that holds the true position with 95 % probability, were the errors normal."""
+    """The ellipse that contains the true position with 95 % probability if errors are normal."""
 
     easting_m: float
     northing_m: float
@@ -30,7 +30,7 @@ class Ellipse:
 
     @classmethod
     def of(cls, candidate: Candidate) -> "Ellipse | None":
-        """Return a candidate's ellipse, None where its covariance is not known."""
+        """Return a candidate's ellipse, None if its covariance is unknown."""
         if candidate.covariance_m2 is None:
             return None
         variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
@@ -57,10 +57,10 @@ class Ellipse:
 
 
 def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
-    """Return what a candidate looks at, out to ``reach_m``: its field of view from above.
+    """Return a candidate's field of view on the map, out to ``reach_m``.
 
     The outline (P, 2), easting and northing, is counter-clockwise and closed. It begins at the
-    camera, unless the view goes all the way round.
+    camera, unless the view is a full turn.
     """
     steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
     half = candidate.fov_deg / 2.0
@@ -76,22 +76,22 @@ def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
 def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
     """Return an outline as rings of longitude and latitude, cut at the antimeridian.
 
-    RFC 7946 (3.1.9) asks for the cut; without it a map draws the shape round the world.
+    RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world.
 
     Parameters
     ----------
     outline_m : (P, 2) float64
-        Easting and northing, closed, of a shape that has no hole and holds no pole.
+        Easting and northing, closed, of a shape without holes and without a pole inside.
 
     Returns
     -------
     list of (Q, 2) float64
-        Closed, in the outline's sense of turn; longitudes from -180 to 180.
+        Closed rings in the orientation of the outline; longitudes from -180 to 180.
     """
     lon, lat = frame.to_lonlat(*outline_m.T)
     lon = np.unwrap(lon, period=360.0)
     lon[-1] = lon[0]  # to the bit
-    # A corner on the antimeridian, but for rounding, is on neither side of it: it is moved to one.
+    # A corner on the antimeridian, up to rounding, is moved to one side of it.
     on_edge = np.abs((lon % 360.0) - 180.0) < _ON_EDGE_DEG
     ring = np.stack([lon + 2.0 * _ON_EDGE_DEG * on_edge, lat], axis=1)
     rings = _cut(ring, float(np.copysign(180.0, lon[0])))
@@ -102,7 +102,7 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
 
 
 def _cut(ring: Float64Array, edge: float) -> list[Float64Array]:
-    """Return the parts of a ring on either side of a longitude; the ring where it crosses none."""
+    """Return the parts of a ring on either side of a longitude; the ring if it lies on one."""
     count = len(ring) - 1
     is_east = ring[:-1, 0] > edge
     crossed = np.flatnonzero(is_east != np.roll(is_east, -1))
@@ -111,8 +111,8 @@ def _cut(ring: Float64Array, edge: float) -> list[Float64Array]:
     start, step = ring[crossed], ring[crossed + 1] - ring[crossed]
     on_edge = start + step * ((edge - start[:, :1]) / step[:, :1])
     on_edge[:, 0] = edge
-    # The ring falls into chains from crossing to crossing. Between the crossings by pairs, from
-    # the south, the edge is inside; so a chain goes on along it with the one that begins there.
+    # Crossings split the ring into chains. From south to north, the edge lies inside between each
+    # pair of crossings, so a chain continues along it to the chain that begins at the other one.
     after = np.roll(np.arange(len(crossed)), -1)
     chains = []
     for at, to in enumerate(after):

@@ -1,1 +1,1 @@
-"""What the sun needs of a place: its horizon, when the sun is above it, how much sky there is."""
+"""Horizons of places, the sun above them, and how much of the sky they leave."""

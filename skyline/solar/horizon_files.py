@@ -1,4 +1,4 @@
-"""Horizons as files: CSV, JSON, the horizon file of PVGIS, and a plot of a single one."""
+"""Horizons as files: CSV, JSON, the horizon file of PVGIS, and a polar plot."""
 
 import io
 import json
@@ -15,36 +15,37 @@ from skyline.solar.local_horizons import LocalHorizons
 
 
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
-    """Write horizons to a file of the kind that its suffix says.
+    """Write horizons to a file in the format of its suffix.
 
-    Raises `InputError` for another suffix, several places in a file for one, or a file that cannot
-    be written.
+    Raises `InputError` if the suffix is unknown, the format holds one place and there are several,
+    or the file cannot be written.
 
     Parameters
     ----------
     path : Path
         ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
-        elevation angles clockwise from north, one a line, none below 0) and ``.png``, ``.svg`` and
-        ``.pdf`` (a polar plot) hold one.
+        elevation angles clockwise from north, one per line, none below 0) and ``.png``, ``.svg``
+        and ``.pdf`` (a polar plot) hold one.
     """
     write_whole(path, named("the kind of file", path.suffix.lower(), _KINDS)(horizons, path))
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:
-    """Return horizons as CSV: a row for each place and azimuth; what is not known is empty."""
-    told, bins = _told(horizons), horizons.azimuth_deg.shape[1]
+    """Return horizons as CSV: one row per place and azimuth; unknown values are empty."""
+    written, bins = _columns(horizons), horizons.azimuth_deg.shape[1]
     columns = [np.repeat(horizons.lon, bins), np.repeat(horizons.lat, bins)]
-    columns += [getattr(horizons, name).ravel() for name in ("azimuth_deg", *told)]
-    digits = ["%.7f", "%.7f", "%.9g", *(f"%.{digits}f" for digits in told.values())]
-    text, header = io.StringIO(), ",".join(["lon", "lat", "azimuth_deg", *told])
+    columns += [getattr(horizons, name).ravel() for name in ("azimuth_deg", *written)]
+    digits = ["%.7f", "%.7f", "%.9g", *(f"%.{digits}f" for digits in written.values())]
+    text, header = io.StringIO(), ",".join(["lon", "lat", "azimuth_deg", *written])
     np.savetxt(text, np.column_stack(columns), ",".join(digits), header=header, comments="")
     return text.getvalue().replace("nan", "")
 
 
-def _told(horizons: LocalHorizons) -> dict[str, int]:
-    """Return what is told of each azimuth, with its decimals."""
-    told = {"elevation_deg": 5, "distance_m": 1}
-    return told | ({"surface_deg": 5} if horizons.has_surface else {})
+def _columns(horizons: LocalHorizons) -> dict[str, int]:
+    """Return the columns written for each azimuth, with their number of decimals."""
+    return {"elevation_deg": 5, "distance_m": 1} | (
+        {"surface_deg": 5} if horizons.has_surface else {}
+    )
 
 
 def _json(horizons: LocalHorizons, _: Path) -> str:
@@ -58,7 +59,7 @@ def _json(horizons: LocalHorizons, _: Path) -> str:
             "azimuth_deg": [round(value, 9) for value in horizons.azimuth_deg[index].tolist()],
             **{
                 name: [_known(value, digits) for value in getattr(horizons, name)[index]]
-                for name, digits in _told(horizons).items()
+                for name, digits in _columns(horizons).items()
             },
         }
         for index in range(len(horizons))
@@ -74,14 +75,14 @@ def _pvgis(horizons: LocalHorizons, path: Path) -> str:
     _check_single(horizons, path)
     if horizons.has_surface:
         raise InputError(
-            f"{path} would hold two horizons, but PVGIS' file holds one; leave --surface out, or "
+            f"{path} would hold two horizons, but a PVGIS file holds one; leave --surface out, or "
             "write .csv or .json"
         )
     elevation_deg = np.maximum(horizons.elevation_deg[0], 0.0)
     if not np.isfinite(elevation_deg).all():
         raise InputError(
-            f"{path} cannot be written: the horizon is not known all the way round; stand farther "
-            "from the border of the DEM"
+            f"{path} cannot be written: the horizon is unknown at some azimuths; choose a place "
+            "farther from the border of the DEM"
         )
     return "".join(f"{value:.2f}\n" for value in elevation_deg)
 
@@ -142,4 +143,4 @@ _KINDS: dict[str, Callable[[LocalHorizons, Path], str | bytes]] = {
     ".pdf": _plot,
 }
 SUFFIXES = tuple(_KINDS)
-"""Of the files that `write_horizons` writes."""
+"""Suffixes of the files that `write_horizons` writes."""

@@ -1,8 +1,10 @@
-"""The horizon round places that a person names: azimuths from true north, degrees, metres.
+"""Horizons of named places, the hours of sun above them, and their sky view factors.
 
-When the sun is above it (extra ``sun``: the positions are PyEphem's), and how much sky there is.
+Azimuths are degrees from true north, distances metres. The sun's position is PyEphem's (extra
+``sun``).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
@@ -11,18 +13,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import Float32Array, Float64Array, Rows
+from skyline.arrays import Float32Array, Float64Array, Progress, Rows
+from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, library
+from skyline.geodesy import Curvature
+from skyline.render.panorama import PanoramaRenderer
+from skyline.skylines import Horizons
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import Dem, read_surface
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
+
+DEFAULT_STEP_DEG = 0.5
+_AT_ONCE = 2048
+"""Eyes rendered between two reports of progress."""
+_LEAST_STEPS = 8
 
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
 _DISC = np.linspace(-1.0, 1.0, 9)
-"""Across the sun's disc, in radii."""
+"""Positions across the sun's disc, in radii."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalHorizons(Rows):
-    """The horizons of N places in A equal steps of azimuth.
+    """Horizons of N places in A equal steps of azimuth.
 
     Attributes
     ----------
@@ -31,17 +45,17 @@ class LocalHorizons(Rows):
     eye_elevation_m : (N,) float64
         Metres above the DEM's datum.
     azimuth_deg : (N, A) float64
-        Clockwise from true north; every place has the same.
+        Clockwise from true north; the same for every place.
     elevation_deg : (N, A) float32
-        Elevation angle of the horizon; NaN where an azimuth meets no data.
+        Elevation angle of the horizon; NaN at azimuths without data.
     distance_m : (N, A) float32
-        Horizontal distance of what makes the horizon; NaN where an azimuth meets no data.
+        Horizontal distance of the horizon; NaN at azimuths without data.
     flags : (N, A) uint8
-        Bits: 1, the horizon lies on the border of the data; 2, a hole may hide what is higher; 4,
+        Bits: 1, the horizon lies on the border of the data; 2, a hole may hide higher terrain; 4,
         no data.
     surface_deg : (N, A) float32
         Elevation angle up to which trees and houses may rise, at least that of the horizon; NaN
-        where no surface model was given.
+        without a surface model.
     """
 
     lon: Float64Array
@@ -63,26 +77,25 @@ class LocalHorizons(Rows):
         return sky_view_factor(self.azimuth_deg[0], self.elevation_deg, tilt_deg, facing_deg)
 
     def sun_above(self, day: date, place: int = 0) -> list[tuple[datetime, datetime]]:
-        """Return when any of the sun's disc is above the horizon of one place, from and to.
+        """Return the intervals during which part of the sun's disc is above one place's horizon.
 
-        The day is the 24 hours about noon of the mean sun at the eye. Air refracts the sun's light
-        as in the standard atmosphere at the eye's elevation. What lasts less than a minute may be
-        missed. Times are in UTC, to a tenth of a second.
+        The day is the 24 hours around noon of the mean sun at the eye. Refraction is that of the
+        standard atmosphere at the eye's elevation. An interval shorter than a minute may be missed.
+        Times are in UTC, to a tenth of a second.
 
-        Raises `InputError` where PyEphem is not installed, or the horizon is not known at some
-        azimuth.
+        Raises `InputError` if PyEphem is not installed or the horizon is unknown at some azimuth.
         """
         azimuth, elevation = self.azimuth_deg[place], self.elevation_deg[place].astype(np.float64)
         if not np.isfinite(elevation).all():
             raise InputError(
-                f"the horizon is not known at {(~np.isfinite(elevation)).sum()} of "
-                f"{len(elevation)} azimuths; stand farther from the border of the DEM"
+                f"the horizon is unknown at {(~np.isfinite(elevation)).sum()} of "
+                f"{len(elevation)} azimuths; choose a place farther from the border of the DEM"
             )
         lon = float(self.lon[place])
         sun = _sun(lon, float(self.lat[place]), float(self.eye_elevation_m[place]))
 
         def above_deg(at: datetime) -> float:
-            """Return how far the highest visible point of the disc is above the horizon."""
+            """Return the height of the highest visible point of the disc above the horizon."""
             sun_azimuth_deg, sun_elevation_deg, radius_deg = sun(at)
             aside_deg = radius_deg * _DISC / np.cos(np.radians(sun_elevation_deg))
             edge_deg = sun_elevation_deg + radius_deg * np.sqrt(1.0 - _DISC**2)
@@ -100,7 +113,7 @@ class LocalHorizons(Rows):
         return list(zip(ends[::2], ends[1::2], strict=True))
 
     def to_series(self, place: int = 0) -> Any:
-        """Return the horizon of one place as pvlib has those of PVGIS.
+        """Return the horizon of one place in the form of pvlib's `get_pvgis_horizon`.
 
         Returns
         -------
@@ -118,15 +131,14 @@ class LocalHorizons(Rows):
         return pandas.Series(elevation, index, name="horizon_elevation")
 
     def to_xarray(self) -> Any:
-        """Return all as a dataset.
+        """Return the horizons as a dataset.
 
         Returns
         -------
         xarray.Dataset
-            ``elevation_deg``, ``distance_m``, ``flags`` and, where a surface model was given,
-            ``surface_deg`` by ``point`` and ``azimuth_deg``;
-            ``sky_view_factor`` of a level surface, ``lon``, ``lat`` and ``eye_elevation_m`` by
-            ``point``.
+            ``elevation_deg``, ``distance_m``, ``flags`` and, with a surface model, ``surface_deg``
+            by ``point`` and ``azimuth_deg``; ``sky_view_factor`` of a level surface, ``lon``,
+            ``lat`` and ``eye_elevation_m`` by ``point``.
 
         Raises
         ------
@@ -134,22 +146,22 @@ class LocalHorizons(Rows):
             Xarray is not installed.
         """
         xarray = library("xarray", "geo", "a Dataset")
-        told = {
+        described = {
             "surface_deg": ("elevation angle up to which trees and houses may rise", "degrees"),
             "elevation_deg": ("elevation angle of the horizon", "degrees"),
             "distance_m": ("horizontal distance of the horizon", "m"),
         }
         if not self.has_surface:
-            del told["surface_deg"]
-        round_about = ("point", "azimuth_deg")
+            del described["surface_deg"]
+        dims = ("point", "azimuth_deg")
         true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
         return xarray.Dataset(
             {
                 **{
-                    name: (round_about, getattr(self, name), {"long_name": what, "units": unit})
-                    for name, (what, unit) in told.items()
+                    name: (dims, getattr(self, name), {"long_name": long_name, "units": unit})
+                    for name, (long_name, unit) in described.items()
                 },
-                "flags": (round_about, self.flags, {"long_name": "1 border, 2 hole, 4 no data"}),
+                "flags": (dims, self.flags, {"long_name": "1 border, 2 hole, 4 no data"}),
                 "sky_view_factor": ("point", self.sky_view_factor()),
             },
             {
@@ -161,35 +173,147 @@ class LocalHorizons(Rows):
         )
 
 
+def horizon(  # noqa: PLR0913  (independent conditions)
+    terrain: HeightField,
+    *,
+    lon: ArrayLike,
+    lat: ArrayLike,
+    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+    step_deg: float = DEFAULT_STEP_DEG,
+    curvature: Curvature | None = None,
+    surface: Dem | None = None,
+    summit_within_m: float | None = None,
+) -> LocalHorizons:
+    """Return the horizons around places, exact on the DEM's surface to float32.
+
+    Parameters
+    ----------
+    lon, lat : array_like, degrees (WGS 84), broadcast to N places
+    eye_height_m : array_like, metres above ground
+    step_deg : float
+        Step between azimuths; the first azimuth is true north.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+    surface : path, paths or HeightField, optional
+        A surface or canopy model, for how far trees and houses may rise above the horizon.
+    summit_within_m : float, optional
+        Move each eye to the highest point within this distance. By default eyes stay in place, and
+        an eye within one sample's spacing of a summit of the model is raised to its height; 0
+        leaves such an eye on the slope.
+
+    Raises
+    ------
+    OffMapError
+        A place off the map or on a hole, or an eye height below 0.
+    InputError
+        The step does not divide a full turn, or the surface does not cover the DEM.
+    ContextError
+        No OpenGL context can be created.
+    """
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
+    over = None if surface is None else read_surface(surface, terrain)
+    return horizons_of(terrain, eyes, step_deg, curvature, surface=over)
+
+
+def horizons_of(
+    terrain: HeightField,
+    eyes: Viewpoints,
+    step_deg: float = DEFAULT_STEP_DEG,
+    curvature: Curvature | None = None,
+    progress: Progress | None = None,
+    surface: HeightField | None = None,
+) -> LocalHorizons:
+    """Return the horizons of eyes, as `horizon`; the surface is a height field."""
+    steps = _check_step(step_deg)
+    # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
+    every = 8 // math.gcd(steps, 8)
+    lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+    to_grid_rad = -np.radians(
+        terrain.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    )
+    bins = steps * every
+    rendered = _rendered(terrain, eyes, to_grid_rad, bins, curvature, progress)
+    elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))
+    surface_deg = np.full_like(elevation_deg, np.nan)
+    if surface is not None:
+        over = _rendered(surface, eyes, to_grid_rad, bins, curvature, progress)
+        # Rounding in the surface model must not put it below the terrain.
+        surface_deg = np.degrees(np.arctan(over.elevation_tan[:, ::every]))
+        surface_deg = np.maximum(surface_deg, elevation_deg)
+    azimuth_deg = np.arange(steps) * (360.0 / steps)
+    return LocalHorizons(
+        lon,
+        lat,
+        eyes.eye_elevation_m,
+        np.broadcast_to(azimuth_deg, (len(eyes), steps)),
+        elevation_deg,
+        rendered.distance_m[:, ::every],
+        rendered.flags[:, ::every],
+        surface_deg,
+    )
+
+
+def _rendered(
+    field: HeightField,
+    eyes: Viewpoints,
+    to_grid_rad: Float64Array,
+    bins: int,
+    curvature: Curvature | None,
+    progress: Progress | None,
+) -> Horizons:
+    parts: list[Horizons] = []
+    with PanoramaRenderer(field, bins, curvature, tolerance_deg=0.0) as renderer:
+        for start in range(0, len(eyes), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+            if progress is not None:
+                progress(min(part.stop, len(eyes)), len(eyes))
+    return Horizons.concatenate(parts)
+
+
+def _check_step(step_deg: float) -> int:
+    """Return the number of steps per turn."""
+    most = MAX_WIDTH // 2
+    steps = round(360.0 / step_deg) if 0.0 < step_deg <= 360.0 else 0
+    if not (_LEAST_STEPS <= steps <= most and math.isclose(steps * step_deg, 360.0, rel_tol=1e-6)):
+        raise InputError(
+            f"step is {step_deg:g} degrees; expected a divisor of 360, from {360.0 / most:.3g} "
+            f"to {360.0 / _LEAST_STEPS:g}: 0.5, 1 or 7.5"
+        )
+    return steps
+
+
 def sky_view_factor(
     azimuth_deg: ArrayLike,
     elevation_deg: ArrayLike,
     tilt_deg: float = 0.0,
     facing_deg: float = 180.0,
 ) -> Float64Array:
-    """Return sky view factors: the sky's light on a surface, as a share of that of a free sky.
+    """Return sky view factors: the sky's light on a surface as a share of an unobstructed sky's.
 
     Source: Dozier and Frew, Rapid calculation of terrain parameters for radiation modeling from
     digital elevation data, IEEE Transactions on Geoscience and Remote Sensing 28 (1990), equation
     7b: the mean over all azimuths a of cos S sin(H)^2 + sin S cos(a - A) (H - sin H cos H), where
-    S and A are the surface's tilt and azimuth and H is the angle from the zenith down to what ends
-    the sky: the horizon, or the surface's own plane where that is higher. The sky is equally bright
-    everywhere.
+    S and A are the surface's tilt and azimuth and H is the angle from the zenith down to the lower
+    end of the sky: the horizon, or the surface's own plane where that is higher. The sky is assumed
+    equally bright everywhere.
 
     Parameters
     ----------
     azimuth_deg : (A,) array_like
-        In equal steps all the way round.
+        Equal steps over a full turn.
     elevation_deg : (..., A) array_like
-        Of horizons; what lies under the horizontal plane hides no sky.
+        Elevation of horizons; negative elevations count as 0.
     tilt_deg, facing_deg : float
-        Of the surface, from the horizontal, and the azimuth it faces; level by default, where the
-        factor is the mean of the cosine of the horizon's elevation, squared.
+        Tilt of the surface from the horizontal and the azimuth that it faces. For a level surface,
+        the default, the factor is the mean of the squared cosine of the horizon's elevation.
 
     Returns
     -------
     (...) float64
-        0 to 1; NaN where the horizon is not known all the way round.
+        0 to 1; NaN if the horizon is unknown at some azimuth.
     """
     tilt = np.radians(tilt_deg)
     away = np.cos(np.radians(np.asarray(azimuth_deg, dtype=np.float64) - facing_deg))
@@ -202,7 +326,7 @@ def sky_view_factor(
 
 
 def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime) -> datetime:
-    """Return when a function changes its sign between two times, by bisection."""
+    """Return the time between two others at which a function changes sign, by bisection."""
     before = above(low) > 0.0
     while (high - low).total_seconds() > _TO_SECONDS:
         middle = low + (high - low) / 2
@@ -211,7 +335,7 @@ def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime)
 
 
 def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Float64Array]:
-    """Return what gives the sun's azimuth, refracted elevation and radius in degrees at a time."""
+    """Return a function from time to the sun's azimuth, refracted elevation and radius, degrees."""
     ephem = library("ephem", "sun", "the sun's position")
     observer = ephem.Observer()
     observer.lon, observer.lat = np.radians(lon), np.radians(lat)

@@ -1,46 +1,70 @@
-"""The server's addresses: the page and its parts, photos, skylines, matches, files to save."""
+"""The addresses of the server: the page, photos, skylines, matches, files and a live channel."""
 
 import asyncio
 import contextlib
 import json
+import logging
 from collections.abc import AsyncIterator, Callable, Mapping
 from importlib.metadata import PackageNotFoundError, distribution
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from skyline import InputError, SkylineError, read_trace
-from skyline.web.asked import chosen_of, narrowing_of, pose_of, query_of, strokes_of
 from skyline.web.engine import Engine, shown_name
-from skyline.web.live import LiveChannel
-from skyline.web.match_jobs import Match, candidate_json
-from skyline.web.photos import PagePhoto, version_of
-from skyline.web.saving import KINDS, saved
-from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions
+from skyline.web.requests import (
+    chosen_of,
+    narrowing_of,
+    number,
+    pose_of,
+    query_of,
+    strokes_of,
+)
+from skyline.web.session import (
+    KINDS,
+    MAX_SESSION_BYTES,
+    MAX_UPLOAD_BYTES,
+    Match,
+    PagePhoto,
+    Session,
+    Sessions,
+    candidate_json,
+    saved,
+    version_of,
+)
+
+_log = logging.getLogger(__name__)
 
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = _MAX_TRACE_BYTES = 8_000_000
 _SWEEP_S = 1.0
 _MEGABYTE = 1_000_000
+_PROGRESS_S = 0.15
+"""Interval between two reports of the progress of matches."""
+_GAPS = 240
+"""Number of columns for which the live channel reports the gap between the skylines."""
+_NOT_RENDERED = "there is nothing to render with: the store's DEM is not at hand"
 
 
 class TooLargeError(InputError):
-    """An upload beyond the limit."""
+    """An upload exceeds the limit."""
 
 
 def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
-    """Return the application over an opened store; ``started`` is called when it can be used."""
+    """Return the application over an opened store; ``started`` is called once it answers."""
     return _Pages(engine, started).app()
 
 
 def leaflet_folder() -> Path:
-    """Return where the map viewer's files are installed; raises `InputError` without them."""
+    """Return the folder of the map viewer Leaflet; raises `InputError` if it is not installed."""
     try:
         folder = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
     except PackageNotFoundError as error:
@@ -121,7 +145,7 @@ class _Pages:
         except KeyError:
             await socket.close(1008)
             return
-        await LiveChannel(socket, self._engine, session).run()
+        await _LiveChannel(socket, self._engine, session).run()
 
     async def _upload(self, request: Request) -> Response:
         session, name = self._session(request), shown_name(request.query_params.get("name", ""))
@@ -187,7 +211,7 @@ class _Pages:
         self._sessions.opened.solve(photo, ())
 
     async def _match(self, request: Request) -> Response:
-        """Match a photo; the answer comes when the match has ended, however it did."""
+        """Match a photo; the response comes when the match has ended or was cancelled."""
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
         before = session.matches.get(photo.id)
         if before is not None and not before.done:
@@ -198,7 +222,7 @@ class _Pages:
         await self._engine.work("matches", match.run, self._engine)
         if match.error is not None:
             raise InputError(match.error)
-        return JSONResponse(photo.told)
+        return JSONResponse(photo.result_json)
 
     async def _cancel(self, request: Request) -> Response:
         match = self._session(request).matches.get(self._photo(request).id)
@@ -212,7 +236,7 @@ class _Pages:
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self._engine.viewer is None or photo.query is None:
-            raise InputError("there is nothing to render with: the store's DEM is not at hand")
+            raise InputError(_NOT_RENDERED)
         query, start = photo.query, pose_of(asked.get("pose"), self._engine.viewer)
         found = self._engine.matcher.fit(query, start)
         if not found.candidates:
@@ -227,8 +251,8 @@ class _Pages:
         if kind not in KINDS:
             return Response(status_code=404)
         candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine.viewer)
-        what = kind, self._engine, self._sessions.opened, photo, candidates, session.folder
-        content = await self._engine.work("files", saved, *what)
+        arguments = kind, self._engine, self._sessions.opened, photo, candidates, session.folder
+        content = await self._engine.work("files", saved, *arguments)
         return Response(content, media_type=KINDS[kind][1])
 
     def _session(self, request: Request) -> Session:
@@ -236,6 +260,116 @@ class _Pages:
 
     def _photo(self, request: Request) -> PagePhoto:
         return self._session(request).photos[request.path_params["photo"]]
+
+
+class _LiveChannel:
+    """The channel to one open page: poses in, skylines and the progress of matches out.
+
+    A marker that is dragged sends poses faster than skylines can be rendered, so only the latest
+    request of each type is answered.
+    """
+
+    def __init__(self, socket: WebSocket, engine: Engine, session: Session) -> None:
+        self._socket, self._engine, self._session = socket, engine, session
+        self._asked: dict[str, Mapping[str, Any]] = {}
+        self._arrived = asyncio.Event()
+
+    async def run(self) -> None:
+        """Answer requests until the page closes."""
+        await self._socket.accept()
+        self._session.page_opened()
+        tasks = [asyncio.create_task(self._answer()), asyncio.create_task(self._report())]
+        try:
+            await self._listen()
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            self._session.page_closed()
+
+    async def _listen(self) -> None:
+        while self._socket.application_state is not WebSocketState.DISCONNECTED:
+            try:
+                asked = await self._socket.receive_json()
+            except (ValueError, KeyError):
+                continue
+            if isinstance(asked, Mapping) and asked.get("type") in {"look", "height"}:
+                self._asked[str(asked["type"])] = asked
+                self._arrived.set()
+
+    async def _answer(self) -> None:
+        while True:
+            await self._arrived.wait()
+            self._arrived.clear()
+            while self._asked:
+                _, asked = self._asked.popitem()
+                try:
+                    answer = await self._engine.work("live", self._answered, asked)
+                except Exception:
+                    # The page reopens a closed channel, but would wait on a silent one.
+                    _log.exception("the page asked for %s", asked.get("type"))
+                    await self._socket.close(1011)
+                    return
+                await self._socket.send_json(answer)
+
+    async def _report(self) -> None:
+        """Send the progress of matches whenever it has changed."""
+        sent: dict[str, Any] = {}
+        while True:
+            for photo_id, match in list(self._session.matches.items()):
+                now = match.progress()
+                if sent.get(photo_id) != now:
+                    sent[photo_id] = now
+                    with contextlib.suppress(RuntimeError):
+                        await self._socket.send_json({"type": "progress", **now})
+            await asyncio.sleep(_PROGRESS_S)
+
+    def _answered(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        same = {"type": asked["type"], "seq": asked.get("seq")}
+        try:
+            if asked["type"] == "height":
+                height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
+                return {**same, "height": height_m}
+            return {**same, **self._looked(asked)}
+        except (SkylineError, KeyError) as error:
+            return {**same, "error": str(error)}
+
+    def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        viewer = self._engine.viewer
+        photo = self._session.photos[str(asked.get("photo"))]
+        if viewer is None or photo.query is None:
+            return {"error": _NOT_RENDERED}
+        pose = pose_of(asked.get("pose"), viewer)
+        sight = viewer.look(pose, photo.query)
+        seen: dict[str, Any] = {
+            "column": _rounded(sight.column_px),
+            "row": _rounded(sight.row_px),
+            "sure": sight.is_sure.astype(int).tolist(),
+            "gap": sight.median_gap_deg,
+            "elevation": pose.eye_elevation_m,
+            **_gaps(sight.gap_deg),
+        }
+        if asked.get("summits"):
+            seen["summits"] = [
+                {"label": one.label, "column": one.column_px, "row": one.row_px}
+                for one in viewer.summits(pose, photo.query)
+            ]
+        return seen
+
+
+def _rounded(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float | None]:
+    """Return values for JSON, with None for NaN."""
+    return [round(value, 1) if isfinite(value) else None for value in values.tolist()]
+
+
+def _gaps(gap_deg: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
+    """Return evenly spaced columns and the gap in each, degrees."""
+    step = max(1, len(gap_deg) // _GAPS)
+    columns = np.arange(step // 2, len(gap_deg), step)
+    known = columns[np.isfinite(gap_deg[columns])]
+    return {"gapColumn": known.tolist(), "gapDeg": np.round(gap_deg[known], 3).tolist()}
 
 
 def _lines(photo: PagePhoto) -> Response:
@@ -248,18 +382,18 @@ async def _page(_: Request) -> Response:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    """Answer an error with one line; an unknown session or photo is a key that is not there."""
+    """Answer an error with one line; a `KeyError` means an unknown session or photo."""
     if isinstance(error, ClientDisconnect):
         return Response(status_code=400)
     if not isinstance(error, SkylineError):
-        return JSONResponse({"error": "this is not on the page any more; reload it"}, 404)
+        return JSONResponse({"error": "this is no longer on the page; reload it"}, 404)
     if isinstance(error, TooLargeError):
         return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
     return JSONResponse({"error": str(error)}, 400)
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
-    """Return the object that a request brings; raises `InputError` for anything else."""
+    """Return the JSON object of a request; raises `InputError` for anything else."""
     held = bytearray()
     async for part in request.stream():
         held += part
@@ -275,7 +409,7 @@ async def _json(request: Request) -> Mapping[str, Any]:
 
 
 async def _received(request: Request, path: Path, name: str, limit: int) -> None:
-    """Write what a request brings to a new file; raises `TooLargeError` beyond a limit."""
+    """Write the body of a request to a new file; raises `TooLargeError` beyond a limit."""
 
     def check(size: int) -> None:
         if size > limit:
@@ -284,8 +418,8 @@ async def _received(request: Request, path: Path, name: str, limit: int) -> None
                 f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
             )
 
-    told = request.headers.get("content-length", "0")
-    check(int(told) if told.isdecimal() else 0)
+    length = request.headers.get("content-length", "0")
+    check(int(length) if length.isdecimal() else 0)
     with path.open("xb") as file:
         size = 0
         async for part in request.stream():

@@ -1,4 +1,4 @@
-"""What all people at the page share: the store, what renders it, and the threads that work."""
+"""The engine that all sessions share: the store, its renderer and the worker threads."""
 
 import asyncio
 from collections.abc import Callable
@@ -23,27 +23,27 @@ from skyline import (
 T = TypeVar("T")
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
-"""Threads by what they do, so that no kind of work waits for another."""
+"""Number of threads for each kind of work, so that no kind waits for another."""
 _NAME_LENGTH = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What the page is opened on."""
+    """The files that ``skyline serve`` was started with."""
 
     store: Path
     dem: tuple[str, ...] = ()
-    """Where the store's DEM lies now; empty where it lies where it lay."""
+    """Files of the store's DEM, if they have moved since the store was built."""
     photos: tuple[Path, ...] = ()
-    """Photos that everybody's list begins with."""
+    """Photos at the start of every session's list."""
     peaks: Path | None = None
-    """A gazetteer."""
+    """Gazetteer of summits; see `skyline.read_peaks`."""
 
 
 class Engine:
-    """A store, opened for many people at a time.
+    """A store opened for many sessions at a time.
 
-    Raises `SkylineError` where the store, its DEM or the gazetteer cannot be used.
+    Raises `SkylineError` if the store, its DEM or the gazetteer cannot be used.
     """
 
     def __init__(self, given: Given) -> None:
@@ -64,12 +64,12 @@ class Engine:
         }
 
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
-        """Run a task on one of the threads for its kind of work."""
+        """Run a task on one of the threads of its kind of work."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._pools[kind], task, *arguments)
 
     def about(self) -> dict[str, Any]:
-        """Return what a page shows of the store."""
+        """Return the facts about the store that the page shows."""
         eyes = self.matcher.viewpoints
         return {
             "store": shown_name(self.given.store.name),
@@ -84,7 +84,7 @@ class Engine:
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:
-        """Return the terrain's height at a place; None off the map."""
+        """Return the terrain's height at a place, metres; None off the map or without terrain."""
         terrain = self.matcher.terrain
         if terrain is None:
             return None
@@ -92,9 +92,9 @@ class Engine:
         return height if np.isfinite(height) else None
 
     def eye_height_m(self, pose: Candidate) -> float | None:
-        """Return how high a pose's eye is above the ground that `Viewer.pose` gives its place.
+        """Return the height of a pose's eye above the ground as `Viewer.pose` takes it, metres.
 
-        An eye below the surface counts as on it. Without terrain there is none.
+        An eye below the surface counts as on it. Without terrain the height is None.
         """
         surface_m = self.height_m(pose.lon, pose.lat)
         if surface_m is None or self.matcher.terrain is None:
@@ -103,7 +103,7 @@ class Engine:
         return max(surface_m, pose.eye_elevation_m) - float(ground.eye_elevation_m[0])
 
     def close(self) -> None:
-        """End all work and free what was held."""
+        """End all work, close the store and release the renderer."""
         for pool in self._pools.values():
             pool.shutdown(cancel_futures=True)
         if self.viewer is not None:
@@ -113,7 +113,7 @@ class Engine:
 
 
 def shown_name(name: str) -> str:
-    """Return a file's name as the page shows it: without folders or control characters."""
+    """Return a file's name as the page shows it, without folders or control characters."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     plain = "".join(letter for letter in last if letter.isprintable()).strip()
     return plain[-_NAME_LENGTH:] or "photo"

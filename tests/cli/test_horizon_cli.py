@@ -127,7 +127,7 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
         ((), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "--points", "points.csv"), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected a name that ends in .csv"),
-        (("--at", AT, "--step-deg", "7"), "expected a whole share of 360"),
+        (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
         (("--at", AT, "--eye-height", "-3"), "below the ground"),
         (("--points", "no.csv"), "no.csv does not exist"),
     ],

@@ -162,7 +162,7 @@ def test_the_sun_of_a_polar_summer_never_sets_and_of_a_polar_winter_never_rises(
 
 @pytest.mark.parametrize("step_deg", [0.0, -1.0, 7.0, 90.0, 0.001, np.nan])
 def test_steps_that_are_no_share_of_a_turn(rough, step_deg):
-    with pytest.raises(InputError, match="expected a whole share of 360"):
+    with pytest.raises(InputError, match="expected a divisor of 360"):
         horizon(rough, **at_deg(places_on(rough, 1)), step_deg=step_deg)
 
 

@@ -11,9 +11,8 @@ from scipy.ndimage import maximum_filter
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.report.labelled_panorama import panorama_view
-from skyline.report.landscape import Landscape
-from skyline.report.panorama_picture import SUMMIT, draw_panorama
+from skyline.report.labelled_panorama import SUMMIT, draw_panorama
+from skyline.report.landscape import Landscape, panorama_view
 from skyline.terrain.dem import read_blocks
 from skyline.terrain.heightfield import TerrainBlocks
 
@@ -158,7 +157,7 @@ def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(moun
         away_m = np.hypot(east, north)
         if away_m < 2000.0:
             continue
-        azimuth = (np.degrees(np.arctan2(east, north)) + view.convergence_deg) % 360.0
+        azimuth = (np.degrees(np.arctan2(east, north)) + view.landscape.convergence_deg) % 360.0
         column = np.argmin(np.abs(landscape.azimuth_deg - azimuth))
         up = peaks.height_m[index] - eye.eye_elevation_m[0] - Curvature().drop_m(away_m)
         summit_deg = np.degrees(np.arctan(up / away_m))
@@ -182,7 +181,7 @@ def test_a_part_of_the_round_has_its_peaks_alone(mountains):
     whole = view_from(field, 150.0, 150.0, peaks)
     part = view_from(field, 150.0, 150.0, peaks, heading_deg=350.0, fov_deg=60.0)
     assert 0 < len(part.sightings) < len(whole.sightings)
-    off = [(one.azimuth_deg + part.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
+    off = [(one.azimuth_deg + part.landscape.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
            for one in part.sightings]  # fmt: skip
     assert np.abs(off).max() <= 30.0
     azimuth = part.landscape.azimuth_deg

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from scenes import field_of, fractal
 
-from skyline.report import save_depth_images
+from skyline.report.plan_pictures import save_depth_images
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

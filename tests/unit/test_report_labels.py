@@ -5,7 +5,7 @@ from itertools import combinations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skyline.report.labels import place_labels
+from skyline.report.figures import place_labels
 
 WIDTH_PX = 1000.0
 PEAKS = st.lists(st.tuples(st.floats(0.0, WIDTH_PX), st.floats(5.0, 300.0)), max_size=25)

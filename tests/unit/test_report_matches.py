@@ -15,11 +15,12 @@ from skyline.build.grid import uniform_grid
 from skyline.geodesy import Frame
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
-from skyline.report import Peaks, Surroundings, write_match_report
-from skyline.report.overlay import Overlay
-from skyline.report.peaks import Sighting
-from skyline.report.posed_picture import Panorama, PosedPicture, median_gap_deg
-from skyline.report.relief import Area, draw_bearings
+from skyline.report.maps import Area, draw_bearings
+from skyline.report.match_report import write_match_report
+from skyline.report.overlay import draw_overlay
+from skyline.report.peaks import Peaks, Sighting
+from skyline.report.surroundings import Surroundings
+from skyline.report.viewer import Panorama, directions_of, gap_deg, pixels_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -41,13 +42,13 @@ def render(viewpoints, headings):
 
 
 PANORAMA = Panorama.of(oracle.skyline(FIELD, EYE, 256))
-PICTURE = PosedPicture(WIDTH_PX, HEIGHT_PX, BEST)
+BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
 
 
 def true_query():
     """The query that the best candidate would take, a fifth of its columns masked."""
-    around = PANORAMA.from_azimuth(BEST.grid_heading_deg + 180.0)
-    column, row = PICTURE.pixels(around.azimuth_deg, around.elevation_tan)
+    around = PANORAMA.facing(BEST.grid_heading_deg)
+    column, row = pixels_of(BEST, BLANK, around.azimuth_deg, around.elevation_tan)
     seen = np.isfinite(column)
     order = np.argsort(column[seen])
     row_px = np.interp(np.arange(WIDTH_PX), column[seen][order], row[seen][order])
@@ -69,25 +70,29 @@ def like(image, rgb, within=90):
 
 
 def test_a_picture_s_directions_are_seen_where_they_came_from():
-    azimuth_deg, y = PICTURE.directions(QUERY)
-    column, row = PICTURE.pixels(azimuth_deg, y)
+    azimuth_deg, y = directions_of(BEST, QUERY)
+    column, row = pixels_of(BEST, QUERY, azimuth_deg, y)
     np.testing.assert_allclose(column, np.flatnonzero(QUERY.trusted), atol=1e-8)
     np.testing.assert_allclose(row, QUERY.row_px[QUERY.trusted], atol=1e-8)
 
 
+def median_gap_deg(panorama):
+    return np.median(np.abs(gap_deg(BEST, QUERY, panorama)))
+
+
 def test_the_gap_is_the_angle_between_found_and_rendered():
-    assert median_gap_deg(PICTURE, QUERY, PANORAMA) < 0.02
+    assert median_gap_deg(PANORAMA) < 0.02
     higher = Panorama(
         PANORAMA.azimuth_deg,
         np.tan(np.arctan(PANORAMA.elevation_tan) + np.radians(0.5)),
         PANORAMA.is_sure,
     )
-    assert median_gap_deg(PICTURE, QUERY, higher) == pytest.approx(0.5, abs=0.02)
+    assert median_gap_deg(higher) == pytest.approx(0.5, abs=0.02)
 
 
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
-    image = pixels(Overlay(QUERY, photo, BEST, PANORAMA).jpeg())
+    image = pixels(draw_overlay(QUERY, photo, BEST, PANORAMA)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
     found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
@@ -99,16 +104,16 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     # Where the found skyline is masked, the rendered one is there alone, and the ground is veiled.
     assert rendered[:450, 215:365].any(axis=0).mean() > 0.8
     assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
-    bare = pixels(Overlay(QUERY, photo, BEST).jpeg())
+    bare = pixels(draw_overlay(QUERY, photo, BEST)[0])
     assert not like(bare, (0, 224, 255)).any()
 
 
 def test_what_has_no_room_for_a_name_is_counted(tmp_path):
     ahead = Sighting("A name", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, azimuth_deg=BEST.grid_heading_deg + 180.0)
-    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).unnamed == 0
+    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[1] == 0
     # A label's leader keeps others from the place above its own.
-    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind]).unnamed == 3
+    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind])[1] == 3
     turn = np.radians(BEST.grid_heading_deg)
     east, north = 1800.0 + 1500.0 * np.sin(turn), 1800.0 + 1500.0 * np.cos(turn)
     crowd = Peaks(
@@ -129,20 +134,20 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
     above = replace(ahead, label="Above", elevation_tan=3.0)
-    none = pixels(Overlay(QUERY, None, BEST, PANORAMA, [behind, above]).jpeg())
-    named = pixels(Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).jpeg())
+    none = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [behind, above])[0])
+    named = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[0])
     band = len(named) - len(none)
     assert band > 15
     text = (named[: band - 8] < 100).all(axis=-1)
     middle = np.flatnonzero(text.any(axis=0)).mean()
-    assert middle == pytest.approx(PICTURE.pixels(BEST.grid_heading_deg, 0.2)[0], abs=10.0)
+    assert middle == pytest.approx(pixels_of(BEST, QUERY, BEST.grid_heading_deg, 0.2)[0], abs=10.0)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (40, 3000), (6000, 60)])
 def test_odd_pictures_are_drawn_too(size):
     width, height = size
     query = QuerySkyline(np.full(width, 0.4 * height), np.ones(width), width, height, 60.0)
-    drawn = pixels(Overlay(query, None, BEST, PANORAMA).jpeg())
+    drawn = pixels(draw_overlay(query, None, BEST, PANORAMA)[0])
     assert max(drawn.shape) < 1700
     assert like(drawn, (255, 45, 111)).any()
 

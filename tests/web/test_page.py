@@ -116,7 +116,7 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(
 
 def verdict(page):
     """Return the texts on the page that may say how sure a pose is."""
-    return page.find("#answer").text, page.find("#pose-said").text
+    return page.find("#answer").text, page.find("#pose-verdict").text
 
 
 def type_into(page, selector, text):

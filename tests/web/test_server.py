@@ -18,10 +18,10 @@ from websockets.exceptions import InvalidStatus
 
 from skyline import Matcher, Viewer
 from skyline.terrain.summits import summit_heights_m
-from skyline.web.asked import pose_of
 from skyline.web.engine import Engine
-from skyline.web.guard import Guard
-from skyline.web.match_jobs import candidate_json
+from skyline.web.requests import pose_of
+from skyline.web.server import Guard
+from skyline.web.session import candidate_json
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,8 @@
 import pytest
 
 from skyline import InputError, Narrowing, QuerySkyline
-from skyline.web import sessions as module
-from skyline.web.match_jobs import Match
-from skyline.web.sessions import Sessions, shown_name
+from skyline.web import session as module
+from skyline.web.session import Match, Sessions, shown_name
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions)
 def test_who_has_gone_is_forgotten_and_who_is_there_is_not(sessions, monkeypatch):
     gone, there = sessions.begin(), sessions.begin()
     photo_in(gone)
-    there.came()
+    there.page_opened()
     sessions.sweep()
     assert gone.folder.exists()
     monkeypatch.setattr(module, "_GONE_S", 0.0)
@@ -44,7 +43,7 @@ def test_who_has_gone_is_forgotten_and_who_is_there_is_not(sessions, monkeypatch
     assert there.folder.exists()
     with pytest.raises(KeyError):
         sessions.of(gone.id)
-    there.left()
+    there.page_closed()
     sessions.sweep()
     assert not there.folder.exists()
 
@@ -54,9 +53,9 @@ def test_matches_of_nobody_are_ended(sessions, monkeypatch):
     photo = photo_in(session)
     match = Match(photo, QuerySkyline([1.0], [1.0], 1, 1), Narrowing())
     session.matches[photo.id] = match
-    session.came()
+    session.page_opened()
     monkeypatch.setattr(module, "_UNATTENDED_S", 0.0)
-    session.left()
+    session.page_closed()
     sessions.sweep()
     match.run(None)
     assert match.error == "cancelled"
@@ -75,10 +74,10 @@ def test_there_are_limits(sessions, monkeypatch):
     session.remove(first)
     assert session.bytes == 100
     assert not first.path.exists()
-    session.came()
+    session.page_opened()
     with pytest.raises(InputError, match="pages are open"):
         sessions.begin()
-    session.left()
+    session.page_closed()
     assert sessions.begin().folder.exists()
     assert not session.folder.exists()
 

@@ -28,10 +28,11 @@ from skyline import (
 from skyline.arrays import Float64Array
 from skyline.build.grid import map_bounds
 from skyline.cli.console import progress_bar
+from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn
 from skyline.photo.read import read_picture
-from skyline.report.html import Page, Part, Picture, Section, Table
-from skyline.report.overlay import Overlay
+from skyline.report.html import figures, page, picture, section, table
+from skyline.report.overlay import draw_overlay
 from skyline.terrain.dem import DemOptions
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row, shown, write_record
@@ -82,9 +83,10 @@ def photos(
     use_gps: Annotated[
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
     ] = False,
-    page: Annotated[
+    page_file: Annotated[
         Path | None,
         Option(
+            "--page",
             metavar="FILE.html",
             help="Draw each photograph's skylines.",
             callback=options.in_a_folder,
@@ -111,11 +113,11 @@ def photos(
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     side_m = 1000.0 * side_km
-    sections, found = list[Section](), dict[Photograph, dict[str, Any]]()
+    sections, found = list[str](), dict[Photograph, dict[str, Any]]()
     with options.store_folder(folder) as place, progress_bar("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, spacing, use_gps):
             found[measured.photograph] = measured.figures
-            if page is not None:
+            if page_file is not None:
                 sections.append(_section(measured, viewer))
             progress(len(found), len(wanted))
     rows = [found[one] for one in wanted]
@@ -134,23 +136,23 @@ def photos(
         [about | row for row in rows],
         {"photos": [about | row for row in summary]},
     )
-    if page is not None:
+    if page_file is not None:
         lead = f"{len(rows)} photographs of {manifest.name}."
-        Page("Photographs", lead, sections, "").write(page)
+        write_with_folders(page_file, page("Photographs", lead, sections))
 
 
-def _section(measured: Measured, viewer: Viewer | None) -> Section:
-    """Return the section of a photograph, with a drawing where its skyline was found."""
-    figures = {name: shown(value) for name, value in measured.figures.items()}
-    parts: list[Part] = [Table(("", ""), [[k, str(v)] for k, v in figures.items() if v != "-"])]
+def _section(measured: Measured, viewer: Viewer | None) -> str:
+    """Return the section of a photograph, with a drawing if its skyline was found."""
+    shown_figures = {name: shown(value) for name, value in measured.figures.items()}
+    parts = [table(("", ""), [[k, str(v)] for k, v in shown_figures.items() if v != "-"])]
     if measured.query is not None:
         panorama = None
         if viewer is not None and measured.best is not None:
             panorama = viewer.panorama(measured.best)
-        picture = read_picture(measured.photograph.photo)
-        overlay = Overlay(measured.query, picture, measured.best, panorama)
-        parts.insert(0, Picture(overlay.jpeg(), "Found, and rendered at the best candidate."))
-    return Section(measured.photograph.name, parts)
+        photo = read_picture(measured.photograph.photo)
+        drawn, _ = draw_overlay(measured.query, photo, measured.best, panorama)
+        parts.insert(0, figures([picture(drawn, "Found, and rendered at the best candidate.")]))
+    return section(measured.photograph.name, parts)
 
 
 def measure(

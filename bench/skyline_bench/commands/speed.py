@@ -28,7 +28,7 @@ from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.skylines import Horizons, Views
-from skyline.solar.horizon_at import DEFAULT_STEP_DEG
+from skyline.solar.local_horizons import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField

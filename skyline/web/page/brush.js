@@ -1,6 +1,6 @@
-// A person's strokes over the photo; the skyline is found again after each.
+// Strokes over the photo; the skyline is found again after each.
 import * as server from "./server.js";
-import { $, alertUser, say, state, tell } from "./state.js";
+import { $, alertUser, showStatus, state, emit } from "./state.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
 import { release, turnBy } from "./hand.js";
 
@@ -51,7 +51,7 @@ export function redo() {
   solve();
 }
 
-// One question at a time; what was drawn meanwhile goes with the next.
+// One request at a time; strokes drawn meanwhile go with the next.
 async function solve() {
   buttons();
   if (solving) {
@@ -67,7 +67,7 @@ async function solve() {
       const lines = await server.skyline(photo, photo.strokes);
       if (photo === state.photo) showSkyline(lines);
       performance.measure("stroke", { start: began, end: performance.now() });
-      say(`Skyline in ${Math.round(100 * share())} % of the columns`);
+      showStatus(`Skyline in ${Math.round(100 * share())} % of the columns`);
     } catch (error) {
       alertUser(error.message);
     }
@@ -80,7 +80,7 @@ const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0)
 export function showSkyline({ rows, trust, version }) {
   Object.assign(state, { rows, trust, version });
   buttons();
-  tell("skyline");
+  emit("skyline");
 }
 
 export function buttons() {
@@ -167,13 +167,13 @@ async function loadTrace() {
 }
 
 export async function traceFrom(file) {
-  if (!state.photo) return alertUser(`${file.name} is a trace; add the photo that it is of first`);
+  if (!state.photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
   try {
     const lines = await server.loadTrace(state.photo, file);
     state.photo.strokes = [];
     forget();
     showSkyline(lines);
-    say(`${file.name} loaded`);
+    showStatus(`${file.name} loaded`);
   } catch (error) {
     alertUser(error.message);
   }
@@ -188,7 +188,7 @@ export function start() {
   });
   canvas.addEventListener("keydown", pressed);
   document.addEventListener("keydown", (event) => {
-    // The photo's keys are the page's, too; the letters of its tools even where a button has the focus.
+    // The photo's keys work on the whole page; letters of tools also while a button has the focus.
     const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
     if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number]"))) pressed(event);
   });

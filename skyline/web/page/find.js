@@ -1,6 +1,6 @@
-// The search: begun, followed, cancelled; its candidates listed and chosen.
+// The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, alertUser, degrees, element, mapLink, on, say, state, tell } from "./state.js";
+import { $, alertUser, degrees, element, mapLink, on, showStatus, state, emit } from "./state.js";
 import { checked, known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -9,26 +9,26 @@ const STEPS = { waiting: "waiting for another search", screening: "comparing all
 
 async function find(photo) {
   photo.state = "matching";
-  tell("states");
+  emit("states");
   show();
   try {
     const result = await server.match(photo, known());
     state.results.set(photo.id, result);
     photo.state = outcome(result);
     if (photo === state.photo) {
-      // The pose is no candidate of this search until one is chosen.
+      // Until a candidate is chosen, the pose does not belong to this search.
       leave();
-      say(`Searched in ${result.seconds.toFixed(1)} s`);
-      tell("result");
+      showStatus(`Searched in ${result.seconds.toFixed(1)} s`);
+      emit("result");
       show();
       if (result.candidates.length) choose(0);
     }
   } catch (error) {
     photo.state = "ready";
-    if (error.message === "cancelled") say("Cancelled");
+    if (error.message === "cancelled") showStatus("Cancelled");
     else alertUser(error.message);
   }
-  tell("states");
+  emit("states");
   show();
 }
 
@@ -45,7 +45,7 @@ export function choose(index) {
   const one = standing()?.candidates[index];
   if (!one) return;
   toCandidate(one, index);
-  tell("chosen");
+  emit("chosen");
   show();
 }
 
@@ -54,15 +54,15 @@ function show() {
   const busy = photo?.state === "matching";
   $("find").disabled = !photo || busy;
   $("progress").hidden = !busy;
-  $("answer").replaceChildren(...(searched && !busy ? said(result) : []));
+  $("answer").replaceChildren(...(searched && !busy ? verdict(result) : []));
   const focused = document.activeElement?.dataset?.rank;
   $("candidates").replaceChildren(...(result && !busy ? result.candidates.map(row) : []));
   if (focused !== undefined) $("candidates").querySelector(`[data-rank="${focused}"]`)?.focus();
 }
 
-// A verdict is of one pose: the candidate's that the search has judged.
-function said(result) {
-  if (!result) return ["The skyline, or what you know, is not what the last search was asked with. Find the place again."];
+// A verdict holds for one pose, that of the candidate that the search has judged.
+function verdict(result) {
+  if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
   const notes = [result.claim, result.beyond].filter((one) => one)
     .map((one) => element("p", { class: "claim" }, one));
   const best = result.candidates[0];
@@ -78,7 +78,7 @@ function said(result) {
     return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(best), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
-    "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...notes];
+    "Check the yellow skyline and mend it, fill in what you know, or fit by hand.", ...notes];
 }
 
 function row(one, index) {
@@ -88,11 +88,11 @@ function row(one, index) {
     element("span", {}, degrees(one.lon, one.lat, 4)), element("span", { class: "way", title: "Direction" }, `${one.heading.toFixed(0)}°`)));
 }
 
-function progressed(told) {
-  const photo = state.photos.find((one) => one.id === told.photo);
-  if (!photo || photo !== state.photo || told.done) return;
-  $("bar").value = told.share;
-  $("step").textContent = STEPS[told.step] ?? told.step;
+function progressed(match) {
+  const photo = state.photos.find((one) => one.id === match.photo);
+  if (!photo || photo !== state.photo || match.done) return;
+  $("bar").value = match.share;
+  $("step").textContent = STEPS[match.step] ?? match.step;
 }
 
 export function start() {
@@ -112,7 +112,7 @@ export function start() {
     const result = state.results.get(state.photo.id);
     if (result && state.photo.state !== "matching") {
       state.photo.state = result.skyline === state.version ? outcome(result) : "ready";
-      tell("states");
+      emit("states");
     }
     show();
   });

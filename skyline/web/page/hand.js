@@ -1,6 +1,6 @@
-// The pose: set by a candidate or by hand. The skyline rendered at it follows while it moves.
+// The pose, set by a candidate or by hand. The rendered skyline follows while it moves.
 import * as server from "./server.js";
-import { $, alertUser, element, on, say, state, tell, widest } from "./state.js";
+import { $, alertUser, element, on, showStatus, state, emit, widest } from "./state.js";
 import { known } from "./known.js";
 import { middle } from "./map.js";
 
@@ -19,20 +19,20 @@ let flying = null, next = null, number = 0;
 
 export function moveTo(part, stillMoving = false) {
   if (!state.pose) return;
-  // A candidate may look from below the summit beside it; elsewhere that is below the ground.
+  // Beside a summit a candidate's eye height may be negative; at another place it must not be.
   if ("lon" in part || "lat" in part) state.pose.eyeHeight = Math.max(0, state.pose.eyeHeight);
   Object.assign(state.pose, part);
   leave();
   changed(stillMoving);
 }
 
-// From now on the pose is a person's, and no verdict of a search or a fit is its own.
+// From now on the pose is set by hand, and the verdict of a search or a fit no longer holds.
 export function leave() {
   if (!state.pose || state.origin === "hand") return;
   Object.assign(state, { origin: "hand", chosen: null, fit: null });
-  say("");
-  $("pose-said").replaceChildren(...said());
-  tell("left");
+  showStatus("");
+  $("pose-verdict").replaceChildren(...verdict());
+  emit("left");
 }
 
 function setPose(pose, origin, { chosen = null, fit = null } = {}) {
@@ -58,16 +58,16 @@ export function turnBy(columns, rows, stillMoving) {
 function changed(stillMoving) {
   $("hand-form").hidden = !state.pose;
   $("hand-hint").hidden = Boolean(state.pose);
-  $("pose-said").replaceChildren(...said());
+  $("pose-verdict").replaceChildren(...verdict());
   $("fit").disabled = !state.pose;
   if (state.pose) {
     fill();
     look(!stillMoving);
   } else $("gap").hidden = true;
-  tell("pose");
+  emit("pose");
 }
 
-function said() {
+function verdict() {
   if (state.origin === "hand") return ["The camera is set by hand: no search has judged this pose."];
   if (!state.fit) return [];
   const { refusal, residual, share } = state.fit;
@@ -88,7 +88,7 @@ function fill() {
 
 const round = (value, step) => (Math.round(value / step) * step).toFixed(step < 0.1 ? 2 : 1);
 
-// One question is on its way at a time, and only the latest waits.
+// One request is under way at a time, and only the latest waits.
 function look(summits) {
   next = { type: "look", photo: state.photo?.id, pose: { ...state.pose }, summits, asked: performance.now() };
   if (!flying) ask();
@@ -98,44 +98,44 @@ function ask() {
   if (!next || !next.photo) return;
   flying = { ...next, seq: ++number };
   next = null;
-  const { asked, ...told } = flying;
-  if (!server.send(told)) flying = null;
+  const { asked, ...request } = flying;
+  if (!server.send(request)) flying = null;
 }
 
-function answered(told) {
-  if (!flying || told.seq !== flying.seq) return;
+function answered(seen) {
+  if (!flying || seen.seq !== flying.seq) return;
   const { photo, asked } = flying;
   flying = null;
   ask();
   if (photo !== state.photo?.id || !state.pose) return;
-  if (told.error) {
+  if (seen.error) {
     state.sight = null;
-    $("gap").textContent = told.error;
+    $("gap").textContent = seen.error;
   } else {
-    if (!told.summits && state.sight?.summits) told.summits = null;
-    state.sight = told;
-    $("gap").textContent = told.gap === null ? "nothing to compare" : `skylines ${told.gap.toFixed(2)}° apart in the median column`;
+    if (!seen.summits && state.sight?.summits) seen.summits = null;
+    state.sight = seen;
+    $("gap").textContent = seen.gap === null ? "nothing to compare" : `skylines ${seen.gap.toFixed(2)}° apart in the median column`;
     live.shown++;
     live.latency.push(performance.now() - asked);
     if (live.latency.length > 1000) live.latency.shift();
   }
   $("gap").hidden = false;
-  tell("sight");
+  emit("sight");
 }
 
 async function fit() {
   const button = $("fit");
   button.disabled = true;
-  say("Fitting…");
+  showStatus("Fitting…");
   const photo = state.photo;
   try {
     const found = await server.fit(photo, state.pose);
     if (photo !== state.photo) return;
     setPose(placed(found), "fitted", { fit: found });
-    tell("left");
-    say(found.refusal ? "The fit has failed" : "Fitted");
+    emit("left");
+    showStatus(found.refusal ? "The fit has failed" : "Fitted");
   } catch (error) {
-    say("");
+    showStatus("");
     alertUser(error.message);
   }
   button.disabled = !state.pose;
@@ -146,7 +146,7 @@ export function placeAt(place) {
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
   const heading = asked.heading?.deg ?? state.photo.heading ?? 0;
   setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
-  tell("chosen");
+  emit("chosen");
 }
 
 function makeForm() {
@@ -183,7 +183,7 @@ export function start() {
     if (state.pose) look(true);
   });
   on("skyline", () => {
-    // A fit is to the skyline that there was.
+    // The last fit was to another skyline.
     if (state.origin === "fitted") leave();
     if (state.pose) changed(false);
   });

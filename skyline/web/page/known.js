@@ -1,14 +1,14 @@
-// What a person knows of where a photo was taken, and what the photo says itself.
-import { $, alertUser, on, state, tell, widest } from "./state.js";
+// The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
+import { $, alertUser, on, state, emit, widest } from "./state.js";
 import { circled, middle, showCircle } from "./map.js";
 
 const LEAST_KM = 0.5, MOST_KM = 100, NOTHING = { heading: null, near: null, elevation: null, eyeHeight: null };
-// Numbers that a slider's steps would round; each holds until a person moves its slider.
+// Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
 
 const value = (id) => exact[id] ?? $(id).valueAsNumber;
 const isKnown = (name) => $(`${name}-known`).checked;
-// The circle has the radius that is shown.
+// The radius of the circle, rounded as it is shown.
 const km = () => Number((LEAST_KM * (MOST_KM / LEAST_KM) ** value("radius")).toPrecision(2));
 
 function set(id, number) {
@@ -16,7 +16,7 @@ function set(id, number) {
   $(id).value = number;
 }
 
-// The question that a search would ask now. Without a field of view it is the photo's own.
+// The request that a search would send now; without a field of view the photo's own holds.
 export function known() {
   const fov = isKnown("fov") ? value("fov") : null;
   return {
@@ -28,7 +28,7 @@ export function known() {
   };
 }
 
-// The result of the photo's search while it answers the question that would be asked now; else null.
+// The result of the photo's search as long as the same search would be made now, else null.
 export function standing() {
   const result = state.results.get(state.photo?.id);
   const stands = result?.skyline === state.version && JSON.stringify(result?.asked) === JSON.stringify(known());
@@ -45,18 +45,18 @@ function show() {
   $("radius-out").textContent = `${km()} km`;
   $("radius").disabled = $("near-here").disabled = !isKnown("near");
   $("low").disabled = $("high").disabled = !isKnown("elevation");
-  const told = [
+  const parts = [
     isKnown("fov") && `${angle("fov")} wide`,
     isKnown("heading") && `towards ${angle("heading")}`,
     isKnown("near") && `within ${km()} km`,
     isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
     $("eye").value !== "" && `${$("eye").value} m above the ground`,
   ].filter(Boolean);
-  $("known-said").textContent = told.length ? `(${told.join(", ")})` : "(nothing yet)";
+  $("known-summary").textContent = parts.length ? `(${parts.join(", ")})` : "(nothing yet)";
   if (state.photo?.lonlat && !isKnown("near")) {
-    $("known-said").textContent += " The photo says its place: tick “In the circle” to search near it.";
+    $("known-summary").textContent += " The photo notes its place: tick “In the circle” to search near it.";
   }
-  tell("known");
+  emit("known");
 }
 
 function circle(place = null) {
@@ -64,8 +64,8 @@ function circle(place = null) {
   show();
 }
 
-// The form has what the photo's last search asked; before that, the photo's own word is taken for its field of view,
-// and its place and direction are offered.
+// Fills the form with the request of the photo's last search. Before the first, the field of view
+// is the photo's own, and its place and direction are offered.
 function fromPhoto(photo) {
   if (!photo) return;
   const asked = state.results.get(photo.id)?.asked ?? NOTHING;

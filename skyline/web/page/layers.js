@@ -1,4 +1,4 @@
-// What is drawn over a photo: the skyline found, the one rendered, the gap between, summits.
+// Drawing over a photo: found and rendered skyline, the gap between them, summits, strokes.
 export const SURE = 0.6;
 const FOUND = "#ffd23f", RENDERED = "#35d0ff", DARK = "rgba(8, 14, 20, 0.75)";
 const MOST_GAP_DEG = 1;
@@ -89,7 +89,7 @@ export function drawRendered(ctx, view, sight) {
   stroke(ctx, unsure, RENDERED, 3, [2, 4]);
 }
 
-// Light blue through violet to vermilion: told apart by lightness, too.
+// Light blue through violet to vermilion, which also differ in lightness.
 function gapColour(gap) {
   const share = Math.min(1, Math.abs(gap) / MOST_GAP_DEG);
   const [from, to, part] =

@@ -1,4 +1,4 @@
-// Puts the page together.
+// Starts the parts of the page.
 import * as brush from "./brush.js";
 import * as find from "./find.js";
 import * as hand from "./hand.js";
@@ -7,7 +7,7 @@ import * as map from "./map.js";
 import * as photos from "./photos.js";
 import * as saving from "./save.js";
 import * as server from "./server.js";
-import { $, alertUser, say, state } from "./state.js";
+import { $, alertUser, showStatus, state } from "./state.js";
 import * as view from "./view.js";
 
 try {
@@ -16,7 +16,7 @@ try {
   const kept = await server.begin();
   for (const part of [view, hand, map, known, find, saving, brush]) part.start();
   document.documentElement.dataset.ready = "yes";
-  say("");
+  showStatus("");
   await photos.start(kept);
 } catch (error) {
   alertUser(error.message);

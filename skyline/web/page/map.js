@@ -1,6 +1,6 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, degrees, element, on, say, state, tell } from "./state.js";
+import { $, degrees, element, on, showStatus, state, emit } from "./state.js";
 import { moveTo, release } from "./hand.js";
 import { standing } from "./known.js";
 
@@ -15,7 +15,7 @@ const offMap = ({ lat, lng }) => ({ lat, lng: lng - 360 * Math.round(lng / 360) 
 const icon = (name, size, text = "") =>
   L.divIcon({ className: name, iconSize: [size, size], html: text });
 
-// Along a great circle, as far as a map shows it.
+// A step along a great circle, accurate enough for a map.
 function away([lat, lon], headingDeg, metres) {
   const turn = (headingDeg * Math.PI) / 180, step = (metres / EARTH_M) * (180 / Math.PI);
   return [lat + step * Math.cos(turn), lon + (step * Math.sin(turn)) / Math.cos((lat * Math.PI) / 180)];
@@ -53,20 +53,20 @@ function showCandidates() {
     if (one.covariance && chosen) L.polygon(ellipse(one), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
     L.marker(onMap(one.lat, one.lon), { icon: icon(`spot${best ? " best" : ""}${chosen ? " chosen" : ""}`, 26, String(index + 1)),
       title: `Candidate ${index + 1}${sure}`, alt: `Candidate ${index + 1}${sure}`, zIndexOffset: 1000 - 10 * index })
-      .on("click keypress", () => tell("choose", index)).addTo(spots);
+      .on("click keypress", () => emit("choose", index)).addTo(spots);
   });
 }
 
-// Where the photo itself says that it was taken, with the accuracy that it claims.
+// The place noted in the photo, with the accuracy that it claims.
 function showNoted(photo) {
   noted.clearLayers();
   if (!photo?.lonlat) return;
-  const at = onMap(photo.lonlat[1], photo.lonlat[0]), about = "Where the photo says that it was taken";
+  const at = onMap(photo.lonlat[1], photo.lonlat[0]), about = "Place noted in the photo";
   if (photo.accuracy) L.circle(at, { radius: photo.accuracy, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
   L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
 }
 
-// The answer with its view; without one all candidates.
+// Shows the answer and its view; without an answer, all candidates.
 function goToResult() {
   const result = standing();
   const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
@@ -129,7 +129,7 @@ function makeCamera() {
   keys(handle, ([across]) => moveTo({ heading: (state.pose.heading + across / 2 + 360) % 360 }));
 }
 
-// The circle that a search keeps to; null where there is none.
+// The circle that limits the search, or null.
 export function circled() {
   if (!circle || !map.hasLayer(circle)) return null;
   const at = offMap(circle.getLatLng());
@@ -157,7 +157,7 @@ function makeCircle() {
   centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
   const moved = () => {
     circle.setLatLng(centre.getLatLng());
-    tell("circle");
+    emit("circle");
   };
   centre.on("drag", moved);
   keys(centre, (by) => {
@@ -180,9 +180,9 @@ function showWhere() {
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
   at(map.getCenter());
-  on("height", (told) => {
+  on("height", ({ height }) => {
     waiting = false;
-    if (told.height !== null && told.height !== undefined) where.textContent += `  ${Math.round(told.height)} m`;
+    if (height !== null && height !== undefined) where.textContent += `  ${Math.round(height)} m`;
   });
 }
 
@@ -194,10 +194,10 @@ export function start() {
   const [west, , east] = area;
   middleLon = (west + eastOf(west, east)) / 2;
   map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
-  // Leaflet compares tiles with bounds within one turn alone.
+  // Leaflet compares tiles with bounds within one turn only.
   const noWrap = Boolean(terrain && terrain[0] < terrain[2]), bounds = noWrap ? box(terrain) : undefined;
   if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
-  else say("The store's DEM is not at hand: no relief, and nothing can be rendered (--dem).");
+  else showStatus("The store's DEM is not at hand: no relief, and nothing can be rendered (--dem).");
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
   map.fitBounds(box(area), { padding: [8, 8] });

@@ -1,6 +1,6 @@
-// The list of photos: dropped or chosen, each with its state.
+// The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, on, say, state, tell } from "./state.js";
+import { $, alertUser, element, on, showStatus, state, emit } from "./state.js";
 import { buttons, forget, showSkyline, traceFrom } from "./brush.js";
 import { show } from "./view.js";
 
@@ -40,13 +40,13 @@ export async function choose(photo) {
     if (photo !== state.photo) return;
     show(bitmap);
     showSkyline(lines);
-    say(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
+    showStatus(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
   } catch (error) {
     alertUser(error.message);
   }
   $("busy").hidden = true;
   buttons();
-  tell("photo", photo);
+  emit("photo", photo);
 }
 
 async function open(photo, opened) {
@@ -61,7 +61,7 @@ async function open(photo, opened) {
   } catch (error) {
     photo.state = "unusable";
     photo.error = error.message;
-    say("");
+    showStatus("");
     alertUser(error.message);
   }
   if (!state.photo) {
@@ -98,7 +98,7 @@ async function drop(photo) {
     for (const id of ["tools", "legend"]) $(id).hidden = true;
     $("welcome").hidden = false;
     show(null);
-    tell("photo", null);
+    emit("photo", null);
   }
   list();
 }

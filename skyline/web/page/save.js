@@ -1,7 +1,7 @@
-// What was found leaves the page as files.
+// Saving results as files.
 import * as server from "./server.js";
 import { standing } from "./known.js";
-import { $, alertUser, element, on, say, state } from "./state.js";
+import { $, alertUser, element, on, showStatus, state } from "./state.js";
 
 const KINDS = [
   ["photo", "jpg", "Photo with place", "A copy of the photo with position and direction in its EXIF"],
@@ -15,20 +15,20 @@ const KINDS = [
 
 async function save(kind, suffix, button) {
   button.disabled = true;
-  say("Writing…");
+  showStatus("Writing…");
   try {
     const isFound = state.origin === "found" && standing();
-    const what = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
-    const blob = await server.save(state.photo, kind, what);
+    const chosen = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
+    const blob = await server.save(state.photo, kind, chosen);
     const stem = state.photo.name.replace(/\.[^.]*$/, "");
     const link = element("a", { download: `${stem}${kind === "photo" ? "-located" : kind === "report" ? "-report" : ""}.${suffix}`, href: URL.createObjectURL(blob) });
     document.body.append(link);
     link.click();
     link.remove();
     setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    say("Saved");
+    showStatus("Saved");
   } catch (error) {
-    say("");
+    showStatus("");
     alertUser(error.message);
   }
   show();

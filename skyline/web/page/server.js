@@ -1,5 +1,5 @@
-// All that is asked of the server. An answer that is an error is thrown with its one line.
-import { say, tell } from "./state.js";
+// Requests to the server. An error is thrown with the one line of the server's answer.
+import { showStatus, emit } from "./state.js";
 
 export const MAX_UPLOAD_BYTES = 100e6;
 const KEY = "skyline-session";
@@ -14,13 +14,13 @@ async function ask(method, path, body) {
     throw new Error("the server does not answer; is `skyline serve` still running?");
   }
   if (answer.ok) return answer;
-  let said = null;
+  let reason = null;
   try {
-    said = (await answer.json()).error;
+    reason = (await answer.json()).error;
   } catch {
-    // No words came with it.
+    // The answer has no message.
   }
-  throw new Error(said || `the server says ${answer.status}`);
+  throw new Error(reason || `the server answers with status ${answer.status}`);
 }
 
 const inSession = (path) => `session/${session}/${path}`;
@@ -81,13 +81,13 @@ function listen() {
   const address = new URL(inSession("live"), location.href);
   address.protocol = "ws:";
   socket = new WebSocket(address);
-  socket.onopen = () => tell("connected");
+  socket.onopen = () => emit("connected");
   socket.onmessage = (event) => {
-    const told = JSON.parse(event.data);
-    tell(told.type, told);
+    const message = JSON.parse(event.data);
+    emit(message.type, message);
   };
   socket.onclose = () => {
-    say("The server does not answer; trying again…");
+    showStatus("The server does not answer; trying again…");
     setTimeout(listen, 1500);
   };
 }

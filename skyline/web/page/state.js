@@ -1,23 +1,23 @@
-// What the parts of the page share, and how they hear of changes.
+// The state that the parts of the page share, and the events by which they learn of changes.
 export const state = {
-  store: null, // what the server says of the store
+  store: null, // the server's description of the store
   photos: [], // records in the list's order
   photo: null, // the record that is shown
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
-  version: null, // tells the skyline from others of the same photo
+  version: null, // distinguishes the skyline from others of the same photo
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, eyeHeight}
-  origin: null, // where the pose comes from: "found" (the candidate that is chosen), "fitted" or "hand"
-  fit: null, // how the last fit ended, while the pose is the fitted one
+  origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"
+  fit: null, // result of the last fit, as long as the pose is the fitted one
   sight: null, // the skyline rendered at the pose
 };
 
-const heard = new EventTarget();
+const events = new EventTarget();
 
-export const on = (name, told) => heard.addEventListener(name, (event) => told(event.detail));
-export const tell = (name, detail) => heard.dispatchEvent(new CustomEvent(name, { detail }));
+export const on = (name, handler) => events.addEventListener(name, (event) => handler(event.detail));
+export const emit = (name, detail) => events.dispatchEvent(new CustomEvent(name, { detail }));
 
 export const $ = (id) => document.getElementById(id);
 
@@ -32,10 +32,10 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-// The widest field of view that a photo is given: one that says more than a lens has is a panorama.
+// The widest field of view that a photo may have: above 120 degrees it is a panorama.
 export const widest = (photo) => (photo?.fov > 120 ? 360 : 120);
 
-export function say(text) {
+export function showStatus(text) {
   $("status").textContent = text;
 }
 
@@ -46,7 +46,7 @@ export function alertUser(text) {
   while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
 }
 
-// A link that a person may follow: the page itself asks nothing of other machines.
+// A link for the user to follow: the page itself loads nothing from other machines.
 export function mapLink({ lon, lat }) {
   const [north, east] = [lat.toFixed(5), lon.toFixed(5)];
   const href = `https://www.openstreetmap.org/?mlat=${north}&mlon=${east}#map=14/${north}/${east}`;

@@ -1,4 +1,4 @@
-// The photo on its canvas: zoom, pan, loupe. What is drawn over it is in layers.js.
+// The photo on its canvas: zoom, pan and loupe; layers.js draws over it.
 import * as layers from "./layers.js";
 import { $, on, state } from "./state.js";
 
@@ -87,7 +87,7 @@ function paint(target, at, ratio) {
     if (state.rows) layers.drawGaps(ctx, at, state.sight, state.rows);
     layers.drawRendered(ctx, at, state.sight);
   }
-  // The thin line over the broad one: where they agree, both are seen.
+  // The thin line is drawn over the broad one, so that both show where they agree.
   if (state.rows) layers.drawFound(ctx, at, state.rows, state.trust);
   if (state.sight?.summits) layers.drawSummits(ctx, at, state.sight.summits);
   if (marks.stroke) layers.drawStroke(ctx, at, marks.stroke);

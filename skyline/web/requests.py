@@ -1,4 +1,4 @@
-"""What the page asks, held to what it may be: every number is one, within its range."""
+"""Requests of the page, checked and converted: every number is finite and within its range."""
 
 import math
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
-from skyline.web.photos import PagePhoto
+from skyline.web.session import PagePhoto
 
 _MAX_STROKES = 2000
 _MAX_POINTS = 20_000
@@ -20,7 +20,7 @@ _RANGES = {
 
 
 def number(asked: Mapping[str, Any], name: str) -> float:
-    """Return one of what is asked as a number; raises `InputError` where it is none in range."""
+    """Return a number of a request; raises `InputError` if it is no number or out of range."""
     value: Any = asked.get(name)
     low, high = _RANGES[name]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -30,10 +30,10 @@ def number(asked: Mapping[str, Any], name: str) -> float:
 
 
 def strokes_of(asked: Any) -> list[Stroke]:
-    """Return strokes as the page sends them."""
+    """Return the strokes of a request."""
     if not isinstance(asked, list) or len(asked) > _MAX_STROKES:
-        raise InputError(f"the strokes are no list of at most {_MAX_STROKES}; undo some")
-    return [_stroke(one) for one in asked]
+        raise InputError(f"the strokes are no list of at most {_MAX_STROKES}; undo some strokes")
+    return [_stroke(stroke) for stroke in asked]
 
 
 def _stroke(asked: Any) -> Stroke:
@@ -52,7 +52,7 @@ def _stroke(asked: Any) -> Stroke:
 
 
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
-    """Return what is known of where a photo was taken; what is null is not known."""
+    """Return the narrowing of a request; null stands for unknown."""
     height = asked.get("eyeHeight")
     return Narrowing(
         near=_numbers(asked, "near", "lon", "lat", "km"),
@@ -63,9 +63,9 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
 
 
 def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
-    """Return a skyline with the field of view that is asked for.
+    """Return a skyline with the field of view of a request.
 
-    Null is not known. Where none is asked for, it is what the photo itself says.
+    Null stands for unknown. Without a value the skyline keeps the field of view of its photo.
     """
     if "fov" not in asked:
         return query
@@ -75,7 +75,7 @@ def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
 
 
 def pose_of(asked: Any, viewer: Viewer) -> Candidate:
-    """Return the pose that a person has set by hand."""
+    """Return the pose of a request, set by hand on the page."""
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")
     pose = viewer.pose(
@@ -93,10 +93,10 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
 def chosen_of(
     asked: Mapping[str, Any], photo: PagePhoto, viewer: Viewer | None
 ) -> tuple[Candidate, ...]:
-    """Return the pose that is asked for, then other candidates of the search that found it.
+    """Return the pose that a request chooses, then the other candidates of the same search.
 
-    That is a ``pose`` set by hand, the last fit where ``fitted`` is true, or the candidate with the
-    index ``rank``, 0 without.
+    The pose is a ``pose`` set by hand, the last fit if ``fitted`` is true, or else the candidate
+    with the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None and viewer is not None:
         return (pose_of(asked["pose"], viewer),)
@@ -114,10 +114,10 @@ def chosen_of(
 
 
 def _numbers(asked: Mapping[str, Any], part: str, *names: str) -> Any:
-    """Return the numbers of a part of what is asked; None where it is null."""
-    of_part = asked.get(part)
-    if of_part is None:
+    """Return the numbers in a part of a request; None if the part is null."""
+    values = asked.get(part)
+    if values is None:
         return None
-    if not isinstance(of_part, Mapping):
-        raise InputError(f"{part} is {str(of_part)[:40]}; expected an object")
-    return tuple(number(of_part, name) for name in names)
+    if not isinstance(values, Mapping):
+        raise InputError(f"{part} is {str(values)[:40]}; expected an object")
+    return tuple(number(values, name) for name in names)

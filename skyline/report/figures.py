@@ -1,23 +1,49 @@
-"""Where labels stand so that none hides another or another's leader line."""
+"""Matplotlib figures as files, and labels placed so that none hides another."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+
+from skyline.files import write_with_folders
+
+_DPI = 110
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "png": {"pil_kwargs": {"compress_level": 4}},
+    "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
+}
+"""A tenth more bytes in half the time; full colour resolution, or thin coloured lines fade."""
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Save a figure as PNG and make missing folders; raises `InputError` if it cannot."""
+    write_with_folders(path, encode_figure(figure))
+
+
+def encode_figure(figure: Figure, kind: str = "png", dpi: float = _DPI) -> bytes:
+    """Return a figure encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
+    FigureCanvasAgg(figure)
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=dpi, **_OPTIONS.get(kind, {}))
+    return picture.getvalue()
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A label in a band of rows above a picture; its leader line falls from it at ``anchor_px``."""
+    """A label in a band of rows above a picture; its leader line descends at ``anchor_px``."""
 
     index: int
-    """Which label."""
+    """Index of the label in the order given."""
     anchor_px: float
     left_px: float
     right_px: float
     row: int
-    """0 is the lowest, next to the picture."""
+    """0 is the lowest row, next to the picture."""
 
     def disturbs(self, other: "Placed") -> bool:
         """Whether two labels overlap, or the leader of one runs through the other."""
@@ -28,7 +54,7 @@ class Placed:
 
 
 def extent_px(figure: Figure, text: str, size_pt: float) -> tuple[float, float]:
-    """Return the width and the height of a text, as a figure draws it lying, px."""
+    """Return the width and height in pixels of a text that a figure draws horizontally."""
     drawn = Text(0, 0, text, fontsize=size_pt, parse_math=False, figure=figure)
     box = drawn.get_window_extent()
     return float(box.width), float(box.height)
@@ -43,18 +69,18 @@ def place_labels(
 ) -> list[Placed]:
     """Place labels centred on their anchors, within the picture, the lowest row first.
 
-    Labels are placed in the order given; one that fits in none of the rows is left out.
+    Labels are placed in the order given; a label that fits in none of the rows is left out.
 
     Parameters
     ----------
     anchors_px, widths_px : sequence of float
-        Where each leader meets its target, and how wide each text is.
+        Column at which each leader line meets its target, and the width of each text.
     picture_px : float
         Width of the picture.
     rows : int
-        How many rows there are.
+        Number of rows.
     gap_px : float
-        Kept free to either side of a text.
+        Space kept free on either side of a text.
     """
     placed: list[Placed] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
@@ -68,7 +94,7 @@ def place_labels(
 
 
 def unnamed_in_words(count: int, before: str = "") -> str:
-    """Return how many peaks have no room for their names; nothing where all have."""
+    """Return how many peaks have no room for their names; an empty string for none."""
     if count == 0:
         return ""
     return f"{before}{count} {'peak has' if count == 1 else 'peaks have'} no room for a name"

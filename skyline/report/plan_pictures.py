@@ -1,0 +1,154 @@
+"""Pictures of the paper's plans and renderings: coverage maps and depth images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from skyline.arrays import Float32Array, Float64Array
+from skyline.camera import HEADINGS
+from skyline.files import write_whole
+from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import RenderConfig
+from skyline.report.figures import save_figure
+from skyline.report.maps import Area, draw_bearings, draw_relief
+from skyline.skylines import Views
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from skyline.paper.coverage import Coverage
+    from skyline.paper.plan import Plan
+
+_HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
+_PANEL_SQUARE_IN = 14.0
+_OPACITY = 0.55
+
+
+def save_depth_pictures(
+    terrain: HeightField, viewpoints: Viewpoints, folder: Path, config: RenderConfig
+) -> None:
+    """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
+
+    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
+        for index in range(len(viewpoints)):
+            images = renderer.depth_images(viewpoints, index)
+            for heading in HEADINGS:
+                picture = cv2.imencode(".tif", images[heading])[1].tobytes()
+                write_whole(folder / f"{index:04d}_heading_{heading}.tif", picture)
+            views = renderer.render(viewpoints[index : index + 1])
+            save_depth_images(images, views, folder / f"{index:04d}.png")
+
+
+def save_depth_images(images: Float32Array, views: Views, path: Path) -> None:
+    """Save the four depth images of one viewpoint side by side, with their skylines drawn.
+
+    Parameters
+    ----------
+    images : (4, W, W) float32, metres, top row first, inf = sky
+    views : Views
+        The four views of that viewpoint, in order of heading.
+    path : Path
+        A PNG.
+    """
+    size = images.shape[-1]
+    finite = images[np.isfinite(images)]
+    low, high = np.log10(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
+    figure = Figure(figsize=(16, 4.6), layout="constrained")
+    axes = figure.subplots(1, len(HEADINGS))
+    for heading, axis in enumerate(axes):
+        depth = np.where(np.isfinite(images[heading]), images[heading], np.nan)
+        shown = axis.imshow(
+            np.log10(depth), cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest"
+        )
+        axis.set_facecolor("#dfe9f5")
+        rows = (1.0 - views.elevation_tan[heading]) * size / 2.0 - 0.5
+        axis.plot(np.arange(size), rows, color="crimson", linewidth=1.0)
+        axis.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), xticks=[], yticks=[])
+        axis.set_title(f"heading {heading}: {_HEADING_NAMES[heading]}")
+    bar = figure.colorbar(shown, ax=axes, shrink=0.9, pad=0.01)
+    ticks = np.array([10, 30, 100, 300, 1e3, 3e3, 1e4, 3e4, 1e5])
+    ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]
+    bar.set_ticks(np.log10(ticks), labels=[f"{tick:g} m" for tick in ticks])
+    bar.set_label("forward depth")
+    save_figure(figure, path)
+
+
+def save_coverage_map(plan: "Plan", path: Path) -> None:
+    """Save a map (PNG) for each heading: viewpoints, and what their tolerance areas cover.
+
+    After Figure 6 of the paper. A location has the colour of the largest tolerance area that holds
+    it; the terrain stays bare where there is none.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    candidates = plan.candidates
+    columns_m, rows_m = candidates.easting_m, candidates.northing_m
+    # Each candidate stands in the middle of its cell; one row or column has the others' spacing.
+    known_m = [abs(float(axis[1] - axis[0])) for axis in (columns_m, rows_m) if len(axis) > 1]
+    east_m, north_m = known_m[0], known_m[-1]
+    area = Area(
+        float(columns_m[0]) - east_m / 2.0,
+        float(rows_m[-1]) - north_m / 2.0,
+        float(columns_m[-1]) + east_m / 2.0,
+        float(rows_m[0]) + north_m / 2.0,
+    )
+    shape = area.height_m / area.width_m
+    width = np.sqrt(_PANEL_SQUARE_IN / shape)
+    figure = Figure(
+        figsize=(len(HEADINGS) * width + 1.2, width * shape + 0.7), layout="constrained"
+    )
+    axes = figure.subplots(1, len(HEADINGS), sharey=True)
+    cell_km2 = east_m * north_m / 1e6
+    norm = LogNorm(cell_km2, cell_km2 * candidates.window**2)
+    for heading, axis in zip(HEADINGS, axes, strict=True):
+        coverage = plan.coverages[heading]
+        draw_relief(axis, plan.field, area)
+        axis.imshow(
+            _largest(coverage) * cell_km2,
+            norm=norm,
+            cmap="plasma",
+            alpha=_OPACITY,
+            extent=(area.west_m, area.east_m, area.south_m, area.north_m),
+            interpolation="nearest",
+        )
+        row, col = candidates.row_col(coverage.viewpoints)
+        axis.plot(
+            columns_m[col],
+            rows_m[row],
+            ".",
+            color="black",
+            markeredgecolor="white",
+            markeredgewidth=0.3,
+            markersize=4.0,
+        )
+        draw_bearings(axis, plan.field.frame, area)
+        axis.set_title(
+            f"heading {heading}, {_HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
+            f"cover {coverage.fraction():.1%}",
+            fontsize=9,
+        )
+    bar = figure.colorbar(ScalarMappable(norm, "plasma"), ax=axes, shrink=0.8, pad=0.01)
+    bar.set_label("largest tolerance area that holds a location (km²)")
+    save_figure(figure, path)
+
+
+def _largest(coverage: "Coverage") -> Float64Array:
+    """Return the size of the largest area that holds each candidate (rows, cols), NaN for none."""
+    grid = coverage.candidates
+    sizes = np.count_nonzero(coverage.areas, axis=(1, 2))
+    largest = np.zeros(np.pad(grid.valid, grid.reach).shape)
+    for row, col, area, size in zip(
+        *grid.row_col(coverage.viewpoints), coverage.areas, sizes, strict=True
+    ):
+        place = largest[row : row + grid.window, col : col + grid.window]
+        np.maximum(place, area * float(size), out=place)
+    inner = largest[grid.reach : -grid.reach, grid.reach : -grid.reach]
+    return np.where(inner > 0.0, inner, np.nan)

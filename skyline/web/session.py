@@ -1,0 +1,481 @@
+"""Sessions of the page: each has photos, their skylines and matches, and a folder of its own."""
+
+import hashlib
+import io
+import secrets
+import shutil
+import tempfile
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from skyline import (
+    Candidate,
+    Correction,
+    InputError,
+    MatchResult,
+    Narrowing,
+    Photo,
+    QuerySkyline,
+    SkylineError,
+    Stroke,
+    export_matches,
+    read_photo,
+    report_matches,
+    write_located,
+    write_trace,
+)
+from skyline.web.engine import Engine, shown_name
+
+MAX_UPLOAD_BYTES = 100_000_000
+MAX_SESSION_BYTES = 2_000_000_000
+MAX_PHOTOS = 300
+MAX_SESSIONS = 50
+_GONE_S = 900.0
+"""Time for which a session is kept after its last page closed: the page may be opened again."""
+_UNATTENDED_S = 3.0
+"""Time for which a match goes on without an open page."""
+MAX_PIXELS = 120_000_000
+"""Largest picture that browsers show."""
+_SHOWN_PX = 6000
+"""Longest side of the picture sent to the page."""
+_KEPT = 4
+"""Number of photos whose pixels and evidence stay in memory."""
+_STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
+"""Beginning and end of each step of a match, as shares of the whole."""
+KINDS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "geojson": ("geojson", "application/geo+json"),
+        "kml": ("kml", "application/vnd.google-earth.kml+xml"),
+        "kmz": ("kmz", "application/vnd.google-earth.kmz"),
+        "gpx": ("gpx", "application/gpx+xml"),
+        "trace": ("csv", "text/csv"),
+        "report": ("html", "application/octet-stream"),
+        "photo": ("jpg", "image/jpeg"),
+    }
+)
+"""Suffix and media type of each kind of file that the page saves."""
+
+
+class PagePhoto:
+    """A photo on the page, with its skyline, its strokes and its results.
+
+    Parameters
+    ----------
+    path : Path
+        The photo's file, which is never changed.
+    name : str
+        The user's name of the file.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.id = secrets.token_urlsafe(12)
+        self.path, self.name = path, name
+        self.seen: Photo | None = None
+        self.query: QuerySkyline | None = None
+        self.strokes: tuple[Stroke, ...] = ()
+        self.trace: QuerySkyline | None = None
+        self.result: MatchResult | None = None
+        self.result_json: dict[str, Any] | None = None
+        self.fitted: MatchResult | None = None
+        self.state = "waiting"
+        self.lock = threading.Lock()
+
+    def record(self) -> dict[str, Any]:
+        """Return the photo as JSON for the page's list."""
+        is_of_other = self.result is not None and self.found is None
+        state = "ready" if is_of_other and self.state != "matching" else self.state
+        record: dict[str, Any] = {"id": self.id, "name": self.name, "state": state}
+        query, seen = self.query, self.seen
+        if query is not None and seen is not None:
+            record |= {
+                "width": query.width_px,
+                "height": query.height_px,
+                "fov": None if _is_guess(query) else seen.fov_deg,
+                "projection": str(seen.projection),
+                "lonlat": seen.place.lonlat_deg,
+                "accuracy": seen.place.accuracy_m,
+                "elevation": seen.place.elevation_m,
+                "heading": seen.place.heading_deg,
+                "strokes": [
+                    {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
+                    for one in self.strokes
+                ],
+                "trusted": float(query.trusted.mean()),
+                "result": self.result_json,
+            }
+        return record
+
+    def lines(self) -> bytes:
+        """Return the skyline's rows, then its confidences, as float32; NaN and 0 if not trusted."""
+        query = self.known()
+        both = np.stack([query.row_px, query.confidence])
+        return both.astype("<f4").tobytes()
+
+    @property
+    def found(self) -> MatchResult | None:
+        """The result of the search, None once the skyline has changed since."""
+        searched = self.result_json
+        return self.result if searched and searched["skyline"] == version_of(self.known()) else None
+
+    def known(self) -> QuerySkyline:
+        """Return the skyline; raises `InputError` before it is found."""
+        if self.query is None:
+            raise InputError(f"{self.name} is not open yet; wait until its skyline is found")
+        return self.query
+
+
+class Opened:
+    """The photos opened last: their pixels, and the correction that finds their skylines."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[str, tuple[Photo, Correction]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def open(self, photo: PagePhoto) -> tuple[Photo, Correction]:
+        """Return a photo and its correction, read from the file if they are no longer in memory.
+
+        Raises `SkylineError` if the photo cannot be used; the message names it without its path.
+        """
+        with self._lock:
+            if photo.id in self._kept:
+                self._kept.move_to_end(photo.id)
+                return self._kept[photo.id]
+        with photo.lock:
+            opened = _read(photo)
+        with self._lock:
+            self._kept[photo.id] = opened
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        return opened
+
+    def forget(self, photo: PagePhoto) -> None:
+        """Drop a photo from memory."""
+        with self._lock:
+            self._kept.pop(photo.id, None)
+
+    def first_look(self, photo: PagePhoto) -> None:
+        """Open a new photo and find its skyline; raises as `open`."""
+        read, correction = self.open(photo)
+        query = correction.solve()
+        photo.seen = replace(read, rgb=read.rgb[:0])
+        photo.query, photo.state = query, "ready"
+
+    def solve(self, photo: PagePhoto, strokes: Sequence[Stroke]) -> QuerySkyline:
+        """Find a photo's skyline again under all its strokes."""
+        _, correction = self.open(photo)
+        if photo.trace is not None:
+            correction = correction.restarted(photo.trace)
+        with photo.lock:
+            photo.query, photo.strokes = correction.solve(strokes), tuple(strokes)
+            photo.fitted = None
+            return photo.query
+
+    def jpeg(self, photo: PagePhoto) -> bytes:
+        """Return the picture that the page draws, without the file's metadata."""
+        read, _ = self.open(photo)
+        picture = Image.fromarray(read.rgb)
+        picture.thumbnail((_SHOWN_PX, _SHOWN_PX))
+        held = io.BytesIO()
+        picture.save(held, format="JPEG", quality=90)
+        return held.getvalue()
+
+
+def version_of(query: QuerySkyline) -> str:
+    """Return a digest that distinguishes a skyline from others of the same photo."""
+    return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
+
+
+def _is_guess(query: QuerySkyline) -> bool:
+    """Whether the field of view is a guess from a cropped photo, not a value to show as known."""
+    return query.lens is not None and query.lens.most_deg is not None
+
+
+def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
+    too_many = _too_many(photo.path)
+    if too_many is not None:
+        raise InputError(
+            f"{photo.name} has {too_many} pixels; the page takes at most "
+            f"{MAX_PIXELS // 1_000_000} million: scale it down, 12 million are plenty"
+        )
+    try:
+        read = read_photo(photo.path)
+        return read, Correction(read)
+    except SkylineError as error:
+        message = str(error.args[0]).replace(str(photo.path), photo.name)
+        named = message if photo.name in message else f"{photo.name}: {message}"
+        raise InputError(named) from error
+
+
+def _too_many(path: Path) -> str | None:
+    """Return a picture's size in words if it has too many pixels, else None."""
+    try:
+        with Image.open(path) as image:
+            width, height = image.size
+    except Image.DecompressionBombError:
+        return "more than 170 million"
+    except Exception:  # Reading the file reports why it is no picture.
+        return None
+    return f"{width} x {height}" if width * height > MAX_PIXELS else None
+
+
+class _CancelledError(Exception):
+    """The match was cancelled."""
+
+
+class Match:
+    """One match of one photo, run in a thread; ``asked`` is the page's request."""
+
+    def __init__(
+        self,
+        photo: PagePhoto,
+        query: QuerySkyline,
+        narrowing: Narrowing,
+        asked: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.photo = photo
+        self._query, self._narrowing = query, narrowing
+        self._question = {"asked": asked, "skyline": version_of(query)}
+        self._cancelled = threading.Event()
+        self.step, self.share = "waiting", 0.0
+        self.error: str | None = None
+        self.done = False
+
+    def cancel(self) -> None:
+        """End the match at its next report of progress, without a result."""
+        self._cancelled.set()
+
+    def run(self, engine: Engine) -> None:
+        """Match, and leave the result in the photo or a message in ``error``."""
+        try:
+            self._check()
+            result = engine.matcher.match(
+                self._query, narrowing=self._narrowing, report_progress=self._report
+            )
+        except _CancelledError:
+            self.error = "cancelled"
+        except SkylineError as error:
+            self.error = str(error)
+        except MemoryError:
+            self.error = "there is not enough memory for this match; narrow the search"
+        else:
+            self.photo.result = result
+            self.photo.result_json = self._question | _outcome(result, engine)
+            self.photo.state = "answered" if result.answer else "no answer"
+        finally:
+            if self.error is not None:
+                self.photo.state = "ready"
+            self.step, self.share, self.done = "done", 1.0, True
+
+    def progress(self) -> dict[str, Any]:
+        """Return the progress as JSON for the page."""
+        return {"photo": self.photo.id, "step": self.step, "share": self.share, "done": self.done}
+
+    def _report(self, step: str, share: float) -> None:
+        self._check()
+        begins, ends = _STEPS.get(step, (0.0, 1.0))
+        # A step may run twice, and the bar must not run back.
+        self.share = max(self.share, begins + (ends - begins) * min(share, 1.0))
+        self.step = step
+
+    def _check(self) -> None:
+        if self._cancelled.is_set():
+            raise _CancelledError
+
+
+def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
+    """Return a result as JSON for the page."""
+    return {
+        "candidates": [candidate_json(one, engine) for one in result.candidates],
+        "answered": result.answer is not None,
+        "within": result.within_m,
+        "chance": result.confidence,
+        "refusal": result.refusal,
+        "claim": result.exif_in_words(),
+        "beyond": result.beyond,
+        "seconds": result.seconds,
+    }
+
+
+def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
+    """Return a candidate as JSON for the page."""
+    return {
+        "lon": candidate.lon,
+        "lat": candidate.lat,
+        "heading": candidate.heading_deg,
+        "pitch": candidate.pitch_deg,
+        "roll": candidate.roll_deg,
+        "fov": candidate.fov_deg,
+        "distortion": candidate.distortion,
+        "elevation": candidate.eye_elevation_m,
+        "eyeHeight": engine.eye_height_m(candidate),
+        "confidence": candidate.confidence,
+        "refined": candidate.refined,
+        "residual": candidate.residual_deg,
+        "share": candidate.terrain_share,
+        "covariance": candidate.covariance_m2,
+        "convergence": candidate.convergence_deg,
+    }
+
+
+def saved(
+    kind: str,
+    engine: Engine,
+    opened: Opened,
+    photo: PagePhoto,
+    candidates: Sequence[Candidate],
+    folder: Path,
+) -> bytes:
+    """Return the content of a file of one of `KINDS`; it is written in a folder and read back.
+
+    Raises `InputError` if there is nothing to save yet.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        The pose to save, then the other candidates of its search.
+    """
+    if kind != "trace" and not candidates:
+        raise InputError("there is no place to save yet; find one, or place the camera by hand")
+    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind][0]}"
+    matcher, beside = engine.matcher, path.with_suffix("")
+    try:
+        if kind == "trace":
+            write_trace(photo.known(), path)
+        elif kind == "photo":
+            write_located(photo.path, path, candidates[0])
+        else:
+            result, photos = _result(photo, candidates), [opened.open(photo)[0].rgb]
+            if kind == "report":
+                peaks = None if engine.viewer is None else engine.viewer.peaks
+                done = f"{candidates[0].origin.capitalize()} on the page."
+                report_matches(beside, matcher, [result], peaks, photos, done).rename(path)
+            else:
+                export_matches(path, [result], matcher.frame, photos)
+        return path.read_bytes()
+    finally:
+        path.unlink(missing_ok=True)
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
+    """Return the result of which the first candidate is shown, then the others."""
+    judged = (one for one in (photo.found, photo.fitted) if one and candidates[0] in one.candidates)
+    found = next(judged, MatchResult(photo.known(), (), 0.0))
+    # Only the answer itself is an answer; other candidates of its search are not.
+    is_answer = candidates[0] == found.answer
+    return MatchResult(
+        photo.known(),
+        tuple(candidates),
+        found.seconds,
+        None if is_answer else found.refusal or "chosen by a person",
+        found.within_m if is_answer else None,
+        photo.name,
+    )
+
+
+class Session:
+    """The photos and matches of one user; the folder of the uploads is made here."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self.id, self.folder = folder.name, folder
+        self.photos: dict[str, PagePhoto] = {}
+        self.matches: dict[str, Match] = {}
+        self.pages = 0
+        self.bytes = 0
+        self.closed_at = time.monotonic()
+
+    def path_for(self, name: str) -> Path:
+        """Return the path of a new file: a random name with the suffix of the given name."""
+        suffix = Path(name).suffix.lower()
+        plain = suffix if suffix[1:].isalnum() and len(suffix) <= 6 else ""
+        return self.folder / (secrets.token_hex(12) + plain)
+
+    def add(self, path: Path, name: str) -> PagePhoto:
+        """Add a photo to the page."""
+        if len(self.photos) >= MAX_PHOTOS:
+            raise InputError(f"there are {MAX_PHOTOS} photos on the page; remove some first")
+        photo = PagePhoto(path, shown_name(name))
+        self.photos[photo.id] = photo
+        if path.parent == self.folder:
+            self.bytes += path.stat().st_size
+        return photo
+
+    def remove(self, photo: PagePhoto) -> None:
+        """Remove a photo from the page, and delete its file if it was uploaded."""
+        self.photos.pop(photo.id, None)
+        match = self.matches.pop(photo.id, None)
+        if match is not None:
+            match.cancel()
+        if photo.path.parent == self.folder:
+            self.bytes -= photo.path.stat().st_size
+            photo.path.unlink()
+
+    def page_opened(self) -> None:
+        """Count a page that was opened."""
+        self.pages += 1
+
+    def page_closed(self) -> None:
+        """Count a page that was closed."""
+        self.pages -= 1
+        self.closed_at = time.monotonic()
+
+    @property
+    def unattended_s(self) -> float:
+        """Time since the last page was closed; 0 while a page is open."""
+        return 0.0 if self.pages else time.monotonic() - self.closed_at
+
+
+class Sessions:
+    """All sessions; their folders lie in one temporary folder that is deleted with the server."""
+
+    def __init__(self) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="skyline-page-"))
+        self._sessions: dict[str, Session] = {}
+        self.opened = Opened()
+
+    def begin(self) -> Session:
+        """Return a new session; if there are too many, the one closed longest ago ends."""
+        if len(self._sessions) >= MAX_SESSIONS:
+            oldest = max(list(self._sessions.values()), key=lambda session: session.unattended_s)
+            if oldest.pages:
+                raise InputError(f"{MAX_SESSIONS} pages are open; close some of them")
+            self._end(oldest)
+        session = Session(self._folder / secrets.token_urlsafe(24))
+        self._sessions[session.id] = session
+        return session
+
+    def of(self, session_id: str) -> Session:
+        """Return the session of an id; raises `KeyError` if there is none."""
+        return self._sessions[session_id]
+
+    def sweep(self) -> None:
+        """End matches without an open page, and sessions whose pages closed long ago."""
+        for session in list(self._sessions.values()):
+            if session.unattended_s > _UNATTENDED_S:
+                for match in session.matches.values():
+                    match.cancel()
+            if session.unattended_s > _GONE_S:
+                self._end(session)
+
+    def close(self) -> None:
+        """End all sessions and delete their files."""
+        for session in list(self._sessions.values()):
+            self._end(session)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _end(self, session: Session) -> None:
+        for photo in list(session.photos.values()):
+            session.remove(photo)
+            self.opened.forget(photo)
+        self._sessions.pop(session.id, None)
+        shutil.rmtree(session.folder, ignore_errors=True)
