@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from skyline_bench.measuring.prominence import prominences
-from skyline_bench.runs.summits import SummitsConfig, measure
+from skyline_bench.summits import prominences
+from skyline_bench.summits import SummitsConfig, measure
 
 CONFIG = SummitsConfig(eyes=4, places=10, beside=2, anywhere=200)
 

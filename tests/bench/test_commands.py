@@ -11,7 +11,7 @@ from scenes import field_of, fractal
 from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import cli
-from skyline_bench.commands import page, paper
+from skyline_bench import page, paper
 from skyline_bench.measuring import record as records
 from skyline_bench.measuring.record import machine, write_record
 from skyline_bench.truth import stability

@@ -12,7 +12,7 @@ from scenes import FRAME, at_m, field_of, fractal
 from skyline import Curvature, HeightField, SkylineError, horizon, stand_on
 from skyline.errors import InputError
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline_bench.commands import speed
+from skyline_bench import speed
 from skyline_bench.measuring.timing import (
     central_viewpoints,
     in_turns,
