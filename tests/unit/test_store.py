@@ -50,8 +50,7 @@ from skyline.store.checks import PLACE_CODING
 from skyline.store.merge import examine
 from skyline.store.places import BINS, Places
 from skyline.store.read import part_name, parts_folder
-from skyline_bench.durability import outcome_of
-from skyline_bench.durability import mutated
+from skyline_bench.durability import mutated, outcome_of
 
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
