@@ -1,6 +1,7 @@
 """Benchmarks of Skyline, which itself imports none of them.
 
-``commands/`` has a file for each subject: its commands and how they measure. ``search/`` is stores
-x queries. The other folders hold what several commands use: ``queries/``, ``truth/`` (the oracle,
-the hard cases, the paper's simulation), ``peers/`` and ``measuring/`` (clocks, records, workers).
+``search/`` compares stores, matchers and kinds of queries, which ``queries/`` makes. ``truth/``
+holds skylines to the oracle and to closed forms; ``speed`` compares time and error with ``peers/``.
+``summits``, ``paper``, ``photos``, ``page`` and ``durability`` measure what their names say, and
+``figures`` draws the README's pictures from the records.
 """

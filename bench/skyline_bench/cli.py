@@ -4,47 +4,36 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.cli.console import command_line, run_app
-from skyline_bench.commands import (
-    matching,
-    page,
-    paper,
-    photos,
-    skylines,
-    speed,
-    stores,
-)
+from skyline_bench import durability, figures, page, paper, photos, speed, summits
+from skyline_bench.search.commands import SEARCHES, command_of
+from skyline_bench.truth.stability import stability
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
         speed.speed_error: "9 minutes",
         speed.large_dem: "2 minutes",
-        skylines.stability: "a minute",
-        skylines.summits: "a minute",
+        stability: "a minute",
+        summits.summits: "a minute",
     },
     "The paper's tables": {paper.table1: "2 minutes", paper.prediction_quality: "a minute"},
     "Builds, stores and files": {
-        stores.store_durability: "an hour",
-        stores.input_fuzz: "a minute",
+        durability.store_durability: "an hour",
+        durability.input_fuzz: "a minute",
     },
-    "Search": {
-        matching.matching: "hours",
-        matching.uniform_adaptive: "an hour",
-        matching.placing: "an hour",
-        matching.scale: "hours",
-        matching.same_place: "20 minutes",
-        matching.strangers: "10 minutes",
-    },
+    "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
         photos.photos: "30 minutes",
         photos.sky_masks: "a minute",
     },
-    "The page": {page.page: "3 minutes", page.readme_picture: "a minute"},
+    "The page": {page.page: "3 minutes"},
+    "The README": {figures.figures: "a second", figures.readme_picture: "a minute"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 
 app = command_line(
     "skyline-bench",
-    "Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick.",
+    "Measure Skyline on this machine. Times are of 2 cores without a GPU; "
+    "--quick takes two minutes at most.",
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():

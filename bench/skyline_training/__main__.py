@@ -7,7 +7,7 @@ from typer import Argument, Option
 
 from skyline.cli.console import command_line, progress_bar, run_app
 from skyline.errors import InputError
-from skyline_bench.commands import options
+from skyline_bench import options
 from skyline_training import confidence as learning
 from skyline_training.photos import draw_training_photos
 

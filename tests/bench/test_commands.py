@@ -3,15 +3,16 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 import typer
+from commands import assert_refused
 from scenes import field_of, fractal
 
 from skyline import __version__
 from skyline.errors import InputError
-from skyline_bench import cli
-from skyline_bench.commands import page, paper
+from skyline_bench import cli, page, paper
 from skyline_bench.measuring import record as records
 from skyline_bench.measuring.record import machine, write_record
 from skyline_bench.truth import stability
@@ -21,8 +22,10 @@ def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench
     commands = typer.main.get_command(cli.app).commands
     assert len(commands) == sum(len(some) for some in cli.COMMANDS.values())
     for name, command in commands.items():
-        assert any("--quick" in option.opts for option in command.params), name
-        assert re.search(r"\((an?|\d+) (minute|hour)s?\)\.$|\(hours\)\.$", command.short_help), name
+        if name != "figures":
+            assert any("--quick" in option.opts for option in command.params), name
+        takes = r"\((an?|\d+) (second|minute|hour)s?\)\.$|\(hours\)\.$"
+        assert re.search(takes, command.short_help), name
     assert run_bench("--version").out.startswith("skyline 0.")
     assert "speed-error" in run_bench("--help").out
 
@@ -56,6 +59,19 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, ke
     assert written["bench"] == command[0]
     assert len(written["rows"]) >= rows
     assert all(row[key] >= 0.0 for row in written["rows"])
+
+
+def test_pictures_are_drawn_from_the_records(run_bench, tmp_path):
+    results = Path(__file__).parents[2] / "bench" / "results"
+    done = run_bench("figures", results, "--out", tmp_path)
+    assert done.code == 0, done.err
+    table = done.out[done.out.index("| terrain") :]
+    assert {line.split("|")[-2].strip() for line in table.splitlines()[2:] if line} <= {
+        "adaptive", "uniform", "tie",
+    }  # fmt: skip
+    for name in ("speed-error", "uniform-adaptive"):
+        assert "<svg" in (tmp_path / f"{name}.svg").read_text()
+    assert_refused(run_bench("figures", tmp_path), "speed_error.json does not exist")
 
 
 @pytest.fixture

@@ -17,21 +17,12 @@ def weigh(held, item):
     return held * item, os.getpid(), threads
 
 
-def fail(_, item):
-    raise InputError(f"item {item} cannot be used")
-
-
 def die(_, item):
     os._exit(item)
 
 
 def sleep(_, item):
     time.sleep(item)
-
-
-def stop_after(outcomes):
-    next(outcomes)
-    raise KeyboardInterrupt
 
 
 LEADER = """
@@ -71,16 +62,6 @@ def test_every_item_is_done_elsewhere_with_one_thread(monkeypatch):
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "LP_NUM_THREADS" not in os.environ
     assert not multiprocessing.active_children()
-
-
-def test_an_error_is_raised_here_and_nobody_is_left_at_work():
-    others = set(multiprocessing.active_children())
-    with pytest.raises(InputError, match="item 5 cannot"), crew(None, 1) as run:
-        list(run(fail, [5]))
-    with pytest.raises(KeyboardInterrupt), crew(None, 2) as run:
-        # One is done at once, the other is left asleep.
-        stop_after(run(sleep, [0.0, 600.0]))
-    assert set(multiprocessing.active_children()) <= others
 
 
 def test_a_worker_that_dies_is_one_line():

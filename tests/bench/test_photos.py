@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
-from skyline_bench.commands.photos import right_columns, summarize
+from skyline_bench.photos import right_columns, summarize
 from skyline_bench.queries.manifest import Photograph, read_manifest
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95

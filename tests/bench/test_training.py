@@ -1,7 +1,6 @@
 """Training: drawn photographs, a network that is written and read, confidence that is learned."""
 
 import sys
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +9,6 @@ from PIL import Image
 from scenes import field_of, fractal
 
 from skyline.cli.console import run_app
-from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
@@ -38,12 +36,6 @@ NEAR_M = RIGHT_WITHIN_M
 def train(run_main):
     """Return a function that runs ``python -m skyline_training ARGS...``."""
     return partial(run_main, lambda: run_app(app), "skyline_training")
-
-
-def test_every_command_is_quick_where_asked(train):
-    for command in ("sky-model", "confidence"):
-        assert "hour" in train("--help").out
-        assert "--quick" in train(command, "--help").out
 
 
 @pytest.mark.slow
@@ -140,36 +132,6 @@ def test_the_extraction_finds_the_true_skyline(renderer, queries, tmp_path):
         assert np.nanmedian(error_px) < 0.4
 
 
-def test_occluders_stand_in_front_of_sky_and_ground(renderer, terrain):
-    hidden = replace(VIEW, occluded_share=(0.4, 0.4))
-    (query,) = make_queries(terrain, MIDDLE, 1, seed=2, config=hidden)
-    picture = draw_photo(renderer, query, 5, CLEAR).astype(float)
-    bare = draw_photo(renderer, replace(query, occluders=()), 5, CLEAR).astype(float)
-    changed = np.abs(picture - bare).max(axis=2) > 40.0
-    covered = np.zeros(changed.shape, dtype=bool)
-    rows = np.arange(320)[:, np.newaxis]
-    for occluder in query.occluders:
-        covered[:, slice(*occluder.columns)] = rows > occluder.row_px
-    sky = rows < query.row_px
-    assert changed[covered & sky].mean() > 0.9
-    # Noise and the lens touch a pixel or two beside them, no more.
-    assert changed[~covered].mean() < 0.02
-
-
-def test_seeds_and_scenery_decide(renderer, queries):
-    first, again, other = (draw_photo(renderer, queries[0], seed, CLEAR) for seed in (1, 1, 2))
-    assert first.tobytes() == again.tobytes() != other.tobytes()
-    brightness = {
-        name: draw_photo(renderer, queries[0], 1, scenery).astype(float)[200:].mean()
-        for name, scenery in {
-            "forest": CLEAR,
-            "haze": replace(CLEAR, visibility_m=100.0),
-            "snow": replace(CLEAR, snow_line_m=-1000.0),
-        }.items()
-    }
-    assert brightness["forest"] + 30.0 < min(brightness["haze"], brightness["snow"])
-
-
 def test_training_says_what_it_needs(train, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "skyline_training.network", raising=False)
@@ -209,12 +171,6 @@ def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
     assert calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
     save_reliability(tmp_path / "reliability.png", [("made", sure, right)])
     assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize("error_m", [10.0, 300.0])
-def test_one_kind_of_examples_teaches_nothing(error_m: float) -> None:
-    with pytest.raises(InputError, match="both"):
-        learn([Example({"a": 0.0}, error_m), Example({"a": 1.0}, error_m)], NEAR_M)
 
 
 def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:

@@ -5,7 +5,7 @@ from pages import serving
 from selenium import webdriver
 
 from skyline.errors import InputError
-from skyline_bench.commands.page import headless
+from skyline_bench.page import headless
 
 
 @pytest.fixture(scope="session")

@@ -59,12 +59,12 @@ class Comparison:
         known: dict[str, tuple[tuple[str, ...], Mapping[str, object]]] = {
             "matcher": (self.matchers, ABOUT), "kind of queries": (self.kinds, KINDS),
         }  # fmt: skip
-        for what, (names, these) in known.items():
+        for noun, (names, these) in known.items():
             for name in names:
                 if name not in these:
-                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(these)}")
+                    raise InputError(f"{noun} is {name!r}; expected one of {', '.join(these)}")
         searched = {searched_by(name) for name in self.matchers}
-        # None is built that no matcher searches.
+        # A store that no matcher searches is not built.
         stores = tuple(
             spec
             for spec in dict.fromkeys(self.stores)
@@ -133,7 +133,7 @@ def measure(
     """Search every store with every matcher that can search it, for the same queries.
 
     Return a row for each store, matcher, kind of queries, area searched and group of queries, and
-    the stores. Stores and trials are kept in ``folder``: what is there already is not done again.
+    the stores. Stores are kept in ``folder``: one that is there already is not built again.
     Position errors are those of the best candidate, whether or not the matcher stands by it; a
     query without any counts as wrong by half of the area's diagonal. Heading errors are those of
     the right answers.
@@ -160,22 +160,22 @@ def measure(
             about = area.about(query[0].truth, area_m, terrain, comparison.seed)
         return searcher.trial(query, about, strange=is_strange)
 
-    asked = {
-        f"{kind} {index} {area.name}": partial(trial, kind=kind, index=index, area=area)
+    keys = [
+        (kind, index, area)
         for kind, some in queries.items()
         for index in range(len(some))
         for area in areas
-    }
-    rows = list[Row]()
+    ]
+    asked = [partial(trial, kind=kind, index=index, area=area) for kind, index, area in keys]
+    rows, seed = list[Row](), comparison.seed
     for store, matcher in product(stores, comparison.matchers):
         if searched_by(matcher) != store.holds:
             continue
-        depends = [area_m, comparison.seed, None if strange is None else strange.digest]
-        found = search(store, matcher, asked, depends, folder, terrain, progress)
+        trials = search(store, matcher, asked, terrain, progress)
+        found = dict(zip(keys, trials, strict=True))
         for kind, area in product(queries, areas):
             members = groups([distance_m(one) for one in queries[kind]], comparison.by_thirds)
             for group, numbers in members.items():
-                trials = [found[f"{kind} {index} {area.name}"] for index in numbers]
                 rows.append(
                     {
                         "matcher": matcher,
@@ -183,7 +183,7 @@ def measure(
                         "search": area.name,
                         "km2": area.km2,
                         "group": group,
-                        **summarize(trials, miss_m, comparison.seed),
+                        **summarize([found[kind, index, area] for index in numbers], miss_m, seed),
                         **store.figures(),
                     }
                 )

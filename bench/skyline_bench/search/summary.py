@@ -23,7 +23,7 @@ CLASSES = {
 _RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
 _RESAMPLES = 2000
 _LEAST_M = 1e-3
-"""Errors below have no logarithm worth speaking of."""
+"""Smaller errors count as this, so that they have a logarithm."""
 
 
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
@@ -121,10 +121,10 @@ def against_uniform(rows: Iterable[Row]) -> list[Row]:
         renderings = [float(row["renderings"]) for row in grids]
         mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
         own_m = max(float(store["mean_m"]), _LEAST_M)
-        uniform_m = _between(renderings, mean_m, float(store["renderings"]))
+        uniform_m = interpolated(renderings, mean_m, float(store["renderings"]))
         # Errors of finer grids are less; where noise has it otherwise, the least so far counts.
         falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
-        as_good = _between(falling[::-1], renderings[::-1], own_m)
+        as_good = interpolated(falling[::-1], renderings[::-1], own_m)
         names = ("store", "matcher", "queries", "renderings", "mean_m")
         held.append(
             {name: store[name] for name in names}
@@ -138,8 +138,8 @@ def against_uniform(rows: Iterable[Row]) -> list[Row]:
     return held
 
 
-def _between(x: Sequence[float], y: Sequence[float], at: float) -> float | None:
-    """Return y at a place between increasing x, on logarithmic axes; None outside."""
+def interpolated(x: Sequence[float], y: Sequence[float], at: float) -> float | None:
+    """Return y at a place between increasing x, on logarithmic axes; None outside their range."""
     if not x or not x[0] <= at <= x[-1]:
         return None
     return float(np.exp(np.interp(np.log(at), np.log(x), np.log(y))))

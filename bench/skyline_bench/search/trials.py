@@ -1,23 +1,15 @@
-"""Trials: a store is searched by a matcher for queries; a trial is how far off the matcher is.
+"""Trials: a store is searched by a matcher for queries; a trial is how far off the matcher is."""
 
-Trials are kept in a file, a line each, so that a comparison that was stopped goes on.
-"""
-
-import hashlib
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-import skyline
-import skyline_bench
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
 from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
@@ -25,7 +17,6 @@ from skyline.geodesy import Rectangle, in_turn
 from skyline.match.full import FullMatcher
 from skyline.match.matchers import FULL, MatchConfig, matcher_class
 from skyline.match.ranking import Hypotheses
-from skyline.render.shaders import SHADER_FOLDERS
 from skyline.store import open_store
 from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField
@@ -254,63 +245,14 @@ def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:
 def search(
     store: BuiltStore,
     matcher: str,
-    asked: Mapping[str, Callable[[Searcher], Trial]],
-    depends: object,
-    folder: Path,
+    asked: Sequence[Callable[[Searcher], Trial]],
     terrain: HeightField,
-    progress: Progress | None = None,
-) -> dict[str, Trial]:
-    """Return the trial of each key: those kept in a folder, and new ones, which are kept then.
-
-    ``depends`` is all that trials depend on beside their keys, the store, the matcher and the code,
-    as JSON.
-    """
-    whole = [code_digest(), file_digest(store.path), terrain.digest, matcher, depends]
-    digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
-    path = folder / "trials" / f"{store.spec.name}.{matcher}-{digest[:12]}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    found = _kept(path)
-    missing = [key for key in asked if key not in found]
-    if missing:
-        with (
-            open_searcher(matcher, store.path, terrain) as searcher,
-            path.open("a", encoding="utf-8") as file,
-        ):
-            for key in missing:
-                found[key] = asked[key](searcher)
-                file.write(json.dumps({"key": key, **asdict(found[key])}) + "\n")
-                file.flush()
-                if progress is not None:
-                    progress(len(found), len(asked))
-    return {key: found[key] for key in asked}
-
-
-def _kept(path: Path) -> dict[str, Trial]:
-    """Read the trials of a file; a line that a kill cut short is removed from the file."""
-    if not path.exists():
-        return {}
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    lines = [json.loads(line) for line in whole.splitlines()]
-    return {line.pop("key"): Trial(**line) for line in lines}
-
-
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-@cache
-def code_digest() -> str:
-    """Return a SHA-256 of the code, learned models and shaders on which trials depend."""
-    package, bench = (Path(one.__path__[0]) for one in (skyline, skyline_bench))
-    roots = package, bench / "queries", bench / "search", *SHADER_FOLDERS
-    files = [path for root in roots for path in root.rglob("*")]
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        if path.suffix in (".py", ".json", ".gz", ".glsl", ".vert", ".frag", ".comp"):
-            digest.update(f"{path.parent.name}/{path.name}\0".encode() + path.read_bytes())
-    return digest.hexdigest()
+    progress: Progress,
+) -> list[Trial]:
+    """Return the trial of each query that is asked, in order."""
+    trials = list[Trial]()
+    with open_searcher(matcher, store.path, terrain) as searcher:
+        for ask in asked:
+            trials.append(ask(searcher))
+            progress(len(trials), len(asked))
+    return trials

@@ -8,12 +8,21 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import OffMapError
+from skyline.cli.console import progress_bar
+from skyline.errors import OffMapError, SkylineError
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.measuring.record import Row
-from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
+from skyline_bench import options
+from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.truth.agreement import (
+    DEPTH,
+    HORIZON,
+    Agreement,
+    RenderPath,
+    SkylineScene,
+    SkylineTruth,
+)
 from skyline_bench.truth.closed_forms import (
     HORIZON_ONLY,
     SceneCase,
@@ -230,3 +239,21 @@ def measure(
                 }
             )
     return rows
+
+
+def stability(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
+    """Every hard case along every path that promises something there; exit code 1 if one fails."""
+    rows: list[Row] = []
+    asked = [
+        (path, case) for path in (HORIZON, DEPTH) for case in HARD_CASES if path.name in case.paths
+    ]
+    with progress_bar("cases") as progress:
+        for path, case in asked:
+            progress(len(rows), len(asked))
+            rows += measure(path, quick, [case])
+    verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
+    options.print_rows(verdicts, "case path error_px bound_px verdict")
+    write_record(json_file, "stability", rows)
+    failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
+    if failed:
+        raise SkylineError(f"{len(failed)} of {len(rows)} cases fail: {', '.join(failed)}")

@@ -34,7 +34,7 @@ from skyline.photo.read import read_picture
 from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.terrain.dem import DemOptions
-from skyline_bench.commands import options
+from skyline_bench import options
 from skyline_bench.measuring.record import Row, shown, write_record
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
 from skyline_bench.search.specs import StoreSpec

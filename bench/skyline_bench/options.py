@@ -17,7 +17,6 @@ from skyline.cli.console import parse_bounds
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 
-_PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 _PIPED_WIDTH = 300
 
 
@@ -26,14 +25,6 @@ def in_a_folder(param: CallbackParam, path: Path | None) -> Path | None:
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
     return path
-
-
-def _drawable(param: CallbackParam, path: Path | None) -> Path | None:
-    if path is not None and path.suffix.lower() not in _PLOT_SUFFIXES:
-        raise InputError(
-            f"--plot {path}: cannot draw {path.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
-        )
-    return in_a_folder(param, path)
 
 
 def new_file(words: str, *names: str) -> Any:
@@ -49,26 +40,11 @@ Dems = Annotated[
     list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
 ]
 JsonFile = Annotated[Path | None, new_file("Write rows and machine as JSON.", "--json")]
-PlotFile = Annotated[
-    Path | None,
-    Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.", callback=_drawable),
-]
-Seed = Annotated[int, Option(help="Of whatever is drawn at random.")]
+PlotFile = Annotated[Path | None, new_file("Draw them: PNG, PDF or SVG.", "--plot")]
+Seed = Annotated[int, Option(help="Of all random draws.")]
 Quick = Annotated[bool, Option("--quick", help="Two minutes at most: much smaller.")]
 Folder = Annotated[
-    Path | None, Option(help="Where stores and results are kept: a run that was stopped goes on.")
-]
-Bounds = Annotated[
-    str | None,
-    Option(metavar="W,S,E,N", help="Degrees (WGS 84); by default 5 x 10 km in the middle."),
-]
-BuiltBounds = Annotated[
-    str | None,
-    Option("--bounds", metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
-]
-Queries = Annotated[int, Option(help="Each is looked for in every store and area.")]
-StoreFile = Annotated[
-    Path, Argument(metavar="STORE", help="A store of places that `skyline build` made.")
+    Path | None, Option(help="Keep stores here; those that are there are not built again.")
 ]
 Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")]
 

@@ -1,6 +1,7 @@
-"""The page measured in a browser, and the README's picture.
+"""The page measured in a browser.
 
-How soon the page is ready, how the skyline follows a hand, and what memory matches leave.
+How soon the page is ready, how closely the skyline follows the mouse, and how much memory matches
+leave behind.
 """
 
 import json
@@ -16,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -24,25 +25,24 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from skyline import Matcher, build_places, read_dem, stand_at
+from skyline import build_places, read_dem, stand_at
 from skyline.arrays import Progress
 from skyline.cli.console import progress_bar
 from skyline.errors import BuildError, InputError
 from skyline.render.depth import DepthRenderer
-from skyline.report.match_report import report_matches
-from skyline_bench.commands import options
+from skyline_bench import options
+from skyline_bench.figures import SAMPLE_BOUNDS_DEG
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import own_bytes
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
-_BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 _SPACING_M = 120.0
 _PHOTO_PX = (4000, 3000)
 _FOCAL_LENGTH_35MM = 31
 _WARM_MATCHES = 5
-_PATIENCE_S = 120.0
+_LIMIT_S = 120.0
 _KNOWN = b'{"fov": 60}'
 _DRAG_HZ = 60.0
 
@@ -58,9 +58,6 @@ _Figure = tuple[str, float, str]
 
 _STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
-_PICTURE_CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
-_PICTURE_PX = 560
-"""Height of the README's picture."""
 
 
 # --- the page in a process of its own, and a browser ----------------------------------------
@@ -92,7 +89,7 @@ def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
             line = "" if run.stdout is None else run.stdout.readline()
             found = re.search(r"http://\S+", line)
             if found is None:
-                raise BuildError("the page was not served; `skyline serve` says why")
+                raise BuildError("the page was not served; run `skyline serve` to see why")
             with urlopen(found[0]) as answer:
                 answer.read()
             yield ServedPage(found[0], time.perf_counter() - began, run.pid)
@@ -137,7 +134,7 @@ def headless() -> tuple[Any, Any]:
     return options, Service(driver)
 
 
-# --- what a person waits for -----------------------------------------------------------------
+# --- waiting times -----------------------------------------------------------------
 
 
 def page(
@@ -175,7 +172,7 @@ def _made(folder: Path) -> tuple[Path, Path]:
     """Return a store of the sample terrain, and a photo of 12 megapixels."""
     terrain = read_dem([write_sample_dem(folder / "sample.tif")])
     store, photo = folder / "places.h5", folder / "photo.jpg"
-    build_places(terrain, store, _SPACING_M, _BOUNDS_DEG)
+    build_places(terrain, store, _SPACING_M, SAMPLE_BOUNDS_DEG)
     eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
     fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
     with DepthRenderer(terrain, 2048) as renderer:
@@ -188,7 +185,7 @@ def _made(folder: Path) -> tuple[Path, Path]:
 
 
 def _in_browser(chromium: Any, served: ServedPage, photo: Path, drag_s: float) -> list[_Figure]:
-    """Measure what a person at the page waits for."""
+    """Measure the waiting times of a person at the page."""
     chromium.get(served.address)
     _until(lambda: chromium.execute_script("return document.documentElement.dataset.ready"))
     began = time.perf_counter()
@@ -283,7 +280,7 @@ def _person(served: ServedPage, photo: Path) -> Iterator[str]:
     session = f"session/{_post(served, 'session', b'')['session']}"
     record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
     with connect(_channel(served, session)) as onlooker:
-        # Messages must be received, or the channel takes its listener for dead.
+        # Messages must be received, or the server closes the channel.
         threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
         yield f"{session}/photos/{record['id']}"
 
@@ -297,7 +294,7 @@ def _post(served: ServedPage, path: str, body: bytes) -> Any:
         with urlopen(Request(served.address + path, body, method="POST")) as answer:
             return json.loads(answer.read())
     except HTTPError as error:
-        raise BuildError(f"the page says: {error.read().decode()[:200]}") from error
+        raise BuildError(f"the page answers: {error.read().decode()[:200]}") from error
 
 
 def _ask(chromium: Any, module: str, code: str) -> Any:
@@ -312,49 +309,8 @@ def _mouse(chromium: Any, kind: str, column: float, row: float) -> None:
 def _until(true: Callable[[], object]) -> None:
     began = time.perf_counter()
     while not true():
-        if time.perf_counter() - began > _PATIENCE_S:
-            raise BuildError("the page did not get to where it is measured; look at it")
-        time.sleep(0.01)
-
-
-# --- the README's picture -------------------------------------------------------------------
-
-
-def readme_picture(
-    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
-    quick: options.Quick = False,
-) -> None:
-    """The README's picture: a photo made of the sample terrain, and where it was put."""
-    options.print_rows([_save_match(out, width=512 if quick else 2048)])
-
-
-def _save_match(path: Path, width: int) -> dict[str, object]:
-    """Save the picture of a photo rendered so wide; return what the match came to."""
-    with tempfile.TemporaryDirectory() as name:
-        terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
-        store = Path(name) / "places.h5"
-        build_places(terrain, store, bounds_deg=_BOUNDS_DEG)
-        eye = stand_at(terrain, lon=-84.2790, lat=36.6029, summit_within_m=0.0)
-        photo, report = Path(name) / "photo.jpg", Path(name) / "report"
-        with DepthRenderer(terrain, width) as renderer:
-            Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1)).save(
-                photo, quality=92
+        if time.perf_counter() - began > _LIMIT_S:
+            raise BuildError(
+                "the page did not get ready within 2 minutes; open it in a browser, see its console"
             )
-        with Matcher(store, terrain) as matcher:
-            result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
-            report_matches(report, matcher, [result])
-        pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
-        _side_by_side(pictures).save(path, quality=85, optimize=True)
-    best = result.candidates[0]
-    apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
-    error_m = float(np.hypot(*apart_m))
-    return {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
-
-
-def _side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Return pictures in one row, all as high."""
-    parts = [
-        picture.convert("RGB").resize((picture.width * _PICTURE_PX // picture.height, _PICTURE_PX))
-        for picture in pictures
-    ]
-    return Image.fromarray(np.concatenate([np.asarray(part) for part in parts], axis=1))
+        time.sleep(0.01)

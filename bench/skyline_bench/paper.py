@@ -25,7 +25,7 @@ from skyline.skylines import Views
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline_bench.commands import options
+from skyline_bench import options
 from skyline_bench.measuring.record import Row
 from skyline_bench.truth.simulation import PAPERS_FIGURES, TABLE_1, Run, Simulation, simulate
 

@@ -11,13 +11,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
-from math import log
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from skyline.arrays import Float64Array, Progress
 from skyline.camera import DEFAULT_WIDTH, elevation_deg
@@ -33,8 +28,8 @@ from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline_bench.commands import options
-from skyline_bench.measuring.record import Row, machine
+from skyline_bench import options
+from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
@@ -70,7 +65,6 @@ class _Way:
 def speed_error(
     dem: options.Dems,
     json_file: options.JsonFile = None,
-    plot: options.PlotFile = None,
     seed: options.Seed = 0,
     quick: options.Quick = False,
     crs: options.Crs = None,
@@ -89,8 +83,6 @@ def speed_error(
         rows = _speed_error(terrain, seed, quick, progress)
     columns = "path setting viewpoints_per_s ms_per_viewpoint rms_px max_px missing"
     options.report(json_file, "speed-error", rows, columns)
-    if plot is not None:
-        save_speed_error(rows, machine(), plot)
 
 
 def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progress) -> list[Row]:
@@ -174,7 +166,7 @@ def _ways(
             name, details = f"{bisections} bisections", {"bisections": bisections}
             yield _Way("embree", width, name, batch, compared, render, details)
     else:
-        _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
+        _log.warning("Embree is left out: pip install 'skyline-bench[peers]' to measure it")
     yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
 
 
@@ -249,71 +241,6 @@ def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
     """Return the oracle as a renderer that uses all cores."""
     render = partial(oracle.skyline, terrain, width=width)
     return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))
-
-
-_SERIES = {
-    "depth": ("depth path", "tab:gray", "s", 8),
-    "horizon": ("horizon path", "crimson", "o", -8),
-    "all round": ("all the way round", "tab:green", "D", -8),
-    "embree": ("Embree's rays", "tab:blue", "^", 8),
-    "grass": ("GRASS r.horizon", "tab:brown", "*", -8),
-}
-"""By path: label, colour, marker, and how far aside of it its setting is written."""
-
-
-def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
-    """Save milliseconds a viewpoint against rms and greatest error, both on log scales."""
-    figure = Figure(figsize=(13, 6.2), layout="constrained")
-    panels = figure.subplots(1, 2)
-    times_ms = [row["ms_per_viewpoint"] for row in rows]
-    for axis, key, name in zip(
-        panels, ("rms_px", "max_px"), ("rms error", "greatest error"), strict=True
-    ):
-        for way in _SERIES:
-            _draw_series(axis, rows, key, way)
-        for row in rows:
-            if row["path"] == "oracle":
-                label = "oracle (error 0)"
-                axis.axvline(row["ms_per_viewpoint"], color="black", linestyle=":", label=label)
-        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 40.0, max(times_ms) * 6.0))
-        axis.set_xlabel("ms per viewpoint, all cores")
-        axis.set_ylabel(f"{name} against the oracle (px of W = 640)")
-        axis.margins(y=0.1)
-        axis.grid(which="major", alpha=0.35)
-        axis.grid(which="minor", alpha=0.12)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
-    figure.suptitle(
-        f"Skylines: speed against error. {machine['processor']}, {machine['cores']} cores; "
-        f"{machine['renderer']}",
-        fontsize=11,
-    )
-    figure.savefig(path, dpi=110)
-
-
-def _draw_series(axis: Axes, rows: list[Row], key: str, way: str) -> None:
-    mine = [row for row in rows if row.get(key) and row["path"] == way]
-    label, colour, marker, aside = _SERIES[way]
-    points = [(row["ms_per_viewpoint"], row[key]) for row in mine]
-    if not points:
-        return
-    axis.plot(*zip(*points, strict=True), color=colour, marker=marker, label=label)
-    # Points too close for labels of their own share one.
-    labels: list[tuple[tuple[float, float], list[str]]] = []
-    for row, point in zip(mine, points, strict=True):
-        setting = row["setting"]
-        for other, settings in labels:
-            if max(abs(log(a / b)) for a, b in zip(point, other, strict=True)) < 0.3:
-                settings.append(setting)
-                break
-        else:
-            labels.append((point, [setting]))
-    side: dict[str, Any] = {"ha": "left" if aside > 0 else "right", "va": "center"}
-    for place, settings in labels:
-        text = ", ".join(settings)
-        axis.annotate(
-            text, place, (aside, 0), textcoords="offset points", fontsize=8, color=colour, **side
-        )
 
 
 # --- very large DEMs ------------------------------------------------------------------------

@@ -1,8 +1,7 @@
 """The summits of a DEM's file against those of the surface that skylines are rendered from.
 
-The surface is what `read_dem` makes of the file. Beside a surface that was warped stand others:
-the same on the file's coarser spacing, which is cheaper; on half of its own spacing, where that is
-not too large; and plain bilinear interpolation at its own samples, which keeps no summit.
+The surface is the field that `read_dem` returns. Where that was warped, plain bilinear
+interpolation at the same samples, which keeps no summit, stands beside it.
 
 On the surface as it is read, horizons are rendered too: from places beside the most prominent
 summits, as far from them as true coordinates are, and from places anywhere.
@@ -15,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import typer
 from numpy.typing import ArrayLike
 from pyproj import CRS, Transformer
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
@@ -30,9 +30,9 @@ from skyline.terrain.dem import DemOptions, read_dem, read_files
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid
 from skyline.terrain.viewpoints import stand_on
-from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
-from skyline_bench.measuring.prominence import prominences
-from skyline_bench.measuring.record import Row
+from skyline.terrain.warp import ground_spacing_m, local_frame
+from skyline_bench import options
+from skyline_bench.measuring.record import Row, write_record
 from skyline_bench.measuring.timing import central_viewpoints, in_turns
 
 EXACT_M = 1.0
@@ -45,11 +45,9 @@ LOW_DEG = 3.0
 """Upper bound of the elevation angles that a summit's horizon should have."""
 
 _MOST_RANKED = 2_000_000
-_COARSE_M, _COARSENED = 90.0, 100
 _APART_M = 1000.0
 """A summit is the highest sample so far around."""
 
-_MOST_SAMPLES = 1 << 25
 _LATTICE = np.linspace(-1.0, 1.0, 17)
 _SIGHT_STEPS = 200
 _EYE_M = 2.0
@@ -141,22 +139,40 @@ _Sights = tuple[Int64Array, Float64Array]
 """The summits (S,) that eyes (3, S) see: easting, northing, elevation."""
 
 
+def summits(
+    dem: options.Dems,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Summits of a DEM's file and of its surface, how they are seen, and horizons beside them.
+
+    An existing record keeps its rows of other DEMs.
+    """
+    config = SummitsConfig()
+    rows = measure(dem, crs, config.quick() if quick else config)
+    columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
+        p90_sight_m bias_m rms_off_m place_cpu_ms"""
+    options.print_rows(rows, columns)
+    for name, value in rows[0].items():
+        if name.startswith(("summit_below", "prominent", "anywhere", *STOOD)):
+            typer.echo(f"{name:<24} {value:g}")
+    write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
+
+
 def measure(
     dem: Sequence[str | Path], crs: str | None = None, config: SummitsConfig = SummitsConfig()
 ) -> list[Row]:
     """Return a row for each surface."""
-    options = DemOptions(crs=crs)
+    dem_options = DemOptions(crs=crs)
     started = time.process_time()
-    field = read_dem(dem, options)
+    field = read_dem(dem, dem_options)
     read_s = time.process_time() - started
-    file = _File.read(dem, options, field)
+    file = _File.read(dem, dem_options, field)
     row, col = file.summits(config.summits)
     sights = _sights(file, row, col, config)
     surfaces = {"as read": field}
     if field.provenance.resampling != "none":
-        surfaces["as read, on the coarser spacing"] = _warped(file, field, max(file.spacing_m))
-        if 4 * field.heights_m.size <= _MOST_SAMPLES:
-            surfaces["as read, on half the spacing"] = _warped(file, field, 0.5 * field.spacing_m)
         surfaces["bilinear"] = _bilinear(file, field)
     rows: list[Row] = []
     for name, surface in surfaces.items():
@@ -175,7 +191,6 @@ def measure(
         )
     seen = {
         **_horizons_beside(field, file, config),
-        **_horizons_coarsened(field),
         **_horizons_anywhere(field, config),
     }
     return [{**rows[0], **seen}, *rows[1:]]
@@ -209,39 +224,6 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
             f"{name}_off": float(np.mean(off_deg > 1.0)),
             f"{name}_near": float(np.mean(stood.distance_m < field.spacing_m)),
         }
-    return found
-
-
-def _horizons_coarsened(field: HeightField) -> Row:
-    """Return how far horizons at summits' true places are off on a coarser model of the ground.
-
-    Degrees, rms over azimuths and summits; each sample of that model is the mean of the samples of
-    a square. Nothing where the field itself is as coarse.
-    """
-    side = round(_COARSE_M / field.spacing_m)
-    row, col = _prominent(field, _COARSENED)
-    if side < 2 or not row.size:
-        return {}
-    rows, cols = field.rows // side, field.cols // side
-    squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
-    west, north = field.to_map(0.5 * (side - 1), 0.5 * (side - 1))
-    coarse = HeightField(
-        squares.mean(axis=(1, 3)),
-        float(west),
-        float(north),
-        side * field.spacing_east_m,
-        side * field.spacing_north_m,
-        field.frame,
-    )
-    easting, northing = field.to_map(row, col)
-    eyes = stand_on(field, easting_m=easting, northing_m=northing)
-    true_deg = horizons_of(field, eyes, 1.0).elevation_deg
-    lon, lat = field.frame.to_lonlat(easting, northing)
-    found: dict[str, float] = {"coarsened": row.size}
-    for name, within_m in STOOD.items():
-        stood = horizon(coarse, lon=lon, lat=lat, step_deg=1.0, summit_within_m=within_m)
-        off_deg = stood.elevation_deg - true_deg
-        found[f"coarse_{name}_off_deg"] = float(np.sqrt(np.nanmean(off_deg**2)))
     return found
 
 
@@ -290,13 +272,6 @@ def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
         "anywhere_on_summits": int(lifted.sum()),
         "anywhere_else_changed": int((changed & known).any(axis=1).sum()),
     }
-
-
-def _warped(file: _File, field: HeightField, spacing_m: float) -> HeightField:
-    """Return the file as a field has it, but on another spacing."""
-    warp = Warp(file.heights_m, file.grid, file.crs, field.frame, spacing_m)
-    grid = warp.target
-    return HeightField(warp.heights_m(), grid.west, grid.north, spacing_m, spacing_m, field.frame)
 
 
 def _bilinear(file: _File, field: HeightField) -> HeightField:
@@ -406,3 +381,74 @@ def _place_cpu_ms(surface: HeightField, count: int) -> float:
     with PanoramaRenderer(surface, BINS) as renderer:
         (timing,) = in_turns([lambda: renderer.render(eyes)], 3)
     return 1e3 * timing.cpu_seconds / len(eyes)
+
+
+# --- prominence -----------------------------------------------------------------------------
+
+
+def prominences(heights_m: Float64Array) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """Return row, column and prominence (S,) of all local maxima, the most prominent first.
+
+    Each sample belongs to the maximum to which the steepest way up leads. Where the samples of two
+    maxima touch there is a pass between them, and over the highest passes first the lower of two
+    maxima, of all that are joined already, has the prominence that its height above the pass is.
+    A maximum from which no way leads to a higher one is as prominent as it is high above the lowest
+    sample. Holes (NaN) are no way.
+    """
+    known = np.nan_to_num(np.asarray(heights_m, np.float64), nan=-np.inf)
+    rows, cols = known.shape
+    ranked = np.empty(known.size, np.int64)
+    ranked[np.argsort(known, axis=None, kind="stable")] = np.arange(known.size)
+    rank = ranked.reshape(rows, cols)
+    place = np.arange(known.size).reshape(rows, cols)
+    best, up = rank.copy(), place.copy()
+    for here, there in [
+        pair for step in ((0, 1), (1, 0), (1, 1), (1, -1)) for pair in _both_ways(step)
+    ]:
+        higher = rank[there] > best[here]
+        best[here] = np.where(higher, rank[there], best[here])
+        up[here] = np.where(higher, place[there], up[here])
+    top = up.ravel()
+    while (top != (further := top[top])).any():
+        top = further
+    tops, number = np.unique(top, return_inverse=True)
+    number = number.reshape(rows, cols)
+    passes, joined = [], []
+    for step in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        here, there = _both_ways(step)[0]
+        apart = number[here] != number[there]
+        passes.append(np.minimum(known[here], known[there])[apart])
+        joined.append(np.stack([number[here][apart], number[there][apart]], axis=1))
+    pass_m, pairs = np.concatenate(passes), np.concatenate(joined)
+    order = np.argsort(-pass_m, kind="stable")
+    order = order[np.isfinite(pass_m[order])]
+    top_m, top_rank = known.ravel()[tops], ranked[tops]
+    prominence_m = top_m - np.nanmin(heights_m)
+    of = np.arange(len(tops)).tolist()
+
+    def root(one: int) -> int:
+        while of[one] != one:
+            of[one] = one = of[of[one]]
+        return one
+
+    for (one, other), height_m in zip(pairs[order].tolist(), pass_m[order].tolist(), strict=True):
+        low, high = sorted((root(one), root(other)), key=top_rank.__getitem__)
+        if low != high:
+            of[low] = high
+            prominence_m[low] = top_m[low] - height_m
+    first = np.argsort(-prominence_m, kind="stable")
+    # Of equally high samples side by side, all but one have none.
+    first = first[np.isfinite(prominence_m[first]) & (prominence_m[first] > 0.0)]
+    row, col = np.divmod(tops[first], cols)
+    return row, col, prominence_m[first]
+
+
+_Slices = tuple[slice, slice]
+
+
+def _both_ways(step: tuple[int, int]) -> list[tuple[_Slices, _Slices]]:
+    """Return the samples that have a neighbour a step on, and these neighbours; and the reverse."""
+    down, right = step
+    here = slice(None, -down or None), slice(max(-right, 0), -right if right > 0 else None)
+    there = slice(down, None), slice(max(right, 0), right if right < 0 else None)
+    return [(here, there), (there, here)]

@@ -1,1 +1,0 @@
-"""Commands of ``skyline-bench``: options, tables and records."""

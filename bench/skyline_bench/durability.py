@@ -1,0 +1,411 @@
+"""Durability: builds that are killed, stores whose bits flip, and damaged files of every kind."""
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from typer import Argument, Option
+
+from skyline import cli
+from skyline.build import plans
+from skyline.build.cluster import local_runner
+from skyline.build.parts import build_store
+from skyline.build.plans import PlacePlan, Plan, RenderingPlan
+from skyline.errors import SkylineError
+from skyline.geodesy import Bounds
+from skyline.render.horizon import RenderConfig
+from skyline.store import open_store
+from skyline.store.format import PLACES
+from skyline.store.merge import examine
+from skyline.store.read import parts_folder
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline_bench import options
+from skyline_bench.measuring.geotiff import write_geotiff
+from skyline_bench.measuring.record import Row, write_record
+
+_SIDE_M = 5000.0
+"""Of the area that is built again and again."""
+_PLACES_A_PART, _VIEWPOINTS_A_PART = 256, 16
+"""Parts of a fraction of a second, so that builds are killed between many of them."""
+_LONGER = 1.3
+"""A build is killed at some time within so many times what an unbroken one takes."""
+_KILLS_A_BUILD = 3
+_READ_S, _COMMAND_S = 30, 60
+"""A reader, or a command, that takes longer on such small files hangs."""
+_WEST_M, _NORTH_M, _SPACING_M = 600_000.0, 5_180_000.0, 30.0
+
+
+def _plans(terrain: HeightField, bounds_deg: Bounds) -> dict[str, tuple[Plan, int]]:
+    """Return plans by name, each with a number of workers; 0 is this process."""
+    views = RenderingPlan.uniform(terrain, 400.0, bounds_deg, RenderConfig(width=160))
+    return {
+        "planned places": (PlacePlan(None, bounds_deg, 0.3), 0),
+        "places of a grid": (PlacePlan(80.0, bounds_deg), 0),
+        "renderings": (views, 0),
+        "places of a grid, 2 workers": (PlacePlan(60.0, bounds_deg), 2),
+    }
+
+
+def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> tuple[int, int]:
+    """Start a build in a process of its own, which leads a group of processes."""
+
+    def work(_: object) -> None:
+        os.setsid()
+        with ExitStack() as held:
+            runner = held.enter_context(local_runner(workers)) if workers else None
+            build_store(terrain, path, plan, runner)
+
+    return fork(work)
+
+
+def _kills(dem: Path, builds: int, folder: Path) -> Iterator[Row]:
+    """Kill builds at random instants, and let the same command finish them."""
+    # Nothing is rendered in this process: OpenGL does not outlive a fork.
+    terrain, generator = read_dem([dem]), np.random.default_rng(0)
+    plans._PLACES_A_PART, plans._VIEWPOINTS_A_PART = _PLACES_A_PART, _VIEWPOINTS_A_PART
+    kinds = _plans(terrain, middle_of(terrain, _SIDE_M))
+    for number, (name, (plan, workers)) in enumerate(kinds.items()):
+        whole = folder / "whole.h5"
+        started = time.perf_counter()
+        ended(*_start(terrain, whole, plan, workers))
+        lasts_s, unbroken = time.perf_counter() - started, whole.read_bytes()
+        whole.unlink()
+        tally = Counter(builds=0, kills=0, lost=0, equal=0)
+        for _ in range(len(range(number, builds, len(kinds)))):
+            path = folder / "killed.h5"
+            for _ in range(_KILLS_A_BUILD):
+                before = _parts(path)
+                child = _start(terrain, path, plan, workers)
+                time.sleep(generator.uniform(0.0, _LONGER * lasts_s))
+                _kill_group(child[0])
+                code, _ = ended(*child)
+                if code == 0 or path.exists():
+                    break
+                tally["kills"] += 1
+                after = _parts(path)
+                tally["lost"] += sum(after.get(part) != data for part, data in before.items())
+            ended(*_start(terrain, path, plan, workers))
+            tally["builds"] += 1
+            tally["equal"] += path.read_bytes() == unbroken and not parts_folder(path).exists()
+            path.unlink()
+        yield {"test": "kills", "rows": name, **tally, "unbroken_s": lasts_s}
+
+
+def _kill_group(leader: int) -> None:
+    for kill in (os.killpg, os.kill):
+        try:
+            kill(leader, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+
+
+def _parts(path: Path) -> dict[str, bytes]:
+    """Return the parts of a store by name."""
+    return {part.name: part.read_bytes() for part in parts_folder(path).glob("*-of-*.h5")}
+
+
+def _damage(dem: Path, flips: int, cases: int, folder: Path) -> Iterator[Row]:
+    """Flip bits of stores, and mutate their files."""
+    terrain = read_dem([dem])
+    kinds = _plans(terrain, middle_of(terrain, _SIDE_M))
+    for name in ("places of a grid", "renderings"):
+        whole = folder / f"{name}.h5"
+        ended(*_start(terrain, whole, kinds[name][0], 0))
+        yield {"test": "flips", "rows": name, **_flips(whole, folder, flips)}
+        yield {"test": "mutated", "rows": name, **_mutations(whole, folder, cases)}
+
+
+def _flips(whole: Path, folder: Path, flips: int) -> Row:
+    """Flip one bit of a store at a time.
+
+    Of the ``flips``, ``harmful`` ones change rows or keep them from being read, and ``found`` ones
+    of these are found by `skyline store check`. ``silent`` ones get past readers of renderings, and
+    past `take` of places; ``crashes`` are those and hangs of readers and of the check.
+    """
+    generator = np.random.default_rng(0)
+    data, tally = bytearray(whole.read_bytes()), Counter[str]()
+    path = folder / "flipped.h5"
+    for _ in range(flips):
+        place, bit = int(generator.integers(len(data))), 1 << int(generator.integers(8))
+        data[place] ^= bit
+        path.write_bytes(data)
+        data[place] ^= bit
+        read = outcome_of(partial(_read_as, path, whole), _READ_S)
+        checked = outcome_of(lambda: "whole" if examine(path).whole else "damaged", _READ_S)
+        harmful = read != "same"
+        tally["harmful"] += harmful
+        tally["found"] += harmful and checked == "damaged"
+        tally["silent"] += read == "changed"
+        ordinary = read in ("same", "changed", "refused") and checked in ("whole", "damaged")
+        tally["crashes"] += not ordinary
+    return {
+        "flips": flips,
+        **{key: tally[key] for key in ("harmful", "found", "silent", "crashes")},
+    }
+
+
+def _mutations(whole: Path, folder: Path, cases: int) -> Row:
+    """Read mutated copies of a store; each must be read, or refused in one line."""
+    generator, tally = np.random.default_rng(0), Counter[str]()
+    data, path = whole.read_bytes(), folder / "mutated.h5"
+    for _ in range(cases):
+        path.write_bytes(mutated(data, generator))
+        tally[outcome_of(partial(_read_as, path, whole), _READ_S)] += 1
+    read = tally.pop("same", 0) + tally.pop("changed", 0)
+    return {"cases": cases, "read": read, "refused": tally.pop("refused", 0), "wrong": dict(tally)}
+
+
+def _read_as(path: Path, whole: Path) -> str:
+    """Read a store and return whether its rows are those of another."""
+    try:
+        with open_store(path) as store, open_store(whole) as reference:
+            if store.header.holds == PLACES:
+                store.places().take(np.arange(len(store)))
+            wanted, got = reference.stored(), store.stored()
+            same = store.header == reference.header and len(store) == len(reference)
+            same = same and all(wanted[name].tobytes() == got[name].tobytes() for name in wanted)
+        return "same" if same else "changed"
+    except SkylineError as error:
+        return "refused" if "\n" not in str(error) else "more than one line"
+
+
+def mutated(data: bytes, generator: np.random.Generator) -> bytes:
+    """Return bytes with one kind of random damage, more often than not near their beginning."""
+    changed = bytearray(data)
+
+    def place() -> int:
+        near = min(len(changed), 16_384) if generator.random() < 0.6 else len(changed)
+        return int(generator.integers(near))
+
+    first, length = place(), int(2.0 ** generator.uniform(0.0, 12.0))
+    last = min(first + length, len(changed))
+    match int(generator.integers(8)):
+        case 0:
+            for _ in range(int(generator.integers(1, 30))):
+                changed[place()] ^= 1 << int(generator.integers(8))
+        case 1:
+            changed[first:last] = bytes(last - first)
+        case 2:
+            changed[first:last] = b"\xff" * (last - first)
+        case 3:
+            changed[first:last] = generator.bytes(last - first)
+        case 4:
+            other = int(generator.integers(len(changed) - (last - first) + 1))
+            changed[first:last] = changed[other : other + last - first]
+        case 5:
+            changed[first:first] = generator.bytes(length)
+        case 6:
+            del changed[first:last]
+        case _:
+            del changed[place() :]
+    return bytes(changed)
+
+
+def middle_of(terrain: HeightField, side_m: float) -> Bounds:
+    """Return the middle of a DEM, a square of a side at most, in degrees."""
+    west, south, east, north = terrain.bounds_m
+    half = min(side_m, east - west, north - south) / 2.0
+    east_m, north_m = (west + east) / 2.0, (south + north) / 2.0
+    lon, lat = terrain.frame.to_lonlat(
+        [east_m - half, east_m + half, east_m, east_m],
+        [north_m, north_m, north_m - half, north_m + half],
+    )
+    return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
+
+
+# --- damaged input ---------------------------------------------------------------------------
+
+
+class _Hang(BaseException):
+    """A command took longer than any of these files may."""
+
+
+def _ended(arguments: list[object]) -> str:
+    """Run a command; return "answered", "refused", or a description of any other end."""
+    out, err = io.StringIO(), io.StringIO()
+    sys.argv = ["skyline", *map(str, arguments)]
+    signal.alarm(_COMMAND_S)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            cli.main()
+        code: object = 0
+    except SystemExit as stop:
+        code = stop.code or 0
+    except _Hang:
+        return "hang"
+    except BaseException as error:
+        return f"raised {type(error).__name__}"
+    finally:
+        signal.alarm(0)
+    errors = err.getvalue()
+    if code == 0:
+        return "answered"
+    if code == 2 and errors.count("\n") == 1 and errors.startswith("error: "):
+        return "refused"
+    return f"code {code}: {errors!r}"
+
+
+def _good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[object]]]]:
+    """Return good files and the commands that read them, by suffix."""
+    generator = np.random.default_rng(0)
+    heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
+    corner, step = (_WEST_M, _NORTH_M), (_SPACING_M, _SPACING_M)
+    dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
+    store = folder / "store.h5"
+    _ended(["build", dem, "-o", store, "--spacing", 300])
+    ascii_dem = (
+        "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
+        + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
+    )
+    viewpoints = "easting,northing\n" + "".join(
+        f"{_WEST_M + 300 + 20 * k},{_NORTH_M - 400 - 10 * k}\n" for k in range(6)
+    )
+    trace = "# width=200 height=100\ncolumn_px,row_px\n" + "".join(
+        f"{k},{40 + 10 * np.sin(k / 9):.2f}\n" for k in range(200)
+    )
+    rows = np.arange(120)[:, np.newaxis]
+    ridge = 60 + 20 * np.sin(np.arange(200) / 15)
+    photo = np.where((rows < ridge)[..., np.newaxis], (230, 180, 120), (40, 60, 50)).astype(
+        np.uint8
+    )
+    jpeg = cv2.imencode(".jpg", photo)[1].tobytes()
+    png = cv2.imencode(".png", photo)[1].tobytes()
+    return {
+        "tif": (dem.read_bytes(), lambda path: ["info", path]),
+        "asc": (ascii_dem.encode(), lambda path: ["info", path, "--crs", "EPSG:32632"]),
+        "csv": (
+            viewpoints.encode(),
+            lambda path: ["render", dem, "--viewpoints", path, "-o", folder / "o.h5"],
+        ),
+        "trace.csv": (
+            trace.encode(),
+            lambda path: ["match", store, path, "--fov-deg", 60, "--matcher", "unrefined"],
+        ),
+        "jpg": (jpeg, lambda path: ["extract", path, "-o", folder / "jpg-out.csv"]),
+        "png": (png, lambda path: ["extract", path, "-o", folder / "png-out.csv"]),
+    }
+
+
+def _too_long(_signal: int, _frame: object) -> None:
+    raise _Hang
+
+
+def _damaged_files(cases: int, seed: int) -> Iterator[Row]:
+    """Yield how many of so many damaged files of each kind were answered, and how many refused."""
+    signal.signal(signal.SIGALRM, _too_long)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for suffix, (data, command) in _good_files(folder).items():
+            whole = folder / f"whole.{suffix}"
+            whole.write_bytes(data)
+            if _ended(command(whole)) != "answered":
+                raise SkylineError(f"the whole {suffix} is not answered; damage would show nothing")
+            (folder / "o.h5").unlink(missing_ok=True)
+            generator = np.random.default_rng(seed)
+            ends: Counter[str] = Counter()
+            for case in range(cases):
+                path = folder / f"case-{case}.{suffix}"
+                path.write_bytes(mutated(data, generator))
+                ends[_ended(command(path))] += 1
+                path.unlink()
+                (folder / "o.h5").unlink(missing_ok=True)
+            counts = {end: ends.pop(end, 0) for end in ("answered", "refused")}
+            yield {"file": suffix, "cases": cases, **counts, "wrong": dict(ends)}
+
+
+# --- work in a process of its own, in which a crash or a hang is a result --------------------
+
+
+Send = Callable[[bytes], object]
+"""Sends bytes to the process that forked this one."""
+
+
+def fork(work: Callable[[Send], object]) -> tuple[int, int]:
+    """Do work in a new process, which exits with 0, or with 1 where it raises.
+
+    Return its id, and the end of a pipe at which its bytes are read.
+    """
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid:
+        os.close(writing)
+        return pid, reading
+    code = 1
+    try:
+        os.close(reading)
+        work(partial(os.write, writing))
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def ended(pid: int, reading: int) -> tuple[int, bytes]:
+    """Wait for a process that was forked; return its exit code and its bytes."""
+    with os.fdopen(reading, "rb") as pipe:
+        sent = pipe.read()
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), sent
+
+
+def outcome_of(work: Callable[[], str], limit_s: int = 60) -> str:
+    """Return the text of work in a process of its own, or "raised", "hang" or "crash"."""
+
+    def child(send: Send) -> None:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(limit_s)
+        send(work().encode())
+
+    code, sent = ended(*fork(child))
+    return {0: sent.decode(), 1: "raised", -signal.SIGALRM: "hang"}.get(code, "crash")
+
+
+# --- commands --------------------------------------------------------------------------------
+
+
+def store_durability(
+    dem: Annotated[Path, Argument(metavar="DEM", help="The DEM from which stores are built.")],
+    builds: Annotated[int, Option(help="Builds to kill.")] = 25,
+    flips: Annotated[int, Option(help="Bits to flip in each store, one at a time.")] = 300,
+    cases: Annotated[int, Option(help="Mutated files of each store.")] = 500,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """Builds killed at random instants, with workers too; bits flipped; files mutated."""
+    if quick:
+        builds, flips, cases = min(builds, 4), min(flips, 5), min(cases, 10)
+    rows: list[Row] = []
+    for test in (partial(_kills, dem, builds), partial(_damage, dem, flips, cases)):
+        with tempfile.TemporaryDirectory() as folder:
+            for row in test(Path(folder)):
+                rows.append(row)
+                options.print_rows([row])
+    # At the end: a record names the renderer, and OpenGL does not outlive the forks of these tests.
+    write_record(json_file, "store-durability", rows)
+
+
+def input_fuzz(
+    cases: Annotated[int, Option(help="Damaged files of each kind.")] = 250,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+) -> None:
+    """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
+    rows: list[Row] = []
+    # No bar: its output would be taken for a line of the command under test.
+    for row in _damaged_files(min(cases, 10) if quick else cases, seed):
+        rows.append(row)
+        typer.echo(f"{row['file']}: {row['cases']} files", err=True)
+    options.report(json_file, "input-fuzz", rows)

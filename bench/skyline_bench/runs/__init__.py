@@ -1,1 +1,0 @@
-"""Measurements: what each command measures, row by row."""
