@@ -94,9 +94,9 @@ class Ranker(ABC):
     """
 
     narrows: ClassVar[bool] = False
-    """Whether the matcher uses prior knowledge of a pose; if not, it is called without any."""
+    """True if the matcher uses prior knowledge of a pose; if not, it is called without any."""
     finds_fov: ClassVar[bool] = False
-    """Whether the matcher can match a photo of unknown field of view."""
+    """True if the matcher can match a photo of unknown field of view."""
     searches: ClassVar[str] = RENDERINGS
     """Kind of store that the matcher searches, `PLACES` or `RENDERINGS` of
     `skyline.store.format`."""

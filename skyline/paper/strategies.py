@@ -35,7 +35,7 @@ class Problem:
 
     @property
     def is_covered(self) -> bool:
-        """Whether the region is covered to the target."""
+        """True if the region is covered to the target."""
         return self.coverage.fraction(self.region) >= self.target
 
     def open_candidates(self) -> Int64Array:

@@ -33,7 +33,7 @@ class Projection(StrEnum):
 
     @property
     def is_panorama(self) -> bool:
-        """Whether the photo was swept or stitched, rather than taken in one exposure."""
+        """True if the photo was swept or stitched, rather than taken in one exposure."""
         return self is not Projection.PERSPECTIVE
 
     def check_fov_deg(self, fov_deg: float) -> float:

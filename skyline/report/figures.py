@@ -47,7 +47,7 @@ class Placed:
     """0 is the lowest row, next to the picture."""
 
     def disturbs(self, other: "Placed") -> bool:
-        """Whether two labels overlap, or the leader of one runs through the other."""
+        """Return whether two labels overlap, or the leader of one runs through the other."""
         if self.row == other.row:
             return self.left_px < other.right_px and other.left_px < self.right_px
         low, high = (self, other) if self.row < other.row else (other, self)

@@ -149,5 +149,5 @@ def _halved(heights: Float32Array) -> Float32Array:
     rows, cols = heights.shape[0] // 2 * 2, heights.shape[1] // 2 * 2
     blocks = heights[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # All four are unknown. return
-        np.asarray(np.nanmean(blocks, axis=(1, 3)), dtype=np.float32)
+        warnings.simplefilter("ignore", RuntimeWarning)  # All four may be unknown.
+        return np.asarray(np.nanmean(blocks, axis=(1, 3)), dtype=np.float32)

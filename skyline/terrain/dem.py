@@ -155,7 +155,7 @@ def dem_of(tile: Tile, options: DemOptions) -> HeightField:
 
 
 def _is_kept(mosaic: Mosaic, options: DemOptions) -> bool:
-    """Whether the heights stay on their files' own grid."""
+    """Return whether the heights stay on their files' own grid."""
     return is_metric(mosaic.crs) and not options.reproject
 
 

@@ -241,7 +241,7 @@ class HeightField:
 
     @cached_property
     def has_holes(self) -> bool:
-        """Whether any sample is a hole."""
+        """True if any sample is a hole."""
         return bool(np.isnan(self.heights_m.min()))
 
     @cached_property

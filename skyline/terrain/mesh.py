@@ -101,7 +101,7 @@ class Triangles:
 
     @property
     def has_dangling_edges(self) -> bool:
-        """Whether two samples of triangles are neighbours along an edge without a triangle."""
+        """True if samples of triangles are neighbours along an edge without a triangle."""
         there = self.samples
         return any(
             bool((there[: len(left), : left.shape[1]] & there[row:, col:] & ~(left | right)).any())

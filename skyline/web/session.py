@@ -195,7 +195,7 @@ def version_of(query: QuerySkyline) -> str:
 
 
 def _is_guess(query: QuerySkyline) -> bool:
-    """Whether the field of view is a guess from a cropped photo, not a value to show as known."""
+    """Return whether the field of view is a guess from a cropped photo, not to be shown."""
     return query.lens is not None and query.lens.most_deg is not None
 
 
