@@ -57,7 +57,7 @@ class Runner:
         """
         run, submit = uuid4().hex[:8], self._client.submit
         with warnings.catch_warnings():
-            # Viewpoints make a large graph, so it is sent once.
+            # The viewpoints make the graph large, so it is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [
                 submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)

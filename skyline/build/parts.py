@@ -239,11 +239,11 @@ class _Job:
         from one thread, which owns the OpenGL context.
         """
         path, work = item
-        if self.build not in _open_here:
-            while _open_here:
-                _open_here.popitem()[1].__exit__()
-            _open_here[self.build] = self.plan.opened(self._terrain())
-        return _write_part(_open_here[self.build], path, work)
+        if self.build not in _open_renderer:
+            while _open_renderer:
+                _open_renderer.popitem()[1].__exit__()
+            _open_renderer[self.build] = self.plan.opened(self._terrain())
+        return _write_part(_open_renderer[self.build], path, work)
 
     def _terrain(self) -> HeightField:
         try:
@@ -255,7 +255,7 @@ class _Job:
             ) from error
 
 
-_open_here: dict[str, PartRenderer] = {}
+_open_renderer: dict[str, PartRenderer] = {}
 """The renderer that this worker keeps, by the build."""
 
 

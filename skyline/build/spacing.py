@@ -176,12 +176,12 @@ class AdaptivePlanner:
 
     def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
         """Render those of nodes (N, 2) that have not been rendered."""
-        left = seen.left(nodes)
-        easting, northing = seen.position_m(left)
+        untried = seen.untried(nodes)
+        easting, northing = seen.position_m(untried)
         eyes, stands = stand_where_possible(self._terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)
-        seen.bar(left[~stands])
+        seen.mark_bare(untried[~stands])
         if len(eyes):
-            seen.add(left[stands], self._look(eyes))
+            seen.add(untried[stands], self._look(eyes))
 
     def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
         """Return a mask of the nodes (N, 2) at which a denser lattice pays."""
@@ -232,7 +232,7 @@ class _Seen:
         self._places: list[Places] = []
         self._lost: Float64Array = np.zeros((0, _LEVELS))
 
-    def left(self, nodes: Int64Array) -> Int64Array:
+    def untried(self, nodes: Int64Array) -> Int64Array:
         """Return the nodes, of (N, 2), that were not tried."""
         return nodes[~self._looked_at[_index(nodes)]]
 
@@ -241,7 +241,7 @@ class _Seen:
         position = self._corner_m + nodes * _FINEST_M
         return position[:, 0], position[:, 1]
 
-    def bar(self, nodes: Int64Array) -> None:
+    def mark_bare(self, nodes: Int64Array) -> None:
         """Note that there is no surface to stand on at nodes (N, 2)."""
         self._looked_at[_index(nodes)] = True
 

@@ -150,7 +150,7 @@ def match(
     file = None
     if results is not None:
         file = ResultsFile(results, _search_of(store, matcher, common, surfaces))
-        queries = _left(queries, file)
+        queries = _unanswered(queries, file)
     output = _Output(as_json, file, goes_on=bool(exports or report or results))
     # These checks come before the store is opened, which may take a minute.
     checked, refused = _attempted(queries, Query.check)
@@ -194,7 +194,7 @@ def match(
         raise typer.Exit(output.exit_code)
 
 
-def _left(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
+def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
     """Return the queries that a file of results lacks; print how many it has."""
     on_interrupt(
         f"{file.path} has the answers so far, and the same command continues with the others"

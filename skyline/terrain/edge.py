@@ -70,7 +70,7 @@ class DataEdge:
         edge. The arguments broadcast; azimuths are from grid north, places lie inside. float32
         arguments give a float32 result, for speed.
         """
-        distance_m, highest_m = self._left(easting_m, northing_m, azimuth_rad)
+        distance_m, highest_m = self._leaving(easting_m, northing_m, azimuth_rad)
         above_m = highest_m - np.asarray(eye_elevation_m)
         drop = self.curvature.drop_per_m2
         if drop > 0.0:
@@ -79,7 +79,7 @@ class DataEdge:
         # On a flat Earth terrain below the eye rises towards its level with distance, without end.
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
 
-    def _left(
+    def _leaving(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
         """Return the distance at which rays leave the data, and the height of terrain beyond."""
