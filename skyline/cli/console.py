@@ -154,7 +154,7 @@ def run_app(app: typer.Typer) -> None:
     except MemoryError:
         _fail("out of memory; choose a smaller area or a larger spacing", 1)
     except OSError as error:
-        _fail(f"the system said: {error}", 1)
+        _fail(f"the system reports: {error}", 1)
     finally:
         _flush_streams()
 

@@ -93,6 +93,7 @@ def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
 
 
 def _post(server: str, query: bytes, timeout_s: float) -> bytes:
+    """Send a query; return the whole answer, which must arrive in time and within a limit."""
     request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
     deadline = time.monotonic() + timeout_s
     body = bytearray()
@@ -114,6 +115,7 @@ def _post(server: str, query: bytes, timeout_s: float) -> bytes:
 
 
 def _elements(server: str, answer: bytes) -> list[Any]:
+    """Return the elements of an answer; raises `FetchError` if it is not whole."""
     try:
         content = json.loads(answer)
         elements, note = content["elements"], content.get("remark", "")

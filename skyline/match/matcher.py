@@ -238,7 +238,7 @@ class Matcher:
         if rankings is None:
             raise InputError(
                 "photos are matched together by rendering alone; use the full matcher, refine, and "
-                "say where the DEM lies"
+                "give the DEM"
             )
         return [ranking.candidates(self.frame) for ranking in rankings]
 

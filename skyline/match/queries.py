@@ -126,6 +126,7 @@ def _rows(path: Path) -> list[dict[str, str]] | None:
 
 
 def _query(path: Path, number: int, row: Mapping[str, str | None], common: Query) -> Query:
+    """Return the query of a row of a list; raises `InputError` for a bad value."""
     where = f"{path}, line {number}"
     name = (row.get("path") or "").strip()
     if not name:

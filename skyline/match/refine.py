@@ -474,6 +474,7 @@ class JointRefinement:
         return np.asarray(np.linalg.inv(covariance) * share)
 
     def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        """Return the poses of each query at the places, and which queries agree; see `run`."""
         off = self._off(particles)
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5

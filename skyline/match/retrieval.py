@@ -389,6 +389,7 @@ class _CurveFit:
         return pose, self._score(pose, self._misses(pose, y, nearness), prior)
 
     def _misses(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Misses:
+        """Return the misses of poses (M, 6) from profiles y (M, B), and their derivatives."""
         azimuth, tangent = self._project(pose)
         bins = y.shape[1]
         toward = azimuth + pose[:, :1]

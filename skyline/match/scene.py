@@ -94,6 +94,7 @@ class RenderedScene:
         headings: ArrayLike,
         urgent: bool = False,
     ) -> Views:
+        """Render views; on a thread for all, in pieces that leave room for urgent ones."""
         along = np.asarray(headings, dtype=np.uint8)
         step = len(along) if self._thread is None else self._piece
         starts = range(0, max(len(along), 1), max(step, 1))
@@ -208,7 +209,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
         return None
     if not all(map(is_file, header.dem_files)):
         _log.warning(
-            "%s: the store's DEM is not at hand (no file here is %s); say where it lies with --dem",
+            "%s: the store's DEM is not at hand (no file here is %s); name its files with --dem",
             otherwise,
             ", ".join(header.dem_files),
         )

@@ -208,6 +208,7 @@ def errors_px(
 
 
 def _errors(points_m: Float64Array, displacements_m: Float64Array, warp: Warp) -> FloatArray:
+    """Return `errors_px` in units of v."""
     affine = warp(points_m, displacements_m)[:, :, np.newaxis]
     u, v = np.moveaxis(projected(points_m)[:, np.newaxis], -1, 0)
     images = np.moveaxis(projected(moved(points_m, displacements_m)), -1, 0)

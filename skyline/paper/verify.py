@@ -147,6 +147,7 @@ def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
 
 
 def _errors_px(stored: Views, rendered: Views) -> Float64Array:
+    """Return the least distances from all starts, each fitted from coarse curves to fine."""
     best = np.full(len(stored), np.inf)
     counts = (*(c for c in _COLUMNS if c < stored.width), stored.width)
     pairs = [
@@ -255,6 +256,7 @@ class _Pair:
         self.row = np.arange(len(curves))[:, np.newaxis] * self.columns
 
     def state(self, affine: Float64Array) -> _State:
+        """Return the misses of the curves under warps (B, 2, 3), and the slopes there."""
         a, b, c, d, e, f = affine.T[:, :, np.newaxis]
         position = (a * self.u + b * self.v + (c + 1.0)) * (self.columns / 2.0) - 0.5
         usable = (position >= 0.0) & (position <= self.columns - 1)

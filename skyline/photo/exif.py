@@ -92,6 +92,7 @@ def place_from_exif(gps: _Tags) -> NotedPlace:
 
 
 def _lonlat_deg(gps: _Tags) -> tuple[float, float] | None:
+    """Return longitude and latitude (WGS 84); raises `_UnusableError`."""
     if GPS.GPSLongitude not in gps and GPS.GPSLatitude not in gps:
         return None
     _require_fix(gps)
@@ -130,6 +131,7 @@ def _angle_deg(
 
 
 def _elevation_m(gps: _Tags) -> float | None:
+    """Return the elevation above sea level; raises `_UnusableError`."""
     if GPS.GPSAltitude not in gps:
         return None
     _require_fix(gps)

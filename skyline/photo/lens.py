@@ -120,7 +120,7 @@ def swept_lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens 
         return None
     equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
     if equivalent_mm is None:
-        return Lens(said="EXIF says that the photo is a panorama, and not how wide")
+        return Lens(said="EXIF says that the photo is a panorama, but not how wide")
     width, height = size_px
     focal_px = equivalent_mm / 36.0 * height / _SWEPT_HEIGHT
     fov_deg = min(degrees(width / focal_px), MAX_PANORAMA_DEG)
@@ -151,7 +151,7 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
         said = f"XMP says that the photo's projection is {noted}, which is not known here"
         return Projection.PERSPECTIVE, Lens(said=said)
     if width is None or turn is None or width > turn:
-        said = "XMP says that the photo is a panorama, and not how wide"
+        said = "XMP says that the photo is a panorama, but not how wide"
         return Projection(noted), Lens(said=said)
     return Projection(noted), _panorama_lens(size_px, width, height, MAX_PANORAMA_DEG / turn)
 

@@ -188,6 +188,7 @@ def is_software(renderer: str) -> bool:
 
 
 def _choose_context() -> GlContext:
+    """Return a context on the best device of the first backend that gives one."""
     forced = os.environ.get(ENVIRONMENT_VARIABLE, "")
     if forced and forced not in BACKENDS:
         raise InputError(

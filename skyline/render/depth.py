@@ -131,6 +131,7 @@ class DepthRenderer:
         self.release()
 
     def _render_batch(self, viewpoints: Viewpoints) -> Views:
+        """Render the views of a few eyes: one image after another, one row of results each."""
         self._skyline["inverse_depth"] = 0
         self._skyline["size"] = self.width
         for index in range(len(viewpoints)):

@@ -67,6 +67,7 @@ def write_geojson(path: Path, results: Sequence[MatchResult], frame: Frame) -> N
 
 
 def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
+    """Return the point, the view and the ellipse of a candidate as GeoJSON features."""
     record: Json = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in candidate.to_dict().items()
@@ -129,6 +130,7 @@ def write_cameras(path: Path, results: Sequence[MatchResult]) -> None:
 
 
 def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
+    """Return a candidate as a camera in UTM."""
     zone = int((candidate.lon + 180.0) % 360.0 // 6.0) + 1
     crs = f"EPSG:{(32600 if candidate.lat >= 0.0 else 32700) + zone}"
     utm = Frame.from_crs(crs)
@@ -218,6 +220,7 @@ def _href(photo: Path, folder: Path | None) -> str:
 
 
 def _add_match(folder: Xml.Element, result: MatchResult, frame: Frame, href: str | None) -> None:
+    """Add a result's candidates, and the photo at the first, to a KML folder."""
     name = Path(result.name).name
     for candidate in result.candidates:
         mark = _child(folder, "Placemark")
@@ -236,6 +239,7 @@ def _add_match(folder: Xml.Element, result: MatchResult, frame: Frame, href: str
 def _add_photo(
     folder: Xml.Element, name: str, query: QuerySkyline, candidate: Candidate, href: str
 ) -> None:
+    """Add a PhotoOverlay: the photo standing before the camera at a candidate."""
     overlay = _child(folder, "PhotoOverlay")
     _child(overlay, "name", name)
     camera = _child(overlay, "Camera")

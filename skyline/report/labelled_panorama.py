@@ -147,6 +147,7 @@ class _Row:
 
     @classmethod
     def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
+        """Lay out one row of a view: its range of elevation, and the space of its names."""
         columns = slice(row * COLUMNS, (row + 1) * COLUMNS)
         row_deg = view.config.fov_deg / row_count(view.config.fov_deg)
         ends = view.config.start_deg + row * row_deg, view.config.start_deg + (row + 1) * row_deg

@@ -81,6 +81,7 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
 
 
 def _gps(candidate: Candidate) -> dict[int, object]:
+    """Return the GPS tags of a place and a heading."""
     below, turn = candidate.eye_elevation_m < 0.0, 360_000
     gps: dict[int, object] = {
         GPS.GPSVersionID: b"\x02\x03\x00\x00",

@@ -164,6 +164,7 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
 
 
 def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
+    """Draw a candidate's place, view and ellipse; the first stands out."""
     colour = _BEST_COLOUR if is_first else _OTHER_COLOUR
     order = 4.0 if is_first else 3.0
     reach_m *= 1.0 if is_first else 0.6

@@ -145,6 +145,7 @@ def _section(
     surroundings: Surroundings,
     done: str,
 ) -> str:
+    """Return the section of one result: its words, pictures, maps and candidates."""
     best = result.best
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
     overlay, unnamed = draw_overlay(result.query, photo, best, panorama, sightings)

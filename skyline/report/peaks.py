@@ -199,6 +199,7 @@ def _record(path: Path, number: int, header: tuple[str, ...], row: list[str]) ->
 
 
 def _number(path: Path, record: dict[str, str], column: str) -> float:
+    """Return a number of a gazetteer within its range; NaN for a height that is empty."""
     text = record.get(column, "")
     if column == "height_m" and not text:
         return math.nan
@@ -266,6 +267,7 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) ->
 def _sight(
     terrain: HeightField, eye: Viewpoints, peaks: Peaks, index: int, curvature: Curvature
 ) -> Sighting | None:
+    """Return a peak as seen by an eye, hidden or not; None off the terrain, or at the eye."""
     summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
     if summit is None:
         return None

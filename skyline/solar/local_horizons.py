@@ -263,6 +263,7 @@ def _rendered(
     curvature: Curvature | None,
     progress: Progress | None,
 ) -> Horizons:
+    """Render the horizons of eyes in parts, with a report of progress after each."""
     parts: list[Horizons] = []
     with PanoramaRenderer(field, bins, curvature, tolerance_deg=0.0) as renderer:
         for start in range(0, len(eyes), _AT_ONCE):

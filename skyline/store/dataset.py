@@ -76,6 +76,7 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
 def _coordinates(
     dim: str, eyes: Places | Views, rows: NDArray[np.intp], frame: Frame
 ) -> dict[str, Any]:
+    """Return the coordinates of eyes: their rows, places, convergence and frame."""
     easting_m, northing_m = eyes.easting_m, eyes.northing_m
     lon, lat = frame.to_lonlat(easting_m, northing_m)
     convergence_deg = (

@@ -145,6 +145,7 @@ def _write_header(file: h5py.File, header: StoreHeader) -> None:
 
 
 def _create_datasets(file: h5py.File, header: StoreHeader, rows: int) -> None:
+    """Create the datasets of a store, chunked and packed as its kind of rows is."""
     for name, row in header.specs.items():
         packing = _PACKING if row.shape and header.holds != PLACES else {}
         file.create_dataset(

@@ -255,6 +255,7 @@ def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
 
 
 def _are_spikes(heights_m: Float32Array, candidates: Int64Array, threshold_m: float) -> BoolArray:
+    """Return which candidates are spikes; see `remove_spikes`."""
     around = _neighbours(candidates, _AROUND, heights_m.shape)
     around_m = _heights(heights_m, around)
     own_m = heights_m.reshape(-1)[candidates].astype(np.float64)

@@ -226,6 +226,7 @@ def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenan
 
 
 def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
+    """Warn if angles or lengths on the map differ much from those on the ground."""
     easting, northing = np.meshgrid(
         np.linspace(grid.west, grid.east, _PROBES), np.linspace(grid.south, grid.north, _PROBES)
     )

@@ -184,6 +184,7 @@ def _dataset(source: str, held: ExitStack) -> Any:
 
 
 def _unpacked(source: str) -> bytes:
+    """Return the content of a .gz file, up to a limit."""
     try:
         with gzip.open(source) as stream:
             content = stream.read(MAX_UNPACKED_BYTES + 1)
@@ -339,6 +340,7 @@ def _grid_of(
 
 
 def _dims_of(source: str, array: Any) -> tuple[str, str]:
+    """Return the names of the dimensions of rows and columns."""
     for y, x in _DIMS:
         if y in array.dims and x in array.dims:
             bands = array.size // max(array.sizes[y] * array.sizes[x], 1)

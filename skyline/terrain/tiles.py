@@ -210,6 +210,7 @@ def _nearest_turn(tile: Tile, first: Tile) -> Grid:
 
 
 def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
+    """Raise `InputError` unless a tile has the CRS and the lattice of the first."""
     if not tile.crs.equals(first.crs, ignore_axis_order=True):
         raise InputError(
             f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; tiles "

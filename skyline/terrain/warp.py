@@ -158,6 +158,7 @@ class Warp:
         return warped, part
 
     def _part(self, inner: _Window) -> Float32Array:
+        """Return the samples of a window of the target, summits included."""
         # The sample nearest to a summit may lie across the border: so one more is made there.
         begin = [max(span.start - 1, 0) for span in inner]
         end = min(inner[0].stop + 1, self.target.rows), min(inner[1].stop + 1, self.target.cols)
@@ -203,6 +204,7 @@ def _windows(wanted: BoolArray) -> Iterator[_Window]:
 
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
+    """Return the grid of the target: whole multiples of the spacing around the source."""
     bounds = grid.west, grid.south, grid.east, grid.north
     west, south, east, north = to_frame.transform_bounds(*bounds, densify_pts=_EDGE_POINTS)
     if not np.isfinite([west, south, east, north]).all():
@@ -316,6 +318,7 @@ def _keys_weights(t: Float64Array) -> list[Float32Array]:
 
 
 def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float64Array:
+    """Interpolate between known samples; NaN where the nearest sample is a hole."""
     rows, cols = heights_m.shape
     top, left = row.astype(np.int64), col.astype(np.int64)
     south, east = row - top, col - left

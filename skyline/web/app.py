@@ -75,6 +75,8 @@ def leaflet_folder() -> Path:
 
 
 class _Pages:
+    """The request handlers of the page, which share its engine and sessions."""
+
     def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
         self._started = started
@@ -300,6 +302,7 @@ class _LiveChannel:
                 self._arrived.set()
 
     async def _answer(self) -> None:
+        """Answer requests one after another, of each type the latest only."""
         while True:
             await self._arrived.wait()
             self._arrived.clear()
@@ -337,6 +340,7 @@ class _LiveChannel:
             return {**same, "error": str(error)}
 
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the skyline rendered at a pose, its gap to the photo's, and the summits."""
         viewer = self._engine.viewer
         photo = self._session.photos[str(asked.get("photo"))]
         if viewer is None or photo.query is None:

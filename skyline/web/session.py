@@ -200,6 +200,7 @@ def _is_guess(query: QuerySkyline) -> bool:
 
 
 def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
+    """Read a photo and find its skyline; errors give the user's name of the file."""
     too_many = _too_many(photo.path)
     if too_many is not None:
         raise InputError(

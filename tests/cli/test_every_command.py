@@ -212,5 +212,5 @@ def test_in_a_shell(dem, tmp_path):
     assert end_of(f"{build} <&- >&- 2>&-") == (0, "", "")
     with open_store(tmp_path / "s.h5") as store:
         assert len(store)
-    said = "error: the system said: [Errno 28] No space left on device\n"
+    said = "error: the system reports: [Errno 28] No space left on device\n"
     assert end_of(f"{skyline} --version >/dev/full") == (1, "", said)
