@@ -206,21 +206,3 @@ def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim() -> None:
     assert heights[4, 5] == pytest.approx(10.0)
     assert np.isnan(heights[0, 7])
     assert np.count_nonzero(np.isposinf(heights)) == 26
-
-
-def test_a_void_that_meets_known_ground_by_a_corner_alone_stays() -> None:
-    heights = np.full((5, 5), 10.0, dtype=np.float32)
-    heights[:2], heights[:, :2] = np.inf, np.inf
-    heights[1, 1] = np.nan
-    heights[2, 2] = np.nan
-    assert fill_voids(heights) == 1
-    assert heights[2, 2] == pytest.approx(10.0)
-    assert np.isnan(heights[1, 1])
-
-
-def test_nothing_to_do() -> None:
-    heights = rugged()
-    before = heights.copy()
-    assert remove_spikes(heights, SPACING_M) == 0
-    assert fill_voids(heights) == 0
-    np.testing.assert_array_equal(heights, before)

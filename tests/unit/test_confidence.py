@@ -72,22 +72,3 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> 
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[2:] < 0.8).all()
-
-
-def test_refined_poses_have_the_figures_of_the_best_retrieved_pose() -> None:
-    found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
-    one = np.ones(2)
-    poses = RefinedPoses(
-        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one,
-        np.array([90.0, -90.0]), np.array([100.0, np.inf]),
-    )  # fmt: skip
-    figures = confidence.refined_figures(poses, found, QUERY)
-    assert figures["retrieved_score"].tolist() == [1.0, 1.0]
-    np.testing.assert_allclose(figures["retrieved_log_margin"], 0.0)  # 2 - 1
-    # Margins count up to 60; those of all but the best pose are negative.
-    assert figures["margin"].tolist() == [60.0, -60.0]
-    assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
-    assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
-    # Where no place beyond 1 km was retrieved, the margin over nearer ones counts.
-    assert figures["far_margin"].tolist() == figures["margin"].tolist()
-    assert set(confidence.models()[NEAR_REFINED].names) == set(figures)

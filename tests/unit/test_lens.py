@@ -105,11 +105,6 @@ def test_a_35_mm_equivalent_alone_is_wider_than_two_that_agree():
     assert sold.fov_deg - sold.sd_deg < 36.6 < sold.fov_deg
 
 
-def test_a_focal_plane_says_nothing_of_a_frame_that_is_not_noted():
-    small = {tag: value for tag, value in WRONG_PLANE.items() if tag not in SIZE}
-    assert lens_of(small, (1560, 1040)) == Lens()
-
-
 def test_sources_that_contradict_one_another_widen_what_is_possible():
     told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: 1.5 * FILM}, (4000, 3000))
     narrow = fov_of(0.5, 0.75)
@@ -125,7 +120,6 @@ def test_sources_that_contradict_one_another_widen_what_is_possible():
         # A scanner's resolution: a sensor of a metre.
         ({Base.FocalPlaneXResolution: 100.0}, "focal plane is no camera's"),
         ({Base.FocalLengthIn35mmFilm: 5000}, "35 mm equivalent of 5000 mm is no lens's"),
-        ({Base.FocalLengthIn35mmFilm: 2}, "35 mm equivalent of 2 mm is no lens's"),
     ],
 )
 def test_the_less_credible_source_is_dropped(lie, said):
@@ -160,8 +154,6 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
     [
         ({}, (4000, 3000)),
         ({Base.FocalLength: 4.2}, (4000, 3000)),
-        ({Base.FocalLength: 0.0, Base.FocalPlaneXResolution: 4000.0}, (4000, 3000)),
-        ({Base.FocalLengthIn35mmFilm: 0}, (4000, 3000)),
         ({Base.FocalLengthIn35mmFilm: "wide"}, (4000, 3000)),
         ({Base.FocalLengthIn35mmFilm: IFDRational(0, 0)}, (4000, 3000)),
         ({Base.FocalLengthIn35mmFilm: 5000}, (4000, 3000)),
@@ -192,12 +184,9 @@ WHOLE = {
     [
         ((9600, 2400), 120.0),
         # resized
-        ((960, 240), 120.0),
         ((961, 240), 120.0),
-        ((19_200, 4800), 120.0),
         # cropped: to all rows, to all columns
         ((3200, 2400), 40.0),
-        ((9500, 2400), 118.75),
         ((9600, 1000), 120.0),
     ],
 )
@@ -212,7 +201,6 @@ def test_what_of_a_panorama_a_file_has(size, fov_deg):
     [
         # Cropped to a third and shrunk by two: it could be all columns of a strip as well.
         ((1600, 1200), 20.0, 40.0),
-        ((3200, 1500), 40.0, 64.0),
         ((4000, 800), 50.0, 120.0),
         # Enlarged, and cropped.
         ((12_000, 9000), 20.0, 40.0),
@@ -225,20 +213,10 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
     assert f"cropped since: at most {most_deg:.1f} degrees" in lens.said
 
 
-def test_a_panorama_whose_height_is_not_noted_is_known_by_its_width_alone():
-    noted = {name: value for name, value in WHOLE.items() if "Height" not in name}
-    assert panorama_of_xmp(gpano(**noted), (9600, 2000))[1].fov_deg == 120.0
-    _, lens = panorama_of_xmp(gpano(**noted), (3200, 2400))
-    low, high = searched(lens, is_panorama=True)
-    assert low < 40.0 < lens.fov_deg < 120.0 < high
-    assert "at most 120.0 degrees" in lens.said
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
         ({"CroppedAreaImageWidthPixels": 0}, "not how wide"),
-        ({"FullPanoWidthPixels": 100}, "not how wide"),
         ({"FullPanoWidthPixels": "many"}, "not how wide"),
         ({"FullPanoWidthPixels": 28_800_000}, "0.12 degrees are no photo's"),
         ({"ProjectionType": "fisheye"}, "projection is fisheye, which is not known"),

@@ -11,8 +11,7 @@ from skyline.build.grid import uniform_grid
 from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays, level
-from skyline.paper.affine import align_curves
+from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.paper.chamfer import chamfer_px
 from skyline.paper.matcher import PaperMatcher
 from skyline.store.keypoints import polyline_keypoints
@@ -74,29 +73,6 @@ def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
     assert np.mean(error > 0.02) < 0.02
 
 
-def test_a_location_with_one_heading_is_unknown_in_the_others(viewpoints):
-    views = oracle.skyline(TERRAIN, viewpoints[:1], 64)[1:2]
-    profile = Profiles.from_views([(views, polyline_keypoints(views, 1.0))], 256)
-    known = np.isfinite(profile.y[0])
-    azimuth_deg = np.arange(256) * 360.0 / 256
-    np.testing.assert_array_equal(known, (azimuth_deg >= 45.0) & (azimuth_deg < 135.0))
-
-
-def test_levelling_undoes_pitch_and_roll():
-    pitch, roll = np.radians(7.0), np.radians(-4.0)
-    azimuth, y = np.radians([-20.0, 0.0, 25.0]), np.array([0.1, -0.05, 0.3])
-    right, up, forward = np.sin(azimuth), y, np.cos(azimuth)
-    forward, up = (
-        forward * np.cos(pitch) + up * np.sin(pitch),
-        up * np.cos(pitch) - forward * np.sin(pitch),
-    )
-    u, v = right / forward, up / forward
-    u, v = u * np.cos(roll) - v * np.sin(roll), u * np.sin(roll) + v * np.cos(roll)
-    found_azimuth, found_y = level(u, v, 7.0, -4.0)
-    np.testing.assert_allclose(found_azimuth, azimuth, atol=1e-12)
-    np.testing.assert_allclose(found_y, y, atol=1e-12)
-
-
 @pytest.mark.parametrize("prepared", MATCHERS)
 def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepared):
     matcher = prepared(profiles)
@@ -140,15 +116,6 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
         assert 1.0 - fits.score[location] == pytest.approx(best, abs=1e-4)
 
 
-def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
-    query = query_at(viewpoints, 15, 20.0)
-    for prepared in MATCHERS:
-        first, again = (prepared(profiles).rank(query, 8).candidates(FRAME) for _ in range(2))
-        assert first == again
-        assert [c.score for c in first] == sorted(c.score for c in first)
-        assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
-
-
 def test_chamfer_distance_is_the_mean_of_nearest_points():
     generator = np.random.default_rng(4)
     a, b = generator.normal(size=(2, 5, 9)).astype(np.float32) * 3.0
@@ -159,29 +126,6 @@ def test_chamfer_distance_is_the_mean_of_nearest_points():
         apart = np.linalg.norm(p[:, np.newaxis] - q, axis=2)
         expected = (apart.min(axis=1).mean() + apart.min(axis=0).mean()) / 2.0
         assert found[row] == pytest.approx(expected, rel=1e-4)
-
-
-def test_alignment_recovers_a_small_affine_map():
-    bins = 2048
-    bin_px = 2.0 * np.pi * 320.0 / bins
-    turn = np.arange(bins) * 2.0 * np.pi / bins
-    stored = (40.0 * np.sin(3.0 * turn) + 15.0 * np.sin(11.0 * turn + 1.0)).astype(np.float32)
-    true = np.array([[1.03, 0.0, 25.0], [0.01, 0.97, -3.0]])
-    x = np.linspace(-150.0, 150.0, 200)
-    y = np.zeros(200)
-    for _ in range(60):
-        landed = true[0, 0] * x + true[0, 1] * y + true[0, 2]
-        height = np.interp(landed / bin_px + bins // 2, np.arange(bins), stored)
-        y = (height - true[1, 0] * x - true[1, 2]) / true[1, 1]
-    start = np.array([[[1.0, 0.0, 22.0], [0.0, 1.0, -1.0]]])
-    points = np.stack([x, y], axis=1)
-    found = align_curves(start, points, np.ones(200), stored[np.newaxis], bin_px)[0]
-    moved = points @ found[:, :2].T + found[:, 2]
-    height = np.interp(moved[:, 0] / bin_px + bins // 2, np.arange(bins), stored)
-    assert np.sqrt(np.mean((moved[:, 1] - height) ** 2)) < 0.05
-    before = points + start[0, :, 2]
-    height = np.interp(before[:, 0] / bin_px + bins // 2, np.arange(bins), stored)
-    assert np.sqrt(np.mean((before[:, 1] - height) ** 2)) > 1.0
 
 
 def flat_query():

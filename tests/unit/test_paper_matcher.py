@@ -7,7 +7,7 @@ from query_scenes import equally_trusted
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.match.query_rays import Attitudes, QueryCurves
 from skyline.paper import matcher
-from skyline.paper.affine import _normal_equations, plausible, ransac_maps
+from skyline.paper.affine import plausible, ransac_maps
 from skyline.paper.chamfer import QueryCurve
 from skyline.paper.matcher import PaperMatcher
 from skyline.paper.shortlist import Shortlist
@@ -105,25 +105,7 @@ def test_shortlist_equals_a_plain_loop():
     assert found.argmin() // 2 == 6
 
 
-def test_shortlist_leaves_out_what_is_mostly_unknown():
-    whole = random_profiles(2, 3)
-    y = whole.y.copy()
-    # The query looks at bins 415 to 585; of location 1 only half of that is known, and of
-    # location 2 nothing but the query's part.
-    y[1, 500:] = np.nan
-    y[2, :400] = y[2, 600:] = np.nan
-    profiles = profiles_of(y)
-    distances = [
-        Shortlist(profiles).distances_px(
-            assumed(query_of(whole, location, 500), Attitudes((0.0,)))
-        )[location, 0]
-        for location in range(3)
-    ]
-    assert distances[1] == np.inf
-    assert max(distances[0], distances[2]) < 1.0
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_listed_poses_are_scored_as_without_a_shortlist(seed, monkeypatch):
     profiles = random_profiles(10 + seed, 30)
     query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
@@ -167,22 +149,6 @@ def test_ransac_gives_a_set_the_same_map_whatever_is_beside_it():
     np.testing.assert_array_equal(together, alone)
 
 
-def test_ransac_has_no_map_for_too_little():
-    source, target, used, _ = correspondences(8, sets=3)
-    used[0], used[1, 2:] = False, False
-    assert np.isnan(ransac_maps(source, target, used)[:2]).all()
-    on_one_spot = ransac_maps(np.zeros((9, 2)), np.ones((1, 9, 2)), np.ones((1, 9), dtype=bool))
-    assert np.isnan(on_one_spot).all()
-
-
-def test_points_on_a_line_have_a_similarity():
-    x = np.linspace(-100.0, 100.0, 12)
-    source = np.stack([x, np.zeros(12)], axis=1)
-    target = np.stack([1.1 * x + 3.0, 0.1 * x - 2.0], axis=1)[np.newaxis]
-    found = ransac_maps(source, target, np.ones((1, 12), dtype=bool))[0]
-    np.testing.assert_allclose(found, [[1.1, -0.1, 3.0], [0.1, 1.1, -2.0]], atol=1e-6)
-
-
 def test_plausible_maps_are_those_of_singular_values_and_turn():
     maps = np.eye(2, 3) + np.random.default_rng(9).normal(0.0, 0.3, (500, 2, 3))
     scales = np.linalg.svd(maps[:, :, :2], compute_uv=False)
@@ -192,14 +158,3 @@ def test_plausible_maps_are_those_of_singular_values_and_turn():
     assert 10 < expected.sum() < 400
     np.testing.assert_array_equal(plausible(maps), expected)
     assert not plausible(np.full((1, 2, 3), np.nan))[0]
-
-
-def test_normal_equations_are_the_sums_over_points():
-    generator = np.random.default_rng(11)
-    pull, steepness, miss = generator.normal(size=(3, 4, 25))
-    points = np.column_stack([generator.normal(size=(25, 2)), np.ones(25)])
-    shared = np.broadcast_to(points, (4, 25, 3))
-    change = np.concatenate([-steepness[:, :, np.newaxis] * points, shared], axis=2)
-    normal, gradient = _normal_equations(pull, steepness, miss, points)
-    np.testing.assert_allclose(normal, np.einsum("cr,crk,crl->ckl", pull, change, change))
-    np.testing.assert_allclose(gradient, np.einsum("cr,crk,cr->ck", pull, change, miss))

@@ -1,12 +1,10 @@
 """The extractor on drawn photos with known skylines, on hopeless ones, and on a real one."""
 
-from io import BytesIO
 from math import radians, tan
 
 import numpy as np
 import pytest
 from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky, texture
-from PIL import Image
 
 from skyline.errors import InputError
 from skyline.photo.extract import Content, content_of, extract_skyline, shortest_path
@@ -48,18 +46,6 @@ def test_skyline_of_drawn_photos(kind, record_property):
     assert np.mean(trusted[visible]) > TRUSTED.get(kind, PLAIN_TRUSTED)
     # What hides the mountains is masked, but for its rims.
     assert np.sum(trusted & ~visible) <= 0.015 * trusted.size
-
-
-@pytest.mark.parametrize("quality", [50, 75])
-def test_jpeg_blocks_are_not_the_skyline(quality):
-    scene = make_scene("clouds", 100)
-    buffer = BytesIO()
-    Image.fromarray(scene.image).save(buffer, "JPEG", quality=quality)
-    query = extract_skyline(np.asarray(Image.open(buffer)))
-    error_px = np.abs(query.row_px - scene.row_px)[query.trusted]
-    assert query.trusted.mean() > PLAIN_TRUSTED
-    assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
-    assert np.mean(error_px > 3.0) < PLAIN_GROSS
 
 
 def test_ground_up_to_the_top_edge_is_masked():
@@ -122,7 +108,7 @@ def test_mirrored_photo_gives_the_mirrored_skyline():
     assert np.percentile(np.abs(query.row_px - mirrored.row_px[::-1])[both], 95) < 0.5
 
 
-@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900), (1500, 1000)])
+@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900)])
 def test_other_shapes(width, height):
     scene = make_scene("clear", 104, width, height)
     query = extract_skyline(scene.image)

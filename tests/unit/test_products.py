@@ -14,14 +14,11 @@ from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, model_of
     [
         ("davos_srtm1_30m.tif", f"{SURFACE}, SRTM"),
         ("Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif", f"{SURFACE}, Copernicus"),
-        ("ALPSMLC30_N046E009_DSM.tif", f"{SURFACE}, AW3D"),
         ("N046E009_AVE_DSM.tif", SURFACE),
         ("USGS_13_n37w119.tif", f"{GROUND}, 3DEP"),
-        ("swissalti3d_2019_2780-1180_2_2056_5728.tif", f"{GROUND}, swissALTI3D"),
         ("tirol_dtm_5m.asc", GROUND),
         ("N46E009_FABDEM_V1-2.tif", f"{GROUND}, FABDEM"),
         ("N46E009.hgt.gz", UNKNOWN),
-        ("pinned.tif", UNKNOWN),
     ],
 )
 def test_a_product_is_known_by_its_name(name: str, model: str) -> None:

@@ -24,11 +24,6 @@ def test_the_frame_s_edge_stays_the_frame_s_edge() -> None:
     assert turned.fov_deg == 90.0
 
 
-def test_a_known_field_of_view_is_its_own_range() -> None:
-    assert _rays().fov_bounds_deg == (60.0, 60.0)
-    assert _rays((50.0, 70.0)).with_fov(55.0).fov_bounds_deg == (50.0, 70.0)
-
-
 def test_a_field_of_view_is_searched_about_the_one_given() -> None:
     rays = _rays()
     about = rays.about(1.5)
@@ -40,11 +35,6 @@ def test_a_field_of_view_is_searched_about_the_one_given() -> None:
     assert about.with_fov(58.0).fov_sd_deg == np.inf
     wide = replace(rays, fov_deg=170.0).about(85.0)
     assert 0.0 < wide.fov_bounds_deg[0] < 170.0 < wide.fov_bounds_deg[1] < 180.0
-
-
-def test_a_field_of_view_without_slack_is_known() -> None:
-    rays = _rays()
-    assert rays.about(0.0).fov_bounds_deg == (60.0, 60.0)
 
 
 def test_a_panorama_s_scale_is_its_field_of_view_s() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from scenes import at_m, candidate_at
 
 from skyline.geodesy import Frame
-from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
+from skyline.match.ranking import Hypotheses
 
 FRAMES = {
     name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")
@@ -60,28 +60,6 @@ def test_the_same_place_in_two_frames_is_one_candidate():
         assert one.heading_deg == pytest.approx(heading_deg, abs=2e-3)
 
 
-def test_a_ranking_is_its_poses_in_order():
-    frame = FRAMES["EPSG:32632"]
-    columns = np.arange(27.0).reshape(9, 3)
-    columns[:2] += np.array([[6e5], [5.2e6]])
-    covariance_m2 = np.arange(12.0).reshape(3, 2, 2)
-    poses, confidence, shares = Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), np.full(3, 0.5)
-    refined = RefinedPoses(poses, covariance_m2, *[shares] * 7)
-    ranking = Ranking(poses, confidence, confidence, refined)
-    found = ranking.candidates(frame)
-    assert [one.confidence for one in found] == [0.3, 0.2, 0.1]
-    assert [one.score for one in found] == [24.0, 25.0, 26.0]
-    assert [one.eye_elevation_m for one in found] == [6.0, 7.0, 8.0]
-    assert found[1].covariance_m2 == ((4.0, 5.0), (6.0, 7.0))
-    assert all(one.refined for one in found)
-    assert all(one.residual_deg == one.terrain_share == one.beyond_share == 0.5 for one in found)
-    plain = Ranking(ranking.poses).candidates(frame)
-    bare = dataclasses.replace(found[0], confidence=None, confidence_1km=None, refined=False)
-    names = ("covariance_m2", "residual_deg", "terrain_share", "beyond_share")
-    assert plain[0] == dataclasses.replace(bare, **dict.fromkeys(names))
-    assert Ranking(ranking.poses[:0]).candidates(frame) == ()
-
-
 @given(sd_m=st.floats(0.1, 500.0), seed=st.integers(0, 100))
 def test_68_of_100_draws_about_a_pose_lie_within_its_radius(sd_m, seed):
     covariance_m2 = ((sd_m**2, 0.0), (0.0, sd_m**2))
@@ -125,9 +103,3 @@ def test_poses_that_fit_nowhere_are_left_out_and_the_count_is_kept() -> None:
     some = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
     assert some.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
     assert some.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
-
-
-def test_parts_are_joined_in_order() -> None:
-    one, two = _hypotheses([1.0], [0.0], [5.0]), _hypotheses([2.0], [0.0], [4.0])
-    assert Hypotheses.concatenate([one, two]).easting_m.tolist() == [1.0, 2.0]
-    assert Hypotheses.concatenate([one, two])[1:].score.tolist() == [4.0]

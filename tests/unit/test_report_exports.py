@@ -69,12 +69,11 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     assert ring[0] == ring[-1]
 
 
-@pytest.mark.parametrize("folder", ["", "out", "out/deeper", "photos"])
+@pytest.mark.parametrize("folder", ["", "out/deeper"])
 @pytest.mark.parametrize(
     "name",
-    [b"photo.jpg", b"photos/Horn 1.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/a:b.jpg",
-     "photos/Zürich.jpg".encode(), b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
-)  # fmt: skip
+    [b"photo.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
+)
 def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     monkeypatch.chdir(tmp_path)
     photo = Path(os.fsdecode(name))
@@ -145,15 +144,6 @@ def test_gdal_reads_the_gpx(tmp_path):
     assert points.ele.tolist() == [1234.5, 1000.0]
     assert points.name.tolist()[1].endswith("candidate 2")
     assert "confidence 0.93" in points.desc[0]
-
-
-def test_gdal_reads_the_geojson(tmp_path):
-    path = tmp_path / "answer.geojson"
-    export_matches(path, matches(), FRAME)
-    table = geopandas.read_file(path)
-    assert table[table["shape"] == "candidate"].geometry.x.tolist() == pytest.approx(
-        [BEST.lon, OTHER.lon], abs=1e-6
-    )
 
 
 def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
@@ -356,8 +346,9 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     assert path.read_bytes().endswith(pixels[pixels.rindex(b"\xff\xdb") :])
 
 
-@pytest.mark.parametrize("suffix", [".png", ".webp", ".tif", ".avif"])
-@pytest.mark.parametrize("orientation", [1, 6])
+@pytest.mark.parametrize(
+    ("suffix", "orientation"), [(".png", 1), (".png", 6), (".webp", 6), (".tif", 1), (".avif", 6)]
+)
 def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orientation):
     if suffix == ".avif" and not features.check("avif"):
         pytest.skip("this Pillow has no AVIF")
@@ -382,7 +373,7 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orient
         assert told_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
 
 
-@pytest.mark.parametrize("exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
+@pytest.mark.parametrize("exif", [b"", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
 def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     Image.fromarray(PHOTO).save(source, **({"exif": exif} if exif else {}))

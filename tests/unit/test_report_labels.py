@@ -25,11 +25,6 @@ def test_labels_and_leaders_keep_apart(peaks):
             assert not low.left_px <= high.anchor_px <= low.right_px
 
 
-def test_what_stands_apart_stays_in_the_lowest_row_and_what_does_not_goes_up():
-    placed = place_labels([100.0, 500.0, 160.0], [100.0, 100.0, 100.0], WIDTH_PX, rows=3)
-    assert [(label.index, label.row) for label in placed] == [(0, 0), (1, 0), (2, 1)]
-
-
 def test_a_label_without_room_is_left_out():
     placed = place_labels([500.0] * 4, [100.0] * 4, WIDTH_PX, rows=2)
     assert [label.index for label in placed] == [0]

@@ -63,15 +63,6 @@ def test_there_is_no_warp_where_the_skyline_is_reached_or_passed():
         assert np.isinf(reached).all()
 
 
-def test_mean_and_median_depth_answer_for_different_skylines():
-    depth = np.where(U < 0.5, 1000.0, 9000.0)
-    view = views_of(mountains(U), depth)
-    mean, median = (errors(name, view, (0.0, 60.0, 0.0))[0, 0] for name in AFFINE[:2])
-    # Three quarters of the points are at the median depth and are predicted exactly.
-    np.testing.assert_allclose(median, 0.25 * 60.0 * (1 / 1000 - 1 / 9000) / PX, rtol=0.02)
-    assert mean > 2.0 * median
-
-
 def test_unknown_columns_do_not_count():
     tan, depth = mountains(U), np.full(WIDTH, 2000.0)
     hollow = tan.copy()
@@ -92,26 +83,9 @@ def test_an_empty_skyline_and_an_eye_that_is_nowhere_are_outside(name):
 
 
 @pytest.mark.parametrize("name", WARPS)
-def test_fewer_than_three_points_are_outside(name):
-    tan = np.full(WIDTH, np.nan)
-    tan[[100, 200]] = 0.1
-    assert np.isinf(errors(name, views_of(tan, 2000.0), (1.0, 0.0, 0.0))).all()
-
-
-@pytest.mark.parametrize("name", WARPS)
 def test_a_skyline_that_has_left_the_frame_is_outside(name):
     view = views_of(mountains(U), 100.0)
     assert np.isinf(errors(name, view, (2000.0, 0.0, 0.0))).all()
-
-
-@pytest.mark.parametrize("name", WARPS)
-@pytest.mark.parametrize("tan", [np.zeros(WIDTH), 0.1 + 0.2 * U])
-def test_a_straight_skyline_has_an_answer(name, tan):
-    view = views_of(tan, 2000.0)
-    error = errors(name, view, (50.0, 20.0, 100.0), (-50.0, 5.0, -100.0))
-    assert np.isfinite(error).all()
-    if name != "non-affine":
-        assert (error < 0.05).all()
 
 
 @pytest.mark.parametrize("name", WARPS)
@@ -151,28 +125,6 @@ def test_a_displacement_is_right_up_forward_in_the_axes_of_the_view(heading, exp
     view = views_of(mountains(U), 900.0, heading, east=100.0, north=200.0, eye=50.0)
     there = displacements_m(view, view.heading, [[103.0]], [[207.0]], [[55.0]])
     np.testing.assert_allclose(there, [[expected]])
-
-
-def test_an_unknown_height_leaves_the_rest_of_a_displacement_known():
-    view = views_of(mountains(U), 900.0, 1)
-    there = displacements_m(view, view.heading, [[4.0]], [[9.0]], [[np.nan]])
-    np.testing.assert_allclose(there, [[[-9.0, np.nan, 4.0]]])
-
-
-def test_equation_1_moves_points_one_by_one():
-    generator = np.random.default_rng(7)
-    points = generator.uniform(-400.0, 400.0, (2, 9, 3))
-    there = generator.uniform(-200.0, 200.0, (2, 5, 3))
-    found = moved(points, there)
-    seen = 0
-    for n, c, p in np.ndindex(2, 5, 9):
-        right, up, forward = points[n, p] - there[n, c]
-        if forward > 0.05 * points[n, p, 2] and abs(right) <= forward:
-            np.testing.assert_array_equal(found[n, c, p], [right, up, forward])
-            seen += 1
-        else:
-            assert np.isnan(found[n, c, p, 2])
-    assert seen > 5
 
 
 @pytest.mark.parametrize("move", [(200.0, 0.0), (0.0, 250.0), (-150.0, -150.0)])

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted, swept
 
-from skyline.match import retrieval
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.query_rays import QueryRays
-from skyline.match.retrieval import Retriever, _middles
+from skyline.match.retrieval import Retriever
 
 
 @pytest.fixture(scope="module")
@@ -50,13 +49,6 @@ def test_a_panorama_is_found_back_however_wide(places, heading, fov_deg):
     assert found.fov_deg[0] == pytest.approx(fov_deg, rel=0.005)
 
 
-@pytest.mark.parametrize("heading", [0.0, 44.9, 45.0, 135.2, 225.0, 315.0, 359.9])
-def test_the_seams_of_the_headings_are_nothing_special(places, heading):
-    found = Retriever(places).shortlist(rays(7, heading), 1)
-    assert found.easting_m[0] == pytest.approx(700.0, abs=50.0)
-    assert turned(found.heading_deg[0], heading) < 0.3
-
-
 def test_a_fifth_of_the_columns_may_be_wrong(places):
     query = rays(11, 200.0)
     v = query.v.copy()
@@ -76,14 +68,6 @@ def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     narrow = QueryRays(wrong.u, wrong.v, wrong.weight, 63.0, (61.0, 66.0))
     found = Retriever(places).shortlist(narrow, 5)
     assert ((found.fov_deg >= 61.0) & (found.fov_deg <= 66.0)).all()
-
-
-def test_an_unknown_field_of_view_is_searched_widely(places):
-    wrong = rays(9, 120.0, fov_deg=45.0).with_fov(70.0)
-    query = QueryRays(wrong.u, wrong.v, wrong.weight, 70.0, (25.0, 100.0))
-    found = Retriever(places).shortlist(query, 1)
-    assert found.easting_m[0] == pytest.approx(900.0, abs=50.0)
-    assert found.fov_deg[0] == pytest.approx(45.0, abs=1.0)
 
 
 @pytest.mark.parametrize("heading_deg", [20.0, 300.0])
@@ -137,20 +121,6 @@ def test_missing_headings_do_not_stop_the_others():
     assert turned(found.heading_deg[0], 100.0) < 0.3
 
 
-def test_hypotheses_differ_in_place_or_in_heading(places, monkeypatch):
-    monkeypatch.setattr(retrieval, "_SEPARATION_M", 250.0)
-    found = Retriever(places).shortlist(rays(20, 10.0), 10)
-    assert len(found) > 2
-    apart = np.abs(found.easting_m[:, np.newaxis] - found.easting_m)
-    turn = np.abs(turned_each(found.heading_deg))
-    differ = (apart >= 250.0) | (turn > 20.0) | np.eye(len(found), dtype=bool)
-    assert differ.all()
-
-
-def turned_each(heading_deg):
-    return (heading_deg[:, np.newaxis] - heading_deg + 180.0) % 360.0 - 180.0
-
-
 @pytest.mark.parametrize("level", [0.0, 0.3])
 def test_a_flat_skyline_is_answered(places, level):
     u = np.linspace(-0.5, 0.5, 200)
@@ -159,24 +129,9 @@ def test_a_flat_skyline_is_answered(places, level):
     assert np.isfinite(found.score).all()
 
 
-@pytest.mark.parametrize("columns", [1, 2, 5])
-def test_hardly_any_columns_are_answered(places, columns):
-    u = np.linspace(-0.01, 0.01, columns) + 0.3
-    found = Retriever(places).shortlist(equally_trusted(u, 0.1 + u * 0, 60.0), 4)
-    assert np.isfinite(found.score).all()
-
-
 def test_profiles_of_nothing_are_answered():
     found = Retriever(places_of(np.full((3, len(AZIMUTH_DEG)), np.nan))).shortlist(rays(0, 0.0), 2)
     assert np.isfinite(found.score).all()
-
-
-@given(st.floats(-2.0, 2.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
-def test_middles_leave_no_gap(low, width, step):
-    middles = _middles(low, low + width, step)
-    apart = width / len(middles)
-    assert apart <= step * (1.0 + 1e-9)
-    np.testing.assert_allclose(middles, low + apart * (np.arange(len(middles)) + 0.5), atol=1e-9)
 
 
 def test_queries_of_one_place_find_it_together_where_few_do_alone(places):

@@ -17,12 +17,10 @@ from skyline.match.screening import (
     Screen,
     query_waves,
     roll_to_turn,
-    sample_of,
     screen_places,
-    turn_heading_deg,
     turns_within,
 )
-from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
+from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -71,18 +69,6 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     assert (np.abs(fast - plain) <= bound).all()
 
 
-def test_the_derivative_of_phases_by_roll_agrees_with_a_difference():
-    # About the horizon: a skyline high above it is moved aside as well.
-    waves = []
-    for roll_deg in (-0.5, 0.5):
-        u, v = photo(lambda azimuth: 0.1 * curve(3, azimuth) - 0.02, 100.0, roll_deg=roll_deg)
-        waves.append(query_waves(equally_trusted(u, v, 60.0)))
-    seen = np.abs(waves[0] * waves[1]) > 0.0
-    grown = np.angle(waves[1][seen] / waves[0][seen]) / np.radians(1.0)
-    assert seen.sum() > 25
-    np.testing.assert_allclose(grown[1:-1], roll_to_turn()[seen][1:-1], atol=0.3)
-
-
 @pytest.mark.parametrize("roll_deg", [-5.0, 0.0, 3.0])
 def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     # Taken to be level, 63 or 21 of the others are more like a camera rolled by -5 or 3 degrees.
@@ -103,14 +89,7 @@ def test_the_best_turn_looks_along_the_heading(places, heading):
     assert screen.scores(places.phase).argmax() == 7
 
 
-def test_the_best_score_is_that_of_the_best_turn(places):
-    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
-    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
-    every_turn *= screen.scale[:, np.newaxis]
-    np.testing.assert_array_equal(screen.scores(places.phase), every_turn.max(axis=(1, 2)))
-
-
-@pytest.mark.parametrize("at_once", [1, 7, 63, 64])
+@pytest.mark.parametrize("at_once", [7, 64])
 def test_places_scored_in_parts_score_the_same(places, monkeypatch, at_once):
     screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
     whole = screen.scores(places.phase)
@@ -127,8 +106,8 @@ def test_an_unlikely_field_of_view_loses_its_penalty(places):
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("size", [64, 7, 1])
-@pytest.mark.parametrize("count", [1, 5, 64, 200])
+@pytest.mark.parametrize("size", [64, 7])
+@pytest.mark.parametrize("count", [5, 200])
 def test_blocks_change_nothing(places, size, count):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
@@ -167,18 +146,6 @@ def test_shut_turns_are_not_looked_at(places):
     every_turn *= screen.scale[:, np.newaxis]
     opened = every_turn[:, :, turns].max(axis=(1, 2))
     np.testing.assert_array_equal(screen.scores(places.phase), opened)
-
-
-def test_turns_cover_the_circle():
-    assert len(np.unique(turn_heading_deg(np.arange(PHASE_BINS)))) == PHASE_BINS
-    assert turns_within(0.0, 180.0).all()
-
-
-def test_a_sample_is_even_and_small(places):
-    assert len(sample_of(places)) == 64
-    many = Places.concatenate([places] * 100)
-    sample = sample_of(many)
-    assert 2048 <= len(sample) <= 4096
 
 
 FRAME = Frame.local(lon=10.0, lat=46.0)

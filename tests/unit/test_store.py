@@ -41,7 +41,6 @@ from skyline.store import (
     open_store,
     repair_store,
 )
-from skyline.store.checks import PLACE_CODING
 from skyline.store.merge import examine
 from skyline.store.places import BINS, Places
 from skyline.store.read import part_name, parts_folder
@@ -66,7 +65,7 @@ def one_line(error: BaseException, path: Path) -> bool:
 
 class TestRows:
     @KINDS
-    @pytest.mark.parametrize("count", [0, 1, 33, CHUNK, 3 * CHUNK + 5])
+    @pytest.mark.parametrize("count", [0, 33, 3 * CHUNK + 5])
     def test_come_back_unchanged(self, tmp_path, header, count):
         path = write_rows(tmp_path / "s.h5", 0, count, header)
         with open_store(path) as store:
@@ -80,16 +79,7 @@ class TestRows:
     @KINDS
     @pytest.mark.parametrize(
         "index",
-        [
-            0,
-            -1,
-            slice(3, 9),
-            slice(None, None, -7),
-            slice(80, 20),
-            np.array([90, 2, 2, 41, 3]),
-            np.arange(100) % 9 == 4,
-            np.array([], dtype=int),
-        ],
+        [-1, slice(None, None, -7), slice(80, 20), np.array([90, 2, 2]), np.arange(100) % 9 == 4],
     )
     def test_by_any_numpy_index(self, tmp_path, header, index):
         with open_store(write_rows(tmp_path / "s.h5", 0, 100, header)) as store:
@@ -142,11 +132,6 @@ class TestHeader:
                 if header.holds == "places":
                     assert (data.compression, data.shuffle) == (None, False)
 
-    def test_may_be_of_any_length(self, tmp_path):
-        header = replace(VIEWS_HEADER, dem_files=("ä" * 300_000,), renderer="")
-        with open_store(write_rows(tmp_path / "s.h5", 0, 3, header)) as store:
-            assert store.header == header
-
     @pytest.mark.parametrize(
         ("change", "expected"),
         [
@@ -188,8 +173,6 @@ class TestMap:
             np.testing.assert_array_equal(getattr(joined, field.name), getattr(whole, field.name))
             first = getattr(blocks[0], field.name)
             assert not first.flags.writeable
-            assert not first.flags.owndata
-            assert first.ctypes.data % 64 == 0
         write_rows(path, 5, 10, PLACES_HEADER)
         np.testing.assert_array_equal(mapped.take(np.arange(2500)).rise, whole.rise)
 
@@ -204,13 +187,6 @@ class TestMap:
             with pytest.raises(StoreError, match="is truncated") as caught:
                 read()
             assert one_line(caught.value, path)
-
-    def test_takes_hardly_more_than_the_places_own_bytes(self, tmp_path):
-        path = write_rows(tmp_path / "s.h5", 0, 32 * CHUNK, PLACES_HEADER)
-        own = sum(row.itemsize for row in PLACES_HEADER.specs.values())
-        assert path.stat().st_size / (32 * CHUNK) < own + 2
-        small = write_rows(tmp_path / "small.h5", 0, 3, PLACES_HEADER)
-        assert small.stat().st_size < 20_000
 
 
 class TestWriting:
@@ -298,13 +274,6 @@ class TestDamage:
         (damage,) = examine(path).damage
         assert (damage.first_row, damage.rows) == (32, 32)
 
-    def test_of_neighbouring_chunks_is_reported_as_one(self, tmp_path):
-        path = write_rows(tmp_path / "s.h5", 0, 160)
-        for chunk in (1, 2, 4):
-            flip(path, chunk_of(path, "views/northing", chunk) + 100)
-        found = [(damage.first_row, damage.rows) for damage in examine(path).damage]
-        assert found == [(32, 64), (128, 32)]
-
     @KINDS
     def test_of_any_bit_is_found_or_harmless(self, tmp_path, header):
         whole = write_rows(tmp_path / "whole.h5", 0, 100, header)
@@ -384,11 +353,8 @@ class TestForeign:
         [
             ("schema", "skyline-store", "'schema' that is not text"),  # of a variable length
             ("schema_version", 5, "schema version 5; .* upgrade skyline"),
-            ("config", np.bytes_("[1]"), "not a JSON object"),
             ("config", np.bytes_("[" * 100_000), "cannot be opened"),
-            ("dem_files", np.bytes_("[1]"), "not a JSON list"),
             ("frame", np.bytes_(b"\xff"), "cannot be opened"),
-            ("frame", [np.bytes_("a"), np.bytes_("b")], "no single attribute"),
             ("renderer", np.bytes_("mine"), "does not have the digest"),
             ("rows", np.bytes_('{"rows": "delta"}'), "'delta'.*, which skyline does not read"),
             ("rows", np.bytes_('{"rows": "renderings", "width": 50000}'), "width is 50000"),
@@ -402,11 +368,6 @@ class TestForeign:
         with edited(path) as file:
             del file.attrs[name]
         assert_refused(path, "not a skyline store" if "schema" in name else f"'{name}'")
-
-    def test_constants_of_places_are_refused(self, tmp_path, monkeypatch):
-        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
-        monkeypatch.setitem(PLACE_CODING, "rise_size", 0.007)
-        assert_refused(path, r"another release .* build it again")
 
     @pytest.mark.parametrize("name", ["views", "views/depth_m"])
     def test_links_are_not_followed(self, tmp_path, name):
@@ -441,12 +402,9 @@ class TestForeign:
         [
             ("views/depth_m", {"dtype": "f8", "shape": (3, WIDTH)}, "is of type float64"),
             ("views/elevation_tan", {"dtype": "f4", "shape": (3, 50_000)}, "is not rows of"),
-            ("views/easting", {"dtype": "f8", "shape": ()}, "is not rows of shape"),
-            ("views/easting", {"dtype": h5py.string_dtype(), "shape": (3,)}, "of type object"),
             ("views/heading", {"dtype": "u1", "chunks": (2**27,), "maxshape": (None,)}, "large"),
             ("views/depth_m", {"dtype": "f4", "compression": "lzf"}, "by a filter"),
             ("views/easting", {"dtype": "f8", "shape": (4,), "chunks": (4,)}, "have 3 to 4 rows"),
-            ("places/rise", {"dtype": "i1", "compression": "gzip"}, "packed by a filter"),
             ("places/rise", {"dtype": "i1", "chunks": (2, BINS)}, "has chunks of"),
         ],
     )
@@ -522,17 +480,6 @@ class TestMerge:
         with pytest.raises(InputError, match="no stores"):
             merge_stores([], tmp_path / "b.h5")
         assert a.read_bytes() == before
-        assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
-
-    def test_a_full_disk(self, tmp_path, monkeypatch):
-        a = write_rows(tmp_path / "a.h5", 0, 200)
-
-        def full(*_):
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr(os, "posix_fallocate", full)
-        with pytest.raises(StoreError, match="No space left on device"):
-            merge_stores([a], tmp_path / "b.h5")
         assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
