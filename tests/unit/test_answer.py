@@ -88,28 +88,10 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "46.7" not in result.exif_in_words(with_place=False)
 
 
-def test_a_tag_that_is_left_aside_is_named_with_the_reason():
-    reason = "The photo's GPS position is left aside: the latitude does not say N or S."
-    result = noting(NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason))
-    words = result.exif_in_words(with_place=False)
-    assert words.startswith("Its compass says 112 degrees, from a north that it does not name, the")
-    assert words.endswith(reason)
-    assert (result.exif["distance_m"], result.exif["heading_is_magnetic"]) == (None, None)
-    assert noting(NotedPlace(left_aside=reason), False, ()).exif_in_words() == reason
-
-
 def test_a_place_far_from_the_photo_s_own_disagrees():
     words = noting(NotedPlace((-70.0, 46.7), None, 359.0), False).exif_in_words()
     assert "position and compass and candidate 1 disagree" in words
     assert "5,821 km from candidate 1" in words
-
-
-def test_without_a_place_in_the_exif_there_is_none_in_the_answer():
-    assert noting(NOTHING_NOTED).exif is None
-    assert noting(NOTHING_NOTED).exif_in_words() == ""
-    alone = noting(NotedPlace((9.8, 46.7)), False, ())
-    assert alone.exif["distance_m"] is None
-    assert alone.exif_in_words() == "The photo says lat 46.70000 lon 9.80000."
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ NEAR_REFINED, NEAR_RETRIEVED = (
 )
 
 
-def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
+def retrieved(easting_m, score):
     """Poses along a line to the east."""
     zero = np.zeros(len(score))
     return Hypotheses(
@@ -26,7 +26,7 @@ def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
     )
 
 
-def test_the_packaged_models_know_the_figures_they_are_given() -> None:
+def test_the_packaged_models_know_the_figures_they_are_given():
     zero = np.zeros(3)
     figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
@@ -42,13 +42,13 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
         models[NEAR_REFINED].probability({"margin": zero})
 
 
-def test_a_margin_is_over_the_best_rival() -> None:
+def test_a_margin_is_over_the_best_rival():
     # The second stands beside the first, so the third is the rival of both.
     some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
-def test_a_place_without_rivals_has_no_margin() -> None:
+def test_a_place_without_rivals_has_no_margin():
     found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
     figures = confidence.retrieved_figures(found, QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
@@ -61,7 +61,7 @@ def test_a_place_without_rivals_has_no_margin() -> None:
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)
-def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> None:
+def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name("refined", within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
     poses = RefinedPoses(

@@ -2,12 +2,11 @@
 
 import gzip
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
-from dem_files import UTM, AnyArray, plane, plane_grid, write
+from dem_files import UTM, plane, plane_grid, write
 from pyproj import CRS, Transformer
 from rasterio.transform import Affine, from_origin
 from scenes import at_m
@@ -22,9 +21,7 @@ from skyline.terrain.warp import Warp, local_maxima, square_spacing_m
 @pytest.mark.parametrize("step_east", [30.0, -30.0])
 @pytest.mark.parametrize("step_north", [-20.0, 20.0])
 @pytest.mark.parametrize("tag", ["Area", "Point"])
-def test_heights_are_where_the_file_puts_them(
-    tmp_path: Path, step_east: float, step_north: float, tag: str
-) -> None:
+def test_heights_are_where_the_file_puts_them(tmp_path, step_east, step_north, tag):
     transform = Affine(step_east, 0.0, 500_000.0, 0.0, step_north, 5_200_000.0)
     path = write(
         tmp_path / "dem.tif", plane_grid(23, 31, transform), transform, tags={"AREA_OR_POINT": tag}
@@ -46,13 +43,13 @@ def test_heights_are_where_the_file_puts_them(
     assert field.frame.name == UTM
 
 
-def write_hgt(path: Path, heights: AnyArray) -> Path:
+def write_hgt(path, heights):
     content = np.rint(heights).astype(">i2").tobytes()
     path.write_bytes(gzip.compress(content, 1) if path.suffix == ".gz" else content)
     return path
 
 
-def degree_plane(lon: AnyArray, lat: AnyArray) -> AnyArray:
+def degree_plane(lon, lat):
     """Whole metres at each sample of a 3 arc-second tile."""
     return 700.0 + 1200.0 * lon + 1200.0 * lat
 
@@ -66,9 +63,7 @@ def degree_plane(lon: AnyArray, lat: AnyArray) -> AnyArray:
         (["N60E179.hgt.gz", "N60W180.hgt.gz"], 60, 179),
     ],
 )
-def test_degrees_are_warped_to_where_they_belong(
-    tmp_path: Path, names: list[str], south: int, west: int
-) -> None:
+def test_degrees_are_warped_to_where_they_belong(tmp_path, names, south, west):
     sample = np.arange(1201) / 1200.0
     for name in names:
         origin = (int(name[4:7]) * (1 if name[3] == "E" else -1) - west) % 360
@@ -90,7 +85,7 @@ def test_degrees_are_warped_to_where_they_belong(
     assert field.north_m % spacing_m == 0.0
 
 
-def test_ascii_grid_takes_its_crs_from_the_option(tmp_path: Path) -> None:
+def test_ascii_grid_takes_its_crs_from_the_option(tmp_path):
     path = tmp_path / "dem.asc"
     path.write_text(
         "ncols 3\nnrows 2\nxllcorner 1000\nyllcorner 2000\ncellsize 10\nNODATA_value -1\n"
@@ -104,9 +99,7 @@ def test_ascii_grid_takes_its_crs_from_the_option(tmp_path: Path) -> None:
         read_dem(path)
 
 
-def test_the_file_s_own_crs_wins_with_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
     path = write(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
     assert read_dem(path, DemOptions(crs="EPSG:32633")).frame.name == UTM
     assert "--crs WGS 84 / UTM zone 33N is only for files that name none" in caplog.text
@@ -117,7 +110,7 @@ def test_the_file_s_own_crs_wins_with_a_warning(
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2)])
 @pytest.mark.parametrize("degrees", [False, True])
-def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bool) -> None:
+def test_small_dems_are_dems(tmp_path, shape, degrees):
     heights = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
     transform = from_origin(10.0, 46.0, 1 / 3600, 1 / 3600) if degrees else None
     path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326" if degrees else UTM)
@@ -140,14 +133,12 @@ def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bo
         ((0.99, 0.99), 0.95),
     ],
 )
-def test_warped_spacing_is_round(ground: tuple[float, float], spacing: float) -> None:
+def test_warped_spacing_is_round(ground, spacing):
     assert square_spacing_m(ground) == pytest.approx(spacing, rel=1e-12)
 
 
 @pytest.mark.parametrize(("north", "west"), [(47.0, 9.0), (69.0, 9.0), (-10.0, 179.9)])
-def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(
-    north: float, west: float
-) -> None:
+def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(north, west):
     rng = np.random.default_rng(7)
     heights = rng.uniform(0.0, 1000.0, (300, 260)).astype(np.float32)
     heights[40:60, 100:180] = np.nan
@@ -174,7 +165,7 @@ def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(
         )
 
 
-def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
+def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     rng = np.random.default_rng(5)
     heights = rng.uniform(0.0, 1000.0, (50, 60)).astype(np.float32)
     step = 1.0 / 1200.0
@@ -185,7 +176,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]
     lon, lat = frame.to_lonlat(target.west + 70.0 * col, target.north - 70.0 * row)
 
-    def kernel(x: AnyArray) -> AnyArray:
+    def kernel(x):
         x = np.abs(x)
         near = 1.5 * x**3 - 2.5 * x**2 + 1.0
         far = -0.5 * x**3 + 2.5 * x**2 - 4.0 * x + 2.0
@@ -208,7 +199,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     assert apart.min() > -1e-2
 
 
-def test_davos_is_20_m(shared_data: Path) -> None:
+def test_davos_is_20_m(shared_data):
     path = shared_data / "davos" / "davos_srtm1_30m.tif"
     field = read_dem([path])
     assert field.spacing_east_m == field.spacing_north_m == 20.0
@@ -229,7 +220,7 @@ def test_davos_is_20_m(shared_data: Path) -> None:
     assert np.sqrt((difference**2).mean()) < 1.2
 
 
-def test_everest_voids_are_counted(shared_data: Path) -> None:
+def test_everest_voids_are_counted(shared_data):
     field = read_dem(shared_data / "everest" / "mt_everest_90m.tif")
     counts = field.provenance
     assert counts.filled + counts.hollow == 130_953 + counts.despiked
@@ -237,9 +228,7 @@ def test_everest_voids_are_counted(shared_data: Path) -> None:
     assert field.height_range_m[1] < 8650.0
 
 
-def test_albers_is_used_with_a_warning_or_warped(
-    shared_data: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
     path = shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif"
     own = read_dem(path)
     assert own.provenance.resampling == "none"
@@ -259,9 +248,7 @@ def test_albers_is_used_with_a_warning_or_warped(
     )
 
 
-def test_web_mercator_has_metres_that_are_none(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_web_mercator_has_metres_that_are_none(tmp_path, caplog):
     transform = from_origin(1_100_000.0, 5_900_000.0, 30.0, 30.0)
     read_dem(write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), transform, "EPSG:3857"))
     assert "0.68" in caplog.text
@@ -269,9 +256,7 @@ def test_web_mercator_has_metres_that_are_none(
 
 
 @pytest.mark.parametrize("crs", [UTM, "EPSG:31287"])
-def test_conformal_frames_raise_no_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, crs: str
-) -> None:
+def test_conformal_frames_raise_no_warning(tmp_path, caplog, crs):
     place = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(11.5, 47.2)
     read_dem(
         write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), from_origin(*place, 5.0, 5.0), crs)
@@ -279,7 +264,7 @@ def test_conformal_frames_raise_no_warning(
     assert caplog.text == ""
 
 
-def test_options_survive_json() -> None:
+def test_options_survive_json():
     options = DemOptions(crs="EPSG:32632", reproject=True)
     assert DemOptions.from_json(json.loads(json.dumps(options.to_json()))) == options
     assert DemOptions.from_json(None) == DemOptions()

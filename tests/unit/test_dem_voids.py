@@ -1,7 +1,5 @@
 """Voids and spikes of elevation files."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import rasterio
@@ -22,9 +20,7 @@ from skyline.terrain.dem import read_dem
         ("float64", -3.4028234663852886e38, -3.4028234663852886e38),
     ],
 )
-def test_voids_of_every_kind(
-    tmp_path: Path, dtype: str, nodata: float | None, value: float
-) -> None:
+def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
     heights = np.full((40, 40), 500, dtype=dtype)
     heights[5:8, 5:8] = value
     heights[20:32, 20:32] = value
@@ -36,7 +32,7 @@ def test_voids_of_every_kind(
     assert (counts.filled, counts.hollow, counts.despiked) == (9, 144, 0)
 
 
-def test_masked_samples_are_voids(tmp_path: Path) -> None:
+def test_masked_samples_are_voids(tmp_path):
     path = write(tmp_path / "dem.tif", np.full((9, 9), 500, np.int16))
     mask = np.full((9, 9), 255, np.uint8)
     mask[4, 4] = 0
@@ -45,7 +41,7 @@ def test_masked_samples_are_voids(tmp_path: Path) -> None:
     assert read_dem(path).provenance.filled == 1
 
 
-def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path: Path) -> None:
+def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path):
     step = 1.0 / 1200.0
     transform = from_origin(9.0, 47.0, step, step)
     row, col = np.mgrid[0:120, 0:120].astype(np.float32)

@@ -54,11 +54,6 @@ def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
     assert {29, 30, 31, 69, 70, 71} <= set(whole.tolist())
 
 
-def test_no_data_has_no_keypoints():
-    table = polyline_vertices(np.full((2, 40), np.nan), 1.0, 8)
-    assert (table == NO_KEYPOINT).all()
-
-
 def test_patches_of_closed_curves_are_relative_to_their_keypoint():
     curve = np.arange(20.0)[np.newaxis] ** 2
     offsets = np.array([-2, 0, 2])

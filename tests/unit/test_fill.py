@@ -1,7 +1,5 @@
 """Fill that a file does not declare is found by its walls; water stays."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from dem_files import AnyArray, write
@@ -13,14 +11,14 @@ from skyline.terrain.dem import read_dem
 SPACING_M = 30.0
 
 
-def mountains(shape: tuple[int, int] = (160, 200), seed: int = 0) -> AnyArray:
+def mountains(shape=(160, 200), seed=0):
     """Rough terrain about 1,500 m high."""
     rough = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 5.0)
     heights: AnyArray = (1500.0 + 300.0 * rough / rough.std()).astype(np.float32)
     return heights
 
 
-def turned(shape: tuple[int, int]) -> AnyArray:
+def turned(shape):
     """Whether a sample lies outside a footprint that was turned by 6 degrees."""
     row, col = np.mgrid[: shape[0], : shape[1]]
     outside: AnyArray = (col + 0.1 * row < 24) | (row - 0.1 * col < 12) | (col + 0.1 * row > 195)
@@ -28,7 +26,7 @@ def turned(shape: tuple[int, int]) -> AnyArray:
 
 
 @pytest.mark.parametrize("value", [0.0, 250.0])
-def test_the_fill_of_a_turned_footprint_becomes_void(value: float) -> None:
+def test_the_fill_of_a_turned_footprint_becomes_void(value):
     heights = mountains()
     outside = turned(heights.shape)
     heights[outside] = value
@@ -38,7 +36,7 @@ def test_the_fill_of_a_turned_footprint_becomes_void(value: float) -> None:
     np.testing.assert_array_equal(np.isnan(heights), outside)
 
 
-def test_samples_smeared_by_a_resampling_at_the_rim_go_too() -> None:
+def test_samples_smeared_by_a_resampling_at_the_rim_go_too():
     heights = mountains()
     heights[:, :30] = 0.0
     heights[:, 30], heights[:, 31] = -60.0, 100.0
@@ -47,7 +45,7 @@ def test_samples_smeared_by_a_resampling_at_the_rim_go_too() -> None:
 
 
 @pytest.mark.parametrize("level", [0.0, 1500.0])
-def test_water_stays(level: float) -> None:
+def test_water_stays(level):
     # A shore as steep as terrain gets at 30 m: 45 degrees all round, and a cliff on a fifth of it.
     row, col = np.mgrid[:160, :200]
     away = np.hypot(row - 80, col - 100)
@@ -59,7 +57,7 @@ def test_water_stays(level: float) -> None:
     np.testing.assert_array_equal(heights, before)
 
 
-def test_the_sea_stays_where_the_fill_goes() -> None:
+def test_the_sea_stays_where_the_fill_goes():
     heights = mountains()
     row, col = np.mgrid[: heights.shape[0], : heights.shape[1]]
     away = np.hypot(row - 90, col - 110)
@@ -69,7 +67,7 @@ def test_the_sea_stays_where_the_fill_goes() -> None:
 
 
 @pytest.mark.parametrize("nodata", [None, 7.0])
-def test_customary_void_values_are_counted(tmp_path: Path, nodata: float | None) -> None:
+def test_customary_void_values_are_counted(tmp_path, nodata):
     heights = mountains()
     heights[20:40, 20:40] = -32768.0
     heights[60:65, 60:65] = -9999.0
@@ -79,7 +77,7 @@ def test_customary_void_values_are_counted(tmp_path: Path, nodata: float | None)
     assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
 
 
-def test_fill_is_counted_and_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     heights = mountains()
     heights[:, :30] = 0.0
     path = write(tmp_path / "dem.tif", heights)
@@ -88,7 +86,7 @@ def test_fill_is_counted_and_warned_of(tmp_path: Path, caplog: pytest.LogCapture
     assert "exactly 0 m" in caplog.text
 
 
-def test_the_turned_footprint_of_a_real_dem(shared_data: Path) -> None:
+def test_the_turned_footprint_of_a_real_dem(shared_data):
     field = read_dem(shared_data / "photos" / "columbia" / "dem_Columbia.tif")
     # Both flanks go; the fjord, 3,796 samples at 0 m, stays.
     assert 25_000 < field.provenance.undeclared < 28_000

@@ -129,12 +129,6 @@ def test_the_less_credible_source_is_dropped(lie, said):
     assert said in told.said
 
 
-def test_a_crop_that_kept_all_columns_was_not_resized():
-    told = lens_of(PLANE, (4000, 2000))
-    assert told.fov_deg == pytest.approx(90.0)
-    assert lens_of(PLANE, (2000, 3000)).fov_deg == pytest.approx(fov_of(0.25, 0.5))
-
-
 def test_a_crop_that_was_resized_bounds_the_field_of_view():
     told = lens_of(PLANE, (1600, 800))
     # The focal plane alone is a hint, so a focal length 1.5 times as short is possible.

@@ -93,17 +93,6 @@ def test_an_unknown_column_costs_as_much_as_a_tree(nodes):
     assert costs[0] == pytest.approx(costs[1], abs=1e-6)
 
 
-def test_a_column_above_the_skyline_is_likelier_than_one_below():
-    errors, _, _ = _setting()
-    cost = []
-    for sign in (1.0, -1.0):
-        residual = np.zeros((1, 40))
-        residual[0, 10:14] = sign * np.radians(5.0)
-        odds = np.where(residual == 0.0, 1.0, 0.0)
-        cost.append(likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, odds).cost[0])
-    assert cost[1] - cost[0] == pytest.approx(4.0 * np.log(0.15 / 0.02), rel=1e-3)
-
-
 def _converged(residual, errors, magnified=1.0, scale=1.0):
     odds, trust = np.ones((1, 40)), np.ones(40)
     deviations = scale * ANGLE_DEG, scale * HEIGHT_M

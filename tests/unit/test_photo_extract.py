@@ -117,7 +117,7 @@ def test_other_shapes(width, height):
     assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
 
 
-def hopeless(kind: str) -> np.ndarray:
+def hopeless(kind):
     rng = np.random.default_rng(5)
     shape = (320, 480)
     noise = 2.0 * rng.standard_normal((*shape, 3))

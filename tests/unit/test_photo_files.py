@@ -1,7 +1,6 @@
 """Image files: formats, damage, size, orientation and field of view."""
 
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,13 +118,13 @@ def test_a_turned_photo_is_the_same_in_every_container(
 # What cannot be read
 
 
-def jpeg(scene) -> bytes:
+def jpeg(scene):
     buffer = BytesIO()
     Image.fromarray(scene.image).save(buffer, "JPEG")
     return buffer.getvalue()
 
 
-def refused(path: Path, message: str) -> None:
+def refused(path, message):
     with pytest.raises(InputError, match=message) as caught:
         read_query(path)
     assert str(path) in str(caught.value)

@@ -81,7 +81,7 @@ def test_xmp_notes_what_a_panorama_spans(form):
     assert panorama_of_xmp("<x:xmpmeta/>", (4000, 3000)) is None
 
 
-def save_panorama(path, noted_width: int) -> None:
+def save_panorama(path, noted_width):
     scene = make_scene("clear", 104, 960, 240)
     noted = ATTRIBUTES + "<GPano:CroppedAreaImageHeightPixels>240<"
     xmp = noted.format("cylindrical", 960, noted_width).encode()

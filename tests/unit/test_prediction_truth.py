@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, mountains, views_of
 
 from skyline.errors import InputError
-from skyline.paper.verify import block_means, true_errors_px
+from skyline.paper.verify import true_errors_px
 
 PX = 2.0 / WIDTH
 
@@ -60,19 +58,3 @@ def test_views_that_do_not_belong_together_are_refused():
         true_errors_px(views, views[:1])
     with pytest.raises(InputError, match="different headings"):
         true_errors_px(views, views[::-1])
-
-
-@given(width=st.integers(1, 50), blocks=st.integers(1, 50), seed=st.integers(0, 1000))
-def test_block_means_leave_unknown_columns_out(width, blocks, seed):
-    generator = np.random.default_rng(seed)
-    rows = generator.normal(size=(2, 3, width))
-    rows[generator.random(rows.shape) < 0.3] = np.nan
-    means = block_means(rows, blocks)
-    parts = np.split(rows, [b * width // blocks for b in range(1, blocks)], axis=-1)
-    if width <= blocks:
-        parts = np.split(rows, width, axis=-1)
-    for index, part in enumerate(parts):
-        known = ~np.isnan(part)
-        total = np.where(known, part, 0.0).sum(axis=-1)
-        expected = np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
-        np.testing.assert_allclose(means[..., index], expected, rtol=1e-5, atol=1e-6)

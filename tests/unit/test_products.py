@@ -1,7 +1,5 @@
 """Whether a DEM is of the surface or of the bare ground."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from dem_files import write
@@ -21,11 +19,11 @@ from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, model_of
         ("N46E009.hgt.gz", UNKNOWN),
     ],
 )
-def test_a_product_is_known_by_its_name(name: str, model: str) -> None:
+def test_a_product_is_known_by_its_name(name, model):
     assert model_of([name]) == model
 
 
-def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path: Path) -> None:
+def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path):
     tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
     tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
     plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))

@@ -18,14 +18,9 @@ INTERNAL = {
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 
 
-def test_importing_skyline_loads_nothing_heavy():
-    code = f"import sys, skyline; print(sorted(set({HEAVY}) & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_the_command_line_loads_nothing_heavy_before_a_command():
-    code = f"import sys, skyline.cli; print(sorted(set({HEAVY}) & set(sys.modules)))"
+@pytest.mark.parametrize("module", ["skyline", "skyline.cli"])
+def test_importing_loads_nothing_heavy(module):
+    code = f"import sys, {module}; print(sorted(set({HEAVY}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
 

@@ -89,16 +89,6 @@ def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     assert not href.startswith(("/", "file:"))
 
 
-def test_kml_leads_out_of_a_linked_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("photo.jpg").touch()
-    Path("far/away").mkdir(parents=True)
-    Path("link").symlink_to("far/away")
-    export_matches("link/answer.kml", [replace(matches()[0], name="photo.jpg")], FRAME)
-    href = Xml.parse("link/answer.kml").findtext(".//{*}PhotoOverlay/{*}Icon/{*}href")
-    assert Path("link", href).samefile("photo.jpg")
-
-
 def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
     upload = replace(matches()[0], name="Horn 1.jpg")
     export_matches(tmp_path / "answer.kml", [upload], FRAME, [PHOTO])

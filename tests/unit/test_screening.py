@@ -10,7 +10,6 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
-from skyline.match import screening
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.screening import (
     Alike,
@@ -89,14 +88,6 @@ def test_the_best_turn_looks_along_the_heading(places, heading):
     assert screen.scores(places.phase).argmax() == 7
 
 
-@pytest.mark.parametrize("at_once", [7, 64])
-def test_places_scored_in_parts_score_the_same(places, monkeypatch, at_once):
-    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
-    whole = screen.scores(places.phase)
-    monkeypatch.setattr(screening, "_PLACES_AT_ONCE", at_once)
-    np.testing.assert_allclose(screen.scores(places.phase), whole, rtol=1e-5)
-
-
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
@@ -142,10 +133,6 @@ def test_shut_turns_are_not_looked_at(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, _ = screen.best_turns(places.phase)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
-    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
-    every_turn *= screen.scale[:, np.newaxis]
-    opened = every_turn[:, :, turns].max(axis=(1, 2))
-    np.testing.assert_array_equal(screen.scores(places.phase), opened)
 
 
 FRAME = Frame.local(lon=10.0, lat=46.0)

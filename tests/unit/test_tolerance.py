@@ -89,7 +89,3 @@ def test_far_mountains_tolerate_every_move_and_near_ones_few():
         sizes.append((errors <= 1.5).sum(axis=(1, 2)))
     assert (sizes[1] == 121).all()
     assert (sizes[0] < 100).all()
-
-
-def test_a_location_alone_is_its_own_neighbourhood():
-    np.testing.assert_array_equal(errors_around(view_at(), level, 1, 30.0), [[[0.0]]])
