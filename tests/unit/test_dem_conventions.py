@@ -14,7 +14,7 @@ from rasterio.transform import from_origin
 from rasterio.warp import Resampling, calculate_default_transform, reproject
 
 from skyline.errors import InputError
-from skyline.terrain.conventions import metres_per
+from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, metres_per, model_of
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
@@ -309,11 +309,6 @@ def with_northings(path):
     return write(path, np.ones((9, 9), np.int16), from_origin(x, -y, 30.0, 30.0), "EPSG:2053")
 
 
-def test_coordinates_of_the_wrong_sign_are_suspected(tmp_path, caplog):
-    read_dem(with_northings(tmp_path / "a.tif"))
-    assert "29.50° N, 29.30° E, far off the area" in caplog.text
-
-
 def test_the_guide_quotes_the_warnings(tmp_path, caplog):
     ones = np.ones((9, 9), np.int16)
     write(tmp_path / "feet.tif", ones, CALIFORNIA_FEET, "EPSG:2227")
@@ -351,3 +346,29 @@ def test_conventions_named_and_assumed_are_kept_in_words(tmp_path):
         "to_wgs84": "Inverse of Lambert zone II + NTF (Paris) to NTF (1) + NTF to WGS 84 (1); "
         "good to 2 m",
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("davos_srtm1_30m.tif", f"{SURFACE}, SRTM"),
+        ("Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif", f"{SURFACE}, Copernicus"),
+        ("N046E009_AVE_DSM.tif", SURFACE),
+        ("USGS_13_n37w119.tif", f"{GROUND}, 3DEP"),
+        ("tirol_dtm_5m.asc", GROUND),
+        ("N46E009_FABDEM_V1-2.tif", f"{GROUND}, FABDEM"),
+        ("N46E009.hgt.gz", UNKNOWN),
+    ],
+)
+def test_a_product_is_known_by_its_name(name, model):
+    assert model_of([name]) == model
+
+
+def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path):
+    tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
+    tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
+    plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))
+    assert model_of([tagged]) == f"{SURFACE}, Copernicus"
+    assert model_of([plain]) == UNKNOWN
+    assert model_of([tagged, plain]) == UNKNOWN
+    assert model_of([]) == UNKNOWN

@@ -62,31 +62,18 @@ def test_a_candidate_of_unknown_spread_has_no_radius():
 
 
 def _hypotheses(easting_m, heading_deg, score):
-    zero = np.zeros(len(score))
+    zero, heading_deg = np.zeros(len(score)), np.array(heading_deg)
+    east = np.array(easting_m)
     return Hypotheses(
-        np.array(easting_m),
-        zero,
-        zero,
-        np.array(heading_deg),
-        zero,
-        zero,
-        zero + 60.0,
-        zero,
-        np.array(score),
+        east, zero, zero, heading_deg, zero, zero, zero + 60.0, zero, np.array(score)
     )
 
 
-def test_the_best_of_a_place_stands_for_it():
+def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
     some = _hypotheses([0.0, 10.0, 500.0, 505.0], [0.0, 90.0, 0.0, 0.0], [2.0, 1.0, 3.0, 3.0])
     assert some.suppress_non_maxima(9, separation_m=100.0).tolist() == [1, 2]
-
-
-def test_one_place_may_be_seen_in_two_ways():
-    some = _hypotheses([0.0, 0.0, 0.0], [359.0, 2.0, 90.0], [1.0, 2.0, 3.0])
-    assert some.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
-
-
-def test_poses_that_fit_nowhere_are_left_out_and_the_count_is_kept():
-    some = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
-    assert some.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
-    assert some.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
+    turned = _hypotheses([0.0, 0.0, 0.0], [359.0, 2.0, 90.0], [1.0, 2.0, 3.0])
+    assert turned.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
+    lost = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
+    assert lost.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
+    assert lost.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]

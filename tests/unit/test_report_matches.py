@@ -4,15 +4,19 @@ import json
 import shutil
 import subprocess
 from dataclasses import replace
+from itertools import combinations
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 
 from skyline.build.grid import uniform_grid
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
+from skyline.report.figures import place_labels
 from skyline.report.match_report import write_match_report
 from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
@@ -195,7 +199,6 @@ def test_a_report_tells_abstention_from_failure(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "is_answered", "said"),
     [
-        ({}, True, "Taken at latitude"),
         ({"rank": 2}, False, "Candidate 2, chosen by a person: latitude"),
         ({"rank": None, "refined": False, "confidence": None}, False, "Set by hand: latitude"),
         (
@@ -240,3 +243,26 @@ def test_a_browser_shows_the_page(tmp_path):
     assert like(overlay, (0, 224, 255), 120).sum() > 300
     assert below.std() > 20.0
     assert like(below, (209, 16, 61)).sum() > 100
+
+
+LABELS_PX = 1000.0
+PEAKS = st.lists(st.tuples(st.floats(0.0, LABELS_PX), st.floats(5.0, 300.0)), max_size=25)
+
+
+@given(PEAKS)
+def test_labels_and_leaders_keep_apart(peaks):
+    placed = place_labels([at for at, _ in peaks], [w for _, w in peaks], LABELS_PX, rows=4)
+    for label in placed:
+        assert 0.0 <= label.left_px <= label.anchor_px <= label.right_px <= LABELS_PX
+        assert 0 <= label.row < 4
+    for one, other in combinations(placed, 2):
+        if one.row == other.row:
+            assert one.right_px <= other.left_px or other.right_px <= one.left_px
+        low, high = sorted((one, other), key=lambda label: label.row)
+        if low.row < high.row:
+            assert not low.left_px <= high.anchor_px <= low.right_px
+
+
+def test_a_label_without_room_is_left_out():
+    placed = place_labels([500.0] * 4, [100.0] * 4, LABELS_PX, rows=2)
+    assert [label.index for label in placed] == [0]
