@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted
+from query_scenes import equally_trusted, poses
 
 from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.match.ranking import Hypotheses, RefinedPoses
+from skyline.match.ranking import RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
@@ -20,10 +20,7 @@ NEAR_REFINED, NEAR_RETRIEVED = (
 
 def retrieved(easting_m, score):
     """Poses along a line to the east."""
-    zero = np.zeros(len(score))
-    return Hypotheses(
-        np.array(easting_m), zero, zero, zero, zero, zero, zero + 60.0, zero, np.array(score)
-    )
+    return poses(len(score), easting_m=easting_m, score=score)
 
 
 def test_the_packaged_models_know_the_figures_they_are_given():

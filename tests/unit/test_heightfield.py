@@ -63,16 +63,6 @@ def test_samples_are_at_their_coordinates():
     assert field.spacing_m == 25.0
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (4, 1), (2, 2)])
-def test_samples_have_their_heights_and_places_off_the_map_none(shape):
-    heights = np.arange(math.prod(shape), dtype=np.float32).reshape(shape)
-    field = field_of(heights)
-    rows, cols = np.indices(shape)
-    np.testing.assert_array_equal(field.height_at(**at_m(field.to_map(rows, cols))), heights)
-    for row, col in ((-0.01, 0.0), (shape[0] - 0.99, 0.0), (0.0, -0.01), (0.0, shape[1] - 0.99)):
-        assert np.isnan(field.height_at(**at_m(field.to_map(row, col))))
-
-
 @pytest.mark.parametrize(
     ("east_m", "south_m", "message"),
     [(60.0, 60.0, "on a hole of the DEM"), (60.0, -60.0, "off the map"), (-60.0, 60.0, "off the")],

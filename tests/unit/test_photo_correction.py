@@ -73,24 +73,6 @@ def test_what_is_painted_is_on_its_side(correction, kind, away_px):
     np.testing.assert_array_equal(after.confidence[far], before.confidence[far])
 
 
-def test_the_skyline_behind_a_bush_is_shown_by_two_strokes():
-    scene = make_scene("clear", 7)
-    image, columns = scene.image.copy(), np.arange(300, 420)
-    for column in columns:
-        foot = int(scene.row_px[column])
-        image[foot - 70 : foot, column] = (45, 60, 40)
-    correction = Correction(photo_of(image))
-    before = correction.solve().row_px[columns]
-    assert not (np.abs(before - scene.row_px[columns]) < 30.0).any()
-    along = np.arange(290, 432, 4)
-    # 8 px are left free on either side; two more are the brush's and the working size's.
-    above, below = (scene.row_px[along] + away for away in (-12.0, 12.0))
-    strokes = [stroke("sky", along, above, 4.0), stroke("ground", along, below, 4.0)]
-    after = correction.solve(strokes)
-    assert after.trusted[columns].all()
-    assert np.abs(after.row_px - scene.row_px)[columns].max() <= 8.0 + 2.0
-
-
 def test_a_line_is_taken_as_it_is(correction):
     after = correction.solve([stroke("line", [100, 150, 200], [300.0, 320.5, 280.0])])
     assert after.row_px[100] == 300.0

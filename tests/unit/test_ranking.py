@@ -6,10 +6,10 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
+from query_scenes import poses
 from scenes import candidate_at
 
 from skyline.geodesy import Frame
-from skyline.match.ranking import Hypotheses
 
 FRAMES = {
     name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")
@@ -61,19 +61,20 @@ def test_a_candidate_of_unknown_spread_has_no_radius():
     assert candidate_at(0.0, 0.0, 0.0).radius_m is None
 
 
-def _hypotheses(easting_m, heading_deg, score):
-    zero, heading_deg = np.zeros(len(score)), np.array(heading_deg)
-    east = np.array(easting_m)
-    return Hypotheses(
-        east, zero, zero, heading_deg, zero, zero, zero + 60.0, zero, np.array(score)
-    )
-
-
 def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
-    some = _hypotheses([0.0, 10.0, 500.0, 505.0], [0.0, 90.0, 0.0, 0.0], [2.0, 1.0, 3.0, 3.0])
+    some = poses(
+        4,
+        easting_m=[0.0, 10.0, 500.0, 505.0],
+        heading_deg=[0.0, 90.0, 0.0, 0.0],
+        score=[2.0, 1.0, 3.0, 3.0],
+    )
     assert some.suppress_non_maxima(9, separation_m=100.0).tolist() == [1, 2]
-    turned = _hypotheses([0.0, 0.0, 0.0], [359.0, 2.0, 90.0], [1.0, 2.0, 3.0])
+    turned = poses(
+        3, easting_m=[0.0, 0.0, 0.0], heading_deg=[359.0, 2.0, 90.0], score=[1.0, 2.0, 3.0]
+    )
     assert turned.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
-    lost = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
+    lost = poses(
+        3, easting_m=[0.0, 500.0, 900.0], heading_deg=[0.0, 0.0, 0.0], score=[np.inf, 1.0, 2.0]
+    )
     assert lost.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
     assert lost.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]

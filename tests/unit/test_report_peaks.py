@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import FRAME, field_from
 
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.peaks import Peaks, read_peaks, visible_peaks
 from skyline.terrain.viewpoints import stand_on
@@ -165,11 +165,3 @@ def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_peaks(path, FRAME)
-
-
-def test_a_gazetteer_that_is_not_there_or_not_text(tmp_path):
-    with pytest.raises(MissingFileError, match="does not exist"):
-        read_peaks(tmp_path / "none.csv", FRAME)
-    (tmp_path / "photo.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match="cannot be read"):
-        read_peaks(tmp_path / "photo.csv", FRAME)
