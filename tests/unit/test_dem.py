@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 from dem_files import UTM, plane, plane_grid, write
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 from scenes import at_m
 
@@ -253,15 +253,6 @@ def test_web_mercator_has_metres_that_are_none(tmp_path, caplog):
     read_dem(write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), transform, "EPSG:3857"))
     assert "0.68" in caplog.text
     assert "--reproject" in caplog.text
-
-
-@pytest.mark.parametrize("crs", [UTM, "EPSG:31287"])
-def test_conformal_frames_raise_no_warning(tmp_path, caplog, crs):
-    place = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(11.5, 47.2)
-    read_dem(
-        write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), from_origin(*place, 5.0, 5.0), crs)
-    )
-    assert caplog.text == ""
 
 
 def test_options_survive_json():

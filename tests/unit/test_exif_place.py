@@ -1,4 +1,4 @@
-"""Where a photo's EXIF says that it was taken, and what of it is no place."""
+"""The place, altitude and direction in a photo's EXIF, and notes that are left aside."""
 
 import pytest
 from PIL.ExifTags import GPS
@@ -96,7 +96,7 @@ NO_LATITUDE = "the latitude is not given as degrees, minutes and seconds"
         (SOUTH_WEST | dict.fromkeys((GPS.GPSLatitude, GPS.GPSLongitude), (0.0,) * 3), "are 0, as"),
     ],
 )
-def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
+def test_a_position_that_is_none_is_left_aside_with_the_reason(gps, said):
     noted = place_from_exif(gps | {GPS.GPSHPositioningError: 5.0})
     assert noted == NotedPlace(left_aside=noted.left_aside)
     assert noted.left_aside.startswith(POSITION)
@@ -120,7 +120,7 @@ def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
         ({GPS.GPSAltitude: 10.0, GPS.GPSAltitudeRef: 9}, "whether it is above or below sea level"),
     ],
 )
-def test_other_tags_that_cannot_be_used_are_said(gps, said):
+def test_other_tags_that_cannot_be_used_are_left_aside(gps, said):
     noted = place_from_exif(gps)
     assert noted == NotedPlace(left_aside=noted.left_aside)
     assert said in noted.left_aside
@@ -128,5 +128,5 @@ def test_other_tags_that_cannot_be_used_are_said(gps, said):
     assert beside.lonlat_deg == (-70.25, -33.51)
 
 
-def test_nothing_is_said_of_what_is_not_noted():
+def test_a_photo_without_tags_notes_nothing():
     assert place_from_exif({}) == place_from_exif({GPS.GPSVersionID: b"\2\3\0\0"}) == NotedPlace()

@@ -37,13 +37,6 @@ def test_polyline_stays_within_its_tolerance(seed, tolerance, gaps):
             assert np.abs(polyline - curve[run]).max() <= tolerance + 1e-9
 
 
-def test_straight_skylines_have_their_ends_only():
-    line = np.linspace(0.0, 1.0, 50)[np.newaxis]
-    table = polyline_vertices(line, 1e-6, 8)
-    np.testing.assert_array_equal(table[0, :2], [0, 49])
-    assert (table[0, 2:] == NO_KEYPOINT).all()
-
-
 def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
     curve = np.zeros((1, 101))
     curve[0, 30], curve[0, 70] = 1.0, 10.0

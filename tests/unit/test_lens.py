@@ -1,4 +1,4 @@
-"""The field of view that EXIF notes: what is believed, and what is not."""
+"""The field of view that EXIF notes, and how sure it is."""
 
 import numpy as np
 import pytest
@@ -45,24 +45,24 @@ def test_the_focal_plane_of_a_whole_frame_however_resized(size):
 
 def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     tags = {Base.CustomRendered: 6, Base.FocalLengthIn35mmFilm: 28}
-    told = swept_lens_of(tags, (8000, 2500))
+    found = swept_lens_of(tags, (8000, 2500))
     # Of the camera's height, which sees 36 mm of film, 2500 pixels are between 70 and 100 %.
     for kept in (0.7, 0.97):
-        assert told.fov_deg == pytest.approx(
-            np.degrees(8000 / (28 / 36 * 2500 / kept)), abs=2.0 * told.sd_deg
+        assert found.fov_deg == pytest.approx(
+            np.degrees(8000 / (28 / 36 * 2500 / kept)), abs=2.0 * found.sd_deg
         )
-    assert told.most_deg == 360.0
-    assert "panorama" in told.said
+    assert found.most_deg == 360.0
+    assert "panorama" in found.said
     assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
     assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
 
 
 def test_sources_that_agree_are_sharp():
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000))
-    assert told.fov_deg == pytest.approx(90.0, abs=1.5)
-    assert told.sd_deg is None
-    assert "agrees" in told.said
+    found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000))
+    assert found.fov_deg == pytest.approx(90.0, abs=1.5)
+    assert found.sd_deg is None
+    assert "agrees" in found.said
 
 
 def searched(lens, *, is_panorama=False):
@@ -85,30 +85,30 @@ WRONG_PLANE = {
 
 @pytest.mark.parametrize("size", [(6240, 4160), (1560, 1040), (4160, 6240)])
 def test_a_focal_plane_alone_is_a_hint(size):
-    told = lens_of(WRONG_PLANE, size)
+    found = lens_of(WRONG_PLANE, size)
     true = fov_of(35.9 / 2.0 * size[0] / 6240.0 * (4 if size[0] == 1560 else 1), 50.0)
-    assert told.fov_deg < 0.7 * true
-    assert searched(told)[0] < told.fov_deg < true < searched(told)[1]
-    assert true < told.fov_deg + 2.5 * told.sd_deg
-    assert "focal plane alone" in told.said
+    assert found.fov_deg < 0.7 * true
+    assert searched(found)[0] < found.fov_deg < true < searched(found)[1]
+    assert true < found.fov_deg + 2.5 * found.sd_deg
+    assert "focal plane alone" in found.said
     # The other way about it is searched, too.
-    assert searched(told)[0] < told.fov_deg / 1.5
+    assert searched(found)[0] < found.fov_deg / 1.5
 
 
 def test_a_35_mm_equivalent_alone_is_wider_than_two_that_agree():
-    told = lens_of({Base.FocalLengthIn35mmFilm: 26}, (4000, 3000))
-    assert "35 mm equivalent alone" in told.said
+    found = lens_of({Base.FocalLengthIn35mmFilm: 26}, (4000, 3000))
+    assert "35 mm equivalent alone" in found.said
     # Of 36 mm of film, and not of its diagonal, it would be as near as a deviation.
-    assert fov_of(18.0, 26.0) - told.fov_deg < told.sd_deg
+    assert fov_of(18.0, 26.0) - found.fov_deg < found.sd_deg
 
 
 def test_sources_that_contradict_one_another_widen_what_is_possible():
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: 1.5 * FILM}, (4000, 3000))
+    found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: 1.5 * FILM}, (4000, 3000))
     narrow = fov_of(0.5, 0.75)
-    assert narrow < told.fov_deg < 90.0
+    assert narrow < found.fov_deg < 90.0
     # Each of the two is about a deviation off.
-    assert told.sd_deg == pytest.approx((90.0 - narrow) / 2.0, rel=0.05)
-    assert "contradict" in told.said
+    assert found.sd_deg == pytest.approx((90.0 - narrow) / 2.0, rel=0.05)
+    assert "contradict" in found.said
 
 
 @pytest.mark.parametrize(
@@ -120,21 +120,21 @@ def test_sources_that_contradict_one_another_widen_what_is_possible():
     ],
 )
 def test_the_less_credible_source_is_dropped(lie, said):
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM} | lie, (4000, 3000))
-    assert told.fov_deg == pytest.approx(90.0)
-    assert told.sd_deg > 5.0
-    assert said in told.said
+    found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM} | lie, (4000, 3000))
+    assert found.fov_deg == pytest.approx(90.0)
+    assert found.sd_deg > 5.0
+    assert said in found.said
 
 
 def test_a_crop_that_was_resized_bounds_the_field_of_view():
-    told = lens_of(PLANE, (1600, 800))
+    found = lens_of(PLANE, (1600, 800))
     # The focal plane alone is a hint, so a focal length 1.5 times as short is possible.
-    assert told.most_deg == pytest.approx(1.05 * fov_of(1.5, 1.0))
-    assert told.fov_deg + 2.0 * told.sd_deg > 90.0 > told.fov_deg
+    assert found.most_deg == pytest.approx(1.05 * fov_of(1.5, 1.0))
+    assert found.fov_deg + 2.0 * found.sd_deg > 90.0 > found.fov_deg
     agreed = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM}, (1600, 800))
     assert agreed.most_deg == pytest.approx(1.05 * 90.0)
-    assert agreed.sd_deg < told.sd_deg
-    assert "cropped: at most 90.0 degrees" in told.said
+    assert agreed.sd_deg < found.sd_deg
+    assert "cropped: at most 90.0 degrees" in found.said
 
 
 @pytest.mark.parametrize(
@@ -151,8 +151,8 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
     ],
 )
 def test_nothing_is_known_where_exif_does_not_say(tags, size):
-    told = lens_of(tags, size)
-    assert told == Lens(said=told.said)
+    found = lens_of(tags, size)
+    assert found == Lens(said=found.said)
 
 
 def gpano(**noted):
@@ -178,7 +178,7 @@ WHOLE = {
         ((9600, 1000), 120.0),
     ],
 )
-def test_what_of_a_panorama_a_file_has(size, fov_deg):
+def test_a_panorama_resized_or_cropped_has_the_field_of_view_that_is_left(size, fov_deg):
     projection, lens = panorama_of_xmp(gpano(**WHOLE), size)
     assert projection is Projection.CYLINDRICAL
     assert (lens.fov_deg, lens.sd_deg, lens.most_deg) == (pytest.approx(fov_deg), None, None)

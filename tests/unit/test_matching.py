@@ -96,7 +96,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
     assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
 
 
-def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
+def test_the_assumed_pitch_that_fits_is_found(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
     best = CorrelationMatcher(profiles).rank(query, 1).poses
     assert best.pitch_deg[0] == -5.0

@@ -1,4 +1,4 @@
-"""Skylines mended by strokes: what is said holds, what is not said stays."""
+"""Skylines mended by strokes: columns under a stroke follow it, all others stay."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("kind", ["clear", "caption"])
-def test_without_a_stroke_it_is_what_the_extractor_finds(kind):
+def test_without_a_stroke_it_is_the_extractor_s_skyline(kind):
     image = make_scene(kind, 1).image
     found = Correction(photo_of(image)).solve()
     assert same(found, extract_skyline(image))
@@ -56,7 +56,7 @@ def test_without_a_stroke_it_is_what_the_extractor_finds(kind):
 
 
 @pytest.mark.parametrize(("kind", "away_px"), [("sky", 70.0), ("ground", -70.0)])
-def test_what_is_painted_is_on_its_side(correction, kind, away_px):
+def test_painted_ground_and_sky_are_on_their_sides(correction, kind, away_px):
     before = correction.solve()
     columns = np.arange(400, 520, 4)
     rows = before.row_px[columns] + away_px
@@ -83,7 +83,7 @@ def test_a_line_is_taken_as_it_is(correction):
     assert back.row_px[120] == 200.0
 
 
-def test_what_is_erased_is_not_trusted_until_it_is_drawn_again(correction):
+def test_erased_columns_are_not_trusted_until_they_are_drawn_again(correction):
     erased = stroke("erase", [300, 340], [5.0, 5.0], 4.0)
     after = correction.solve([erased])
     assert not after.trusted[296:345].any()

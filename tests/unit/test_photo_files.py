@@ -115,7 +115,7 @@ def test_a_turned_photo_is_the_same_in_every_container(
 # Field of view
 
 
-# What cannot be read
+# Files that cannot be read
 
 
 def jpeg(scene):
@@ -168,7 +168,7 @@ def test_of_an_animation_the_first_picture_is_taken(tmp_path, scene, name):
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif", "gif"])
 def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
     rng = np.random.default_rng(7)
-    said: list[str] = []
+    messages: list[str] = []
     path = tmp_path / f"photo.{suffix}"
     Image.fromarray(make_scene("clear", 3, 48, 36).image).save(path)
     whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
@@ -183,9 +183,9 @@ def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
         try:
             assert read_query(path).trusted.any()
         except InputError as error:
-            said.append(str(error))
-    assert said
-    assert all("\n" not in line and str(path) in line for line in said)
+            messages.append(str(error))
+    assert messages
+    assert all("\n" not in line and str(path) in line for line in messages)
     assert capfd.readouterr().err == ""
 
 
@@ -221,7 +221,7 @@ def test_large_jpeg_is_reduced_while_decoding(tmp_path):
 
 
 @pytest.mark.parametrize(("given", "warned"), [({}, True), ({"fov_deg": 90.0}, False)])
-def test_a_panorama_that_nobody_calls_one_is_doubted(tmp_path, caplog, given, warned):
+def test_a_wide_photo_without_a_projection_is_warned_of(tmp_path, caplog, given, warned):
     wide = make_scene("clear", 3, 640, 200)
     Image.fromarray(wide.image).save(tmp_path / "wide.png")
     read_query(tmp_path / "wide.png", **given)

@@ -121,7 +121,7 @@ def test_bad_points_are_named(tmp_path, points, message):
         b"# width=99999999999 height=4\ncolumn_px,row_px\n1,2\n",
     ],
 )
-def test_what_is_not_a_trace_is_refused(tmp_path, content):
+def test_a_file_that_is_no_trace_is_refused(tmp_path, content):
     path = tmp_path / "trace.csv"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"trace\.csv"):
@@ -209,7 +209,7 @@ def noting(tmp_path, notes):
     return path
 
 
-def test_a_trace_notes_what_is_known_of_its_camera(tmp_path):
+def test_a_trace_notes_its_camera(tmp_path):
     for notes in (" fov_deg=60 fov_slack=0.1 eye_height_m=12", "\n# fov_deg=60 fov_slack=0.1\n"
                   "# drawn by hand eye_height_m=12"):  # fmt: skip
         query = read_query(noting(tmp_path, notes))

@@ -36,12 +36,6 @@ def test_areas_of_table_1_are_as_large_as_the_papers():
         assert np.count_nonzero(areas) / len(areas) == pytest.approx(size, rel=0.2)
 
 
-def test_a_simulated_run_reaches_its_coverage():
-    run = simulate(Simulation(TABLE_1[2]), STRATEGIES["lpov"], seed=0)
-    assert run.coverage.fraction() >= TABLE_1[2].coverage
-    assert (np.diff(run.progress) >= 0.0).all()
-
-
 def views_at(viewpoints, heading):
     """Views whose skylines depend on where they are."""
     count = len(viewpoints)

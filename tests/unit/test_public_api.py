@@ -81,7 +81,7 @@ def functions_of(thing):
 
 
 @pytest.mark.parametrize("name", skyline.__all__)
-def test_what_it_takes_and_gives_is_public_too(name):
+def test_types_of_parameters_and_results_are_public_too(name):
     known = {"DemOptions": skyline.DemOptions, "MatchResult": skyline.MatchResult}
     for function in functions_of(getattr(skyline, name)):
         for hint in typing.get_type_hints(function, localns=known).values():

@@ -204,7 +204,7 @@ GPS_OF_ANOTHER_POSE = {
     GPS.GPSDestDistanceRef: "K", GPS.GPSDestDistance: 4.0,
     GPS.GPSProcessingMethod: b"ASCII\0\0\0GPS", GPS.GPSAreaInformation: b"ASCII\0\0\0Here",
     GPS.GPSDateStamp: "2024:01:02", GPS.GPSDifferential: 1, GPS.GPSHPositioningError: 3.0,
-    0xC000: "of nobody knows whom",
+    0xC000: "unknown tag",
 }  # fmt: skip
 XMP_OF_ANOTHER_POSE = b"""<x:xmpmeta xmlns:x="adobe:ns:meta/">
 <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
@@ -253,7 +253,7 @@ def exif_of_another_pose(orientation=1):
     return b"Exif\0\0" + tiff, preview
 
 
-def told_by_exiftool(path, *options):
+def read_by_exiftool(path, *options):
     """Return what exiftool reads of a file, numbers as such, by the group of its tags."""
     if shutil.which("exiftool") is None:
         pytest.skip("libimage-exiftool-perl is not installed (.ci/system_packages.py)")
@@ -268,13 +268,13 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     exif, preview = exif_of_another_pose()
     Image.fromarray(PHOTO).save(source, exif=exif, xmp=XMP_OF_ANOTHER_POSE)
-    assert told_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
+    assert read_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
     pose = replace(BEST, covariance_m2=covariance_m2)
     write_located(source, path, pose)
     write_located(path, path, pose)
     assert read_photo(path).place.heading_deg == pytest.approx(pose.heading_deg, abs=1e-3)
-    told = told_by_exiftool(path)
-    gps = {name[4:]: value for name, value in told.items() if name.startswith("GPS:")}
+    tags = read_by_exiftool(path)
+    gps = {name[4:]: value for name, value in tags.items() if name.startswith("GPS:")}
     assert gps.pop("GPSLatitude") == pytest.approx(pose.lat, abs=1e-7)
     assert gps.pop("GPSLongitude") == pytest.approx(pose.lon, abs=1e-7)
     assert gps.pop("GPSImgDirection") == pytest.approx(pose.heading_deg, abs=1e-3)
@@ -285,13 +285,13 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
         "GPSAltitudeRef": 0, "GPSAltitude": 1234.5, "GPSImgDirectionRef": "T",
         "GPSMapDatum": "WGS-84", "GPSProcessingMethod": "SKYLINE: found, rank 1",
     }  # fmt: skip
-    assert told["Canon:OwnerName"] == "Ada of the Alps"
-    xmp = {name: value for name, value in told.items() if name.startswith("XMP")}
+    assert tags["Canon:OwnerName"] == "Ada of the Alps"
+    xmp = {name: value for name, value in tags.items() if name.startswith("XMP")}
     assert xmp == {
         "XMP-xmp:Rating": 5, "XMP-xmp:Label": "Kept", "XMP-GPano:FullPanoWidthPixels": 300,
         "XMP-xmp:CreatorTool": 'A "GPSLatitude" logger',
     }  # fmt: skip
-    assert not any("Pose" in name or "Gps" in name for name in told)
+    assert not any("Pose" in name or "Gps" in name for name in tags)
     kept = subprocess.run(["exiftool", "-b", "-ThumbnailImage", path], stdout=-1, check=True)
     assert kept.stdout == preview
     pixels = source.read_bytes()
@@ -322,7 +322,7 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orient
         assert not tags.keys() & {Base.StripOffsets, Base.Compression}
     # Pillow moves notes in the other two as it writes or reads them.
     if suffix in (".png", ".webp"):
-        assert told_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
+        assert read_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
 
 
 @pytest.mark.parametrize("exif", [b"", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
@@ -331,7 +331,7 @@ def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     Image.fromarray(PHOTO).save(source, **({"exif": exif} if exif else {}))
     write_located(source, path, BEST)
     assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
-    told_by_exiftool(path, "-validate")
+    read_by_exiftool(path, "-validate")
 
 
 def test_exif_without_room_is_refused_in_one_line(tmp_path):

@@ -102,7 +102,7 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert not like(bare, (0, 224, 255)).any()
 
 
-def test_what_has_no_room_for_a_name_is_counted(tmp_path):
+def test_peaks_without_room_for_a_name_are_counted(tmp_path):
     ahead = Sighting("A name", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, azimuth_deg=BEST.grid_heading_deg + 180.0)
     assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[1] == 0
@@ -181,7 +181,7 @@ def test_a_report_without_terrain_says_so(tmp_path):
     assert "no skyline was rendered" in html
 
 
-def test_a_report_tells_abstention_from_failure(tmp_path):
+def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     off = replace(BEST, easting_m=-5000.0)
     html = report(
         tmp_path,

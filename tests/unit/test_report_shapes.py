@@ -50,10 +50,6 @@ def test_an_ellipse_has_the_covariance_s_axes():
     assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
 
 
-def test_a_candidate_without_covariance_has_no_ellipse():
-    assert Ellipse.of(OTHER) is None
-
-
 def test_a_wedge_spans_the_field_of_view_about_the_heading():
     wedge = view_wedge_m(OTHER, 1000.0)
     np.testing.assert_array_equal(wedge[[0, -1]], [[OTHER.easting_m, OTHER.northing_m]] * 2)

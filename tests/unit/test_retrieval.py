@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.query_rays import QueryRays
 from skyline.match.retrieval import Retriever
 
@@ -104,12 +103,3 @@ def test_missing_headings_do_not_stop_the_others():
 def test_profiles_of_nothing_are_answered():
     found = Retriever(places_of(np.full((3, len(AZIMUTH_DEG)), np.nan))).shortlist(rays(0, 0.0), 2)
     assert np.isfinite(found.score).all()
-
-
-@pytest.mark.parametrize("stranger", [20])
-def test_a_query_of_another_place_vetoes_nothing(places, stranger):
-    queries = [rays(7, 30.0), rays(7, 200.0), rays(stranger, 90.0)]
-    found = Retriever(places).shortlist_together([(one, NOTHING_KNOWN) for one in queries], 2)
-    assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
-    assert turned(found[0].heading_deg[0], 30.0) < 0.5
-    assert turned(found[1].heading_deg[0], 200.0) < 0.5

@@ -142,10 +142,6 @@ def narrowed(**known):
     return Prior.of(Narrowing(**known), FRAME).contains
 
 
-def test_nothing_known_narrows_nothing(places):
-    assert narrowed()(places).all()
-
-
 def test_a_circle_a_box_and_elevations_hold_places(places):
     lon, lat = FRAME.to_lonlat(places.easting_m, places.northing_m)
     circle = narrowed(near=(float(lon[30]), float(lat[30]), 0.25))(places)

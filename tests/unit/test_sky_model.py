@@ -87,7 +87,7 @@ RAMP = np.linspace(1.0, 0.0, 64)[np.newaxis, np.newaxis, :, np.newaxis] * np.one
         (RuntimeError("bad shape\nmore"), r"failed \(bad shape\)"),
     ],
 )
-def test_what_breaks_the_contract_is_said(output, message):
+def test_output_that_breaks_the_contract_is_refused(output, message):
     with pytest.raises(InputError, match=message) as caught:
         model_skyline(make_scene("clear", 3, 64, 64).image, Constant(output=output))
     assert "\n" not in str(caught.value)

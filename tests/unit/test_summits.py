@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dem_files import AnyArray, write
 from rasterio.transform import from_origin
-from scenes import FRAME, at_m, field_from, field_of
+from scenes import FRAME, at_m, field_from
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from skyline.errors import InputError
@@ -143,12 +143,6 @@ def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
         assert np.hypot(highest[0] - easting, highest[1] - northing) < 1e-5
     else:
         assert surface.height_at(**at_m(highest)) >= np.nanmax(others_m) - 2e-3
-
-
-def test_of_equally_high_points_the_nearest_is_taken():
-    level = field_of(np.full((9, 9), 1234.567), 30.0)
-    highest = highest_within(level, 100.3, -111.7, 70.0)
-    assert highest == pytest.approx((100.3, -111.7), abs=1e-5)
 
 
 def cone(top_m=600.0, east_m=0.0, north_m=0.0):
