@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import rasterio
-from dem_files import AnyArray, write
+from dem_files import write
 from rasterio.transform import from_origin
 from scipy.ndimage import gaussian_filter
 
@@ -73,15 +73,13 @@ SPACING_M = 30.0
 def mountains(shape=(160, 200), seed=0):
     """Rough terrain about 1,500 m high."""
     rough = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 5.0)
-    heights: AnyArray = (1500.0 + 300.0 * rough / rough.std()).astype(np.float32)
-    return heights
+    return (1500.0 + 300.0 * rough / rough.std()).astype(np.float32)
 
 
 def turned(shape):
     """Whether a sample lies outside a footprint that was turned by 6 degrees."""
     row, col = np.mgrid[: shape[0], : shape[1]]
-    outside: AnyArray = (col + 0.1 * row < 24) | (row - 0.1 * col < 12) | (col + 0.1 * row > 195)
-    return outside
+    return (col + 0.1 * row < 24) | (row - 0.1 * col < 12) | (col + 0.1 * row > 195)
 
 
 @pytest.mark.parametrize("value", [0.0, 250.0])

@@ -15,6 +15,8 @@ from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
+EAST = "/N46E010.tif"
+VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
 def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
@@ -119,43 +121,18 @@ def test_bodies_that_break_off_are_read_again(template, server, heights, tmp_pat
     expect_heights(fetch(template, tmp_path), heights)
 
 
-def break_off(server):
-    server.truncate = 10_000
-
-
-def never_answer(server):
-    server.delay_s = 30.0
-
-
-def fail(server):
-    server.failures = 10_000
-
-
-def refuse(server):
-    server.status["/N46E010.tif"] = 403
-
-
-def shorten(server):
-    server.files["/N46E010.tif"] = server.files["/N46E010.tif"][:40_000]
-
-
-def send_something_else(server):
-    server.files["/N46E010.tif"] = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
-
-
 @pytest.mark.parametrize(
     ("trouble", "message"),
     [
-        (break_off, "breaks off or is damaged"),
-        (never_answer, r"no answer \(.*\), tried 2 times"),
-        (fail, "answers HTTP 500, tried 2 times; give the same command again"),
-        (refuse, "HTTP 403, not tried again; check that the source is open"),
-        (shorten, "breaks off or is damaged"),
-        (send_something_else, "not a GeoTIFF"),
+        ({"truncate": 10_000}, "breaks off or is damaged"),
+        ({"delay_s": 30.0}, r"no answer \(.*\), tried 2 times"),
+        ({"failures": 10_000}, "answers HTTP 500, tried 2 times; give the same command again"),
+        ({"status": {EAST: 403}}, "HTTP 403, not tried again; check that the source is open"),
+        ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
 def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
-    trouble(server)
+    vars(server).update(trouble)
     with pytest.raises(FetchError, match=message) as caught:
         fetch(template, tmp_path, retries=1)
     assert "http://127.0.0.1" in str(caught.value)
@@ -166,8 +143,8 @@ def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, mess
 
 
 def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
-    shorten(server)
-    with pytest.raises(FetchError):
+    server.files[EAST] = server.files[EAST][:40_000]
+    with pytest.raises(FetchError, match="breaks off or is damaged"):
         fetch(template, tmp_path)
     server.files.update(contents)
     done = fetch(template, tmp_path)
@@ -238,7 +215,7 @@ def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, co
     done = fetch(secret, tmp_path)
     assert done.fetched == 2
     assert not any(b"secret" in path.read_bytes() for path in done.files)
-    fail(server)
+    server.failures = 10_000
     with pytest.raises(FetchError) as caught:
         fetch(secret, tmp_path / "again", retries=0)
     assert "secret" not in str(caught.value)

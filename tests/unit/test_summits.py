@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dem_files import AnyArray, write
+from dem_files import write
 from rasterio.transform import from_origin
 from scenes import FRAME, at_m, field_from
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -34,15 +34,14 @@ def peaks(seed, shape=(150, 180)):
     ):
         away_m = np.hypot(92.7 * (row - top_row), 63.0 * (col - top_col))
         heights = np.maximum(heights, height - np.tan(np.radians(30.0)) * away_m)
-    rounded: AnyArray = np.rint(heights).astype(np.float32)
-    return rounded
+    return np.rint(heights).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Country:
     """A file of degrees and the surface made of it."""
 
-    heights: AnyArray
+    heights: np.ndarray
     field: HeightField
 
     @classmethod
@@ -60,10 +59,7 @@ class Country:
         row, col = np.indices(self.field.heights_m.shape)
         lon, lat = self.field.frame.to_lonlat(*self.field.to_map(row, col))
         at = [(north - lat) / STEP_DEG - 0.5, (lon - 9.0) / STEP_DEG - 0.5]
-        heights: AnyArray = map_coordinates(
-            self.heights.astype(np.float64), at, order=1, cval=np.nan
-        )
-        return heights
+        return map_coordinates(self.heights.astype(np.float64), at, order=1, cval=np.nan)
 
 
 @pytest.mark.parametrize("north", [0.05, 47.0, 69.0, -45.0])
