@@ -116,9 +116,6 @@ def test_digest_is_of_samples_grid_and_frame():
 def test_unusable_heights_are_refused(heights):
     with pytest.raises(InputError):
         field_of(heights)
-
-
-def test_unusable_spacing_is_refused():
     with pytest.raises(InputError, match="spacing"):
         HeightField(np.zeros((2, 2)), 0.0, 0.0, math.nan, 1.0, FRAME)
 

@@ -78,16 +78,6 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     assert screen.scores(smooth.phase).argmax() == 7
 
 
-@pytest.mark.parametrize("heading", [1.0, 44.9, 135.2, 271.0, 358.9])
-def test_the_best_turn_looks_along_the_heading(places, heading):
-    # Turns are 2 degrees apart, at odd degrees.
-    screen = Screen.of(wide(7, heading), FOVS_DEG, places)
-    heading_deg, fov = screen.best_turns(places.phase[7:8])
-    assert abs((heading_deg[0] - heading + 180.0) % 360.0 - 180.0) <= 1.0
-    assert FOVS_DEG[fov[0]] == 60.0
-    assert screen.scores(places.phase).argmax() == 7
-
-
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
