@@ -115,6 +115,13 @@ def test_a_turned_photo_is_the_same_in_every_container(
 # Field of view
 
 
+def test_given_fov_wins_over_exif(tmp_path, scene):
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 36
+    Image.fromarray(scene.image).save(tmp_path / "photo.jpg", exif=exif)
+    assert read_query(tmp_path / "photo.jpg", 40.0).fov_deg == 40.0
+
+
 # Files that cannot be read
 
 

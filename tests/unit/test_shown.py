@@ -3,6 +3,8 @@
 import base64
 import io
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -84,3 +86,12 @@ def test_a_result_draws_its_skyline_without_what_is_not_trusted():
     assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
     assert line.startswith("M0,12.0 1,12.0")
     assert "0.93" in html
+
+
+def test_terrain_and_stores_show_themselves_without_matplotlib():
+    code = (
+        "import sys, skyline; skyline.HeightField, skyline.open_store; "
+        "import skyline.terrain.heightfield; "
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -41,6 +41,7 @@ from skyline.store import (
     open_store,
     repair_store,
 )
+from skyline.store.checks import PLACE_CODING
 from skyline.store.merge import examine
 from skyline.store.places import BINS, Places
 from skyline.store.read import part_name, parts_folder
@@ -131,6 +132,11 @@ class TestHeader:
                 assert data.chunks[0] == (40 if header.holds == "places" else 32)
                 if header.holds == "places":
                     assert (data.compression, data.shuffle) == (None, False)
+
+    def test_may_be_of_any_length(self, tmp_path):
+        header = replace(VIEWS_HEADER, dem_files=("ä" * 300_000,), renderer="")
+        with open_store(write_rows(tmp_path / "s.h5", 0, 3, header)) as store:
+            assert store.header == header
 
     @pytest.mark.parametrize(
         ("change", "expected"),
@@ -357,6 +363,11 @@ class TestForeign:
         with edited(path) as file:
             del file.attrs[name]
         assert_refused(path, "not a skyline store" if "schema" in name else f"'{name}'")
+
+    def test_constants_of_places_are_refused(self, tmp_path, monkeypatch):
+        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
+        monkeypatch.setitem(PLACE_CODING, "rise_size", 0.007)
+        assert_refused(path, r"another release .* build it again")
 
     @pytest.mark.parametrize("name", ["views", "views/depth_m"])
     def test_links_are_not_followed(self, tmp_path, name):
