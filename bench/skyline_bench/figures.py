@@ -38,14 +38,14 @@ _WAYS = {
     "grass": ("GRASS r.horizon", "tab:brown", "*"),
 }
 """By path: label, colour and marker."""
-_SHOWN = (
-    ("horizon", "0 px"),
-    ("all round", "720 azimuths, 0 degrees"),
-    ("embree", "15 bisections"),
-    ("depth", "W = 640"),
-    ("grass", "r.horizon"),
-)
-"""The rows of the table of speed: paths and settings."""
+_SHOWN = {
+    ("horizon", "0 px"): "**Skyline**, four views of 640 columns",
+    ("all round", "720 azimuths, 0 degrees"): "**Skyline**, all the way round, 720 azimuths",
+    ("embree", "15 bisections"): "Embree's rays, four views",
+    ("depth", "W = 640"): "depth images, as the paper draws them",
+    ("grass", "r.horizon"): "GRASS `r.horizon`, 720 azimuths",
+}
+"""The rows of the table of speed: paths and settings, and their names there."""
 
 _COMPARED = (
     ("Davos", "the paper's", "paper_figure7_davos.json"),
@@ -74,6 +74,7 @@ def figures(
     stores = [(terrain, by, _rows(results / file)) for terrain, by, file in _COMPARED]
     typer.echo(_markdown(speed_table(speed)))
     typer.echo(_markdown(adaptive_table(stores)))
+    out.mkdir(parents=True, exist_ok=True)
     # Without dates and random names a picture changes only with its records.
     with matplotlib.rc_context({"svg.hashsalt": "skyline", "svg.fonttype": "none"}):
         for name, figure in (
@@ -103,13 +104,13 @@ def speed_table(rows: Sequence[Row]) -> list[Row]:
     """Return a row for each way to a skyline; errors are in degrees, at the middle of a view."""
     found = {(row["path"], row["setting"]): row for row in rows}
     table = list[Row]()
-    for key in _SHOWN:
+    for key, way in _SHOWN.items():
         if key not in found:
             continue
         row = found[key]
         table.append(
             {
-                "way": f"{_WAYS[key[0]][0]} ({key[1]})",
+                "way": way,
                 "ms a viewpoint": shown(row["ms_per_viewpoint"]),
                 "rms error": _degrees(row["rms_px"]),
                 "greatest error": _degrees(row["max_px"]),
@@ -134,7 +135,7 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
     axis.set(xscale="log", yscale="log", xlabel="ms a viewpoint, all cores")
     axis.set_ylabel("rms error (px of 640 columns over 90°)")
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, loc="lower right")
     return figure
 
 

@@ -54,7 +54,7 @@ def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places):
 
 
 def test_a_long_run_prints_a_line(run, dem, places, tmp_path, monkeypatch):
-    monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(console, "_SLOW_S", 0.0)
     target = tmp_path / "panorama.png"
     assert run("panorama", dem, "--at", places[0], "-o", target).err == (
         f"drawing {target} takes a while ...\n"
