@@ -383,12 +383,18 @@ class TestForeign:
                 with edited(path) as file:
                     del file[name]
 
-    def test_data_of_other_files_is_not_read(self, tmp_path):
-        path = write_rows(tmp_path / "s.h5", 0, 3)
+    @pytest.mark.parametrize("virtual", [False, True])
+    def test_data_of_other_files_is_not_read(self, tmp_path, virtual):
+        path, other = (write_rows(tmp_path / f"{n}.h5", 0, 3) for n in "so")
         with edited(path) as file:
             del file["views/easting"]
-            external = [(tmp_path / "raw.bin", 0, 64)]
-            file.create_dataset("views/easting", (3,), "f8", external=external)
+            if virtual:
+                layout = h5py.VirtualLayout(shape=(3,), dtype="f8")
+                layout[...] = h5py.VirtualSource(other, "views/easting", shape=(3,))
+                file.create_virtual_dataset("views/easting", layout)
+            else:
+                external = [(tmp_path / "raw.bin", 0, 64)]
+                file.create_dataset("views/easting", (3,), "f8", external=external)
         assert_refused(path, "is not chunked in this file")
 
     @pytest.mark.parametrize(
@@ -412,6 +418,15 @@ class TestForeign:
         assert_refused(path, expected)
 
     def test_rows_that_are_promised_but_not_there(self, tmp_path):
+        """A small file that claims a trillion rows, and one that lacks a chunk."""
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with edited(path) as file:
+            for group in ("views", "features"):
+                for name, data in list(file[group].items()):
+                    layout = {"dtype": data.dtype, "shape": (10**12, *data.shape[1:])}
+                    del file[group][name]
+                    file[group].create_dataset(name, chunks=(32, *data.shape[1:]), **layout)
+        assert_refused(path, "its datasets have 1000000000000 to 1000000000000 rows")
         path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
         with edited(path) as file:
             values = file["places/phase"][:]
@@ -465,6 +480,17 @@ class TestMerge:
         with pytest.raises(InputError, match="no stores"):
             merge_stores([], tmp_path / "b.h5")
         assert a.read_bytes() == before
+        assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
+
+    def test_a_full_disk(self, tmp_path, monkeypatch):
+        a = write_rows(tmp_path / "a.h5", 0, 200)
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(StoreError, match="No space left on device"):
+            merge_stores([a], tmp_path / "b.h5")
         assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
