@@ -45,7 +45,7 @@ class SkylineError(Exception):
     exit_code = 1
 
     def __str__(self) -> str:
-        # A message names files, whose names may hold anything.
+        # A message may name files, and file names may hold any character.
         return printable(super().__str__())
 
 
@@ -84,11 +84,11 @@ class FetchError(SkylineError, OSError):
 
 
 class BuildError(SkylineError, RuntimeError):
-    """A build some of whose jobs failed; the parts of the others are kept."""
+    """A build in which some jobs failed; the parts of the others are kept."""
 
 
 def named(what: str, name: str, known: Mapping[str, T]) -> T:
-    """Return one of many by its name; raises `InputError` for an unknown name of ``what``."""
+    """Return the entry of a name; for an unknown name of ``what`` raises `InputError`."""
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
@@ -97,7 +97,7 @@ def named(what: str, name: str, known: Mapping[str, T]) -> T:
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
     """Return a hint that coordinates were given in the wrong order, with the right one.
 
-    Of each pair of numbers the second comes first.
+    In the hint, the two numbers of each pair are exchanged.
     """
     right = ",".join(
         f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
@@ -142,7 +142,7 @@ class _JsonLines(logging.Formatter):
 
 
 def as_json() -> bool:
-    """Whether ``SKYLINE_LOG=json`` asks for JSON lines."""
+    """Return whether ``SKYLINE_LOG=json`` asks for JSON lines."""
     return os.environ.get(ENVIRONMENT_VARIABLE) == JSON
 
 

@@ -1,4 +1,4 @@
-"""Files on disk: written whole or not at all, locks, names that GDAL takes."""
+"""Files on disk: writing them whole or not at all, locks, and names for GDAL."""
 
 import fcntl
 from pathlib import Path
@@ -24,7 +24,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def write_with_folders(path: Path, content: bytes | str) -> None:
-    """Write a file at once, with the folders it needs; as `write_whole` otherwise."""
+    """Write a file at once, and make missing folders; otherwise as `write_whole`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -35,7 +35,7 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
 
 
 def has_locks(path: Path) -> bool:
-    """Whether a file can be locked; in some network folders none can."""
+    """Return whether a file can be locked; in some network folders none can."""
     with path.open("rb") as file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -59,7 +59,7 @@ def for_gdal(name: str) -> str:
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether there is a file of this name; an address may be longer than any file's name."""
+    """Return whether there is a file of this name; an address may be too long to be one."""
     try:
         return Path(path).is_file()
     except OSError:

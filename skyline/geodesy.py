@@ -24,9 +24,11 @@ _EDGE_POINTS = 63
 
 _WGS84 = Geod(ellps="WGS84")
 _STEP_DEG = 1e-4
-"""Of latitude, 11 m: half of the differences by which a projection is derived."""
+"""Step of latitude, 11 m: half of the differences from which a projection's derivatives are
+computed."""
 _NORTHMOST_DEG = 89.99
-"""Of latitude. There is no north at a pole; the north of a place a kilometre away stands for it."""
+"""Greatest latitude at which north is computed: a pole has none, and takes that of a place a
+kilometre away."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Curvature:
     radius_m : float
         Radius of the planet.
     refraction_k : float
-        Fraction of the curvature that refraction takes back; 0.13 is usual by day.
+        Fraction of the curvature that refraction compensates; 0.13 is usual by day.
     enabled : bool
         False leaves the plane flat.
     """
@@ -91,7 +93,7 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
 
 
 def are_bounds(west: float, south: float, east: float, north: float) -> bool:
-    """Whether numbers can be the bounds of a box in degrees."""
+    """Return whether numbers can be the bounds of a box in degrees."""
     return (
         -90.0 <= south < north <= 90.0
         and -180.0 <= west <= 180.0
@@ -122,7 +124,7 @@ def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
 
 
 def is_upright(crs: CRS) -> bool:
-    """Whether the map of a CRS is neither mirrored nor upside down.
+    """Return whether the map of a CRS is neither mirrored nor upside down.
 
     Both axes of a polar projection point north, or both south.
     """
@@ -131,7 +133,7 @@ def is_upright(crs: CRS) -> bool:
 
 
 def is_metric(crs: CRS) -> bool:
-    """Whether a CRS is projected, in metres and upright, so that it can be a frame."""
+    """Return whether a CRS is projected, in metres and upright, so that it can be a frame."""
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
     metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
     return bool(crs.is_projected and metres and is_upright(crs))
@@ -159,7 +161,8 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     Raises
     ------
     InputError
-        PROJ knows none: the CRS is of another planet, or of a projection that PROJ lacks.
+        PROJ knows no transformation: the CRS is of another planet, or has a projection that PROJ
+        lacks.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -171,7 +174,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return longitude and latitude (WGS 84) of a point of a CRS, and their accuracy in words.
+    """Return longitude and latitude (WGS 84) of a point in a CRS, and their accuracy in words.
 
     Raises `InputError` where PROJ knows no transformation.
     """
@@ -189,7 +192,7 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return by how many degrees a place lies outside the area for which a CRS is made.
+    """Return the degrees by which a place lies outside the area for which a CRS is made.
 
     It is 0 inside the box of the area, and for a CRS without a known area.
     """
@@ -286,7 +289,7 @@ class Frame:
         Raises
         ------
         InputError
-            Bounds that are not numbers in order.
+            The bounds are not numbers in order.
         """
         west, south, _, north = check_bounds(bounds_deg)
         rectangle: Rectangle = self._to_lonlat.transform_bounds(

@@ -81,7 +81,7 @@ class Views(Rows):
 
 
 def check_bins(bins: int) -> int:
-    """Return ``bins`` if a turn can be cut into so many steps, else raise `InputError`."""
+    """Return ``bins`` if a turn can be divided into that many, else raise `InputError`."""
     if bins < 8 or bins % 8:
         raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
     return bins
@@ -99,7 +99,7 @@ def bin_azimuths_rad(bins: int) -> Float64Array:
 def quadrant_azimuths_rad(bins: int) -> Float64Array:
     """Return the azimuths (B/4,) of a quadrant's bins from its axis, increasing, in radians.
 
-    Those of heading h are bins h B/4 - B/8 to h B/4 + B/8 - 1, modulo B.
+    The quadrant of heading h has the bins h B/4 - B/8 to h B/4 + B/8 - 1, modulo B.
     """
     steps = np.arange(bins // 4) + 0.5 - bins / 8
     return np.asarray(steps * (2.0 * np.pi / bins), dtype=np.float64)

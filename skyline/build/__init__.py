@@ -1,1 +1,1 @@
-"""Building stores: grids and spacing of places, parts of the work, and workers."""
+"""Building stores: where places lie, the parts in which they are rendered, and the workers."""

@@ -39,7 +39,7 @@ _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs
 
 
 class Runner:
-    """Does the same work on many items, on the workers of a dask client.
+    """Runs the same function on many items, on the workers of a dask client.
 
     Work and items must be picklable.
     """
@@ -50,14 +50,14 @@ class Runner:
     def __call__(
         self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
     ) -> Iterator[tuple[int, R | Exception]]:
-        """Run ``work`` on every item; ``names`` are the items' names, each of them once.
+        """Run ``work`` on every item; ``names`` are distinct names of the items.
 
         Yields the index of each item as it is done, in any order, with the result of the work or
         the exception that its last attempt raised.
         """
         run, submit = uuid4().hex[:8], self._client.submit
         with warnings.catch_warnings():
-            # Many viewpoints make a large graph, which is sent once.
+            # The viewpoints make the graph large, so it is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [
                 submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
@@ -70,7 +70,7 @@ class Runner:
 
 
 def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
-    """Return the context of a `Runner`: on so many new processes, or on the cluster at an address.
+    """Return the context of a `Runner`: on N new processes, or on the cluster at an address.
 
     Without either, the context of None. Raises as `local_runner` and `remote_runner`.
     """
@@ -121,7 +121,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
 def remote_runner(address: str) -> Iterator[Runner]:
     """Connect to a scheduler for the block; yields a `Runner`.
 
-    What dask sends is pickled, both ways: connect to a scheduler that you trust alone.
+    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
 
     Raises `InputError` where nothing answers at the address, or dask is not installed.
     """
@@ -172,7 +172,7 @@ def collect(
     Raises
     ------
     SkylineError
-        The error of all jobs, where it is the same one.
+        All jobs failed with this same error.
     BuildError
         Some jobs failed; the first few are named with their reasons.
     """
@@ -191,7 +191,7 @@ def collect(
 
 
 def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
-    """Yield results in the items' order, each as soon as those before it are there.
+    """Yield results in the items' order, each as soon as those before it are done.
 
     A job that failed yields its error, as a `BuildError` unless it is a `SkylineError`.
     """

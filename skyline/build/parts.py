@@ -41,7 +41,7 @@ class BuildResult:
     rows : int
         Renderings or places in the store.
     rendered : int
-        Of these, the ones that were rendered now; the others were there already.
+        Number of them that were rendered now; the others already existed.
     seconds : float
         Time that rendering, writing and merging took; a renderer is started before.
     """
@@ -66,14 +66,14 @@ def build_places(
     Parameters
     ----------
     path : str or Path
-        The store. Nothing is done where it is there already and has the same settings.
+        The store. Nothing is done if it already exists with the same settings.
     spacing_m : float, optional
         Metres between the places of a uniform grid. By default places lie densely where skylines
         are near, and sparsely where they are far; see `skyline.build.spacing`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
-        Called with the number of parts that are done, and the number of all.
+        Called with the number of parts that are done, and the number of all parts.
     loss : float
         Without a spacing: the share of the views, 60 degrees wide, that may be lost because
         places lie apart. The smaller the share, the more places.
@@ -83,8 +83,8 @@ def build_places(
     Raises
     ------
     InputError
-        A spacing that suits no grid on the terrain, a loss that no places come down to, or an
-        area so small that no place falls in it.
+        The spacing suits no grid on the terrain, no places achieve the loss, or the area is so
+        small that no place falls in it.
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
@@ -129,7 +129,7 @@ def build_store(
     Raises
     ------
     BuildError
-        Parts that failed on workers; the others are kept.
+        Parts failed on workers; the others are kept.
     InputError, StoreMismatchError
         As `build_places`.
     """
@@ -139,7 +139,7 @@ def build_store(
     folder = parts_folder(path)
     if path.exists():
         finished = finished_store(path, header)
-        # A build that was killed at its very end leaves them.
+        # A build that was killed at its very end leaves parts beside a finished store.
         _remove(folder)
         return finished
     numbers = range(1, len(work) + 1)
@@ -227,7 +227,7 @@ class _Job:
     """The settings that all jobs of a build share."""
 
     build: str
-    """Identifies the build."""
+    """Identifier of the build."""
     plan: Plan
     header: StoreHeader
     """Header of the store; it has the DEM's files, by paths that are the same on every machine."""
@@ -236,14 +236,14 @@ class _Job:
         """Render and write a part in a worker; return its number of rows.
 
         The worker keeps terrain and renderer for the next part. All calls in a process must come
-        from one thread, the OpenGL context's.
+        from one thread, which owns the OpenGL context.
         """
         path, work = item
-        if self.build not in _open_here:
-            while _open_here:
-                _open_here.popitem()[1].__exit__()
-            _open_here[self.build] = self.plan.opened(self._terrain())
-        return _write_part(_open_here[self.build], path, work)
+        if self.build not in _open_renderer:
+            while _open_renderer:
+                _open_renderer.popitem()[1].__exit__()
+            _open_renderer[self.build] = self.plan.opened(self._terrain())
+        return _write_part(_open_renderer[self.build], path, work)
 
     def _terrain(self) -> HeightField:
         try:
@@ -255,7 +255,7 @@ class _Job:
             ) from error
 
 
-_open_here: dict[str, PartRenderer] = {}
+_open_renderer: dict[str, PartRenderer] = {}
 """The renderer that this worker keeps, by the build."""
 
 

@@ -22,14 +22,15 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 DEFAULT_LOSS = 0.2
-"""Share of the views that may be lost because places lie apart; docs/accuracy.md has others."""
+"""Share of the views that may be lost because places lie apart; docs/accuracy.md gives the effect
+of other shares."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
-"""Sizes of a part: some seconds of work without a GPU, which is lost if the process is killed."""
+"""Size of a part: some seconds of work without a GPU, which are lost if the process is killed."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
-"""How far a skyline may be from the polyline whose vertices are its keypoints."""
+"""Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +52,13 @@ class PartRenderer:
 
 @dataclass(frozen=True, slots=True)
 class PlacePlan:
-    """A store of places, on a uniform grid or as far apart as the skyline allows.
+    """The plan of a store of places, on a uniform grid or as far apart as the skyline allows.
 
     Attributes
     ----------
     spacing_m : float, optional
-        Distance between the places of a uniform grid, each of which stands for half of it around
-        itself. By default places are planned; see `skyline.build.spacing`.
+        Distance between the places of a uniform grid. By default places are planned; see
+        `skyline.build.spacing`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     loss : float
@@ -123,7 +124,7 @@ class PlacePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderingPlan:
-    """A store of renderings to grid north, east, south and west, for the paper's matcher.
+    """The plan of a store of renderings along the four grid headings, for the paper's matcher.
 
     Attributes
     ----------

@@ -1,15 +1,15 @@
 """Places laid out adaptively: dense where skylines are near, sparse where they are far.
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
-skyline shows whether more places there would pay: whether they save more views than the same
-number in other squares. Where they would, the next lattice, twice as dense, is filled in; a place
-that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
-each on its own, and the result depends neither on the process that plans a block nor on the order.
+skyline shows whether more places there would pay, that is, save more views than the same number in
+other squares. Where they would, the next lattice, twice as dense, is filled in; a place that has
+been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned each on
+its own, and the result depends neither on the process that plans a block nor on the order.
 
-A view that is taken between places differs from theirs by as much as its skyline moves, which is
-the spacing over the skyline's distance. The odds that a whole search, refinement included, then
-fails grow with a power of that ratio. The power and the ratio of even odds were fitted to searches
-for made views, 60 degrees wide; docs/method.md has the terrain, and the fit on other terrain.
+Between places a view's skyline differs from theirs by an angle of about the spacing over the
+skyline's distance. The odds that a whole search, refinement included, then fails grow with a power
+of that ratio. The power and the ratio of even odds were fitted to searches for made views, 60
+degrees wide; docs/method.md has the terrain, and the fit on other terrain.
 """
 
 import math
@@ -44,21 +44,22 @@ _ROOTS = 4
 BLOCK_M = _ROOTS * _COARSEST_M
 
 _UNITS = round(_COARSEST_M / _FINEST_M)
-"""The finest spacings that the coarsest is long."""
+"""The coarsest spacing, in finest spacings."""
 
 _BLIND_LEVEL = 6
-"""Level down to which a square is halved when there is no surface to stand on at its corner."""
+"""Level down to which a square is divided if there is no surface to stand on at its corner."""
 
 _SAMPLE = 512
-"""Viewpoints from which a price is computed."""
+"""Number of viewpoints from which a price is computed."""
 
 _LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
-"""Where fewer of the viewpoints than the first stand on the surface, as many again are tried, up to
-so many times: of the elevation model of an island, nearly all may be holes."""
+"""Least number of those viewpoints that must stand on the surface, and greatest number of samples
+of viewpoints that are tried for it: in the elevation model of an island, nearly all may be
+holes."""
 _BISECTIONS = 60
 
 _WINDOWS = 36
-"""Views 60 degrees wide, each as likely as the others."""
+"""Number of directions of views 60 degrees wide, all equally likely."""
 
 _NEAREST_M = 1.0
 _FARTHEST_M = 1e6
@@ -74,8 +75,8 @@ _POWER = 1.55
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
     """Return the blocks that meet an area, row by row from the north-west.
 
-    A block is a square with sides of `BLOCK_M`. Its column and row say at which multiples of that
-    its western and southern sides lie.
+    A block is a square with sides of `BLOCK_M`. Its western and southern sides lie at its column
+    and its row times `BLOCK_M`.
     """
     west, south, east, north = (side / BLOCK_M for side in area)
     rows = range(math.ceil(north) - 1, math.floor(south) - 1, -1)
@@ -89,9 +90,9 @@ def check_loss(loss: float) -> None:
 
 
 def price_of(loss: float, terrain: HeightField, area: Rectangle, look: Look) -> float:
-    """Return how much a place must save, in square metres, for a plan to lose at most a share.
+    """Return the area that a place must save, square metres, for a plan to lose at most a share.
 
-    It is computed from viewpoints spread over the area. Raises `InputError` for a loss
+    This price is computed from viewpoints spread over the area. Raises `InputError` for a loss
     outside (0, 1), or below that of the finest lattice, and for an area of holes.
     """
     check_loss(loss)
@@ -160,7 +161,7 @@ class AdaptivePlanner:
         None where no eye can stand.
         """
         seen = _Seen(block[0] * BLOCK_M, block[1] * BLOCK_M)
-        # Those round the block too, for the squares at its sides.
+        # Nodes around the block are included, for the squares at its sides.
         self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
         nodes, kept = _lattice_of_roots(0, _ROOTS), []
         for level in range(_LEVELS):
@@ -175,15 +176,15 @@ class AdaptivePlanner:
 
     def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
         """Render those of nodes (N, 2) that have not been rendered."""
-        left = seen.left(nodes)
-        easting, northing = seen.position_m(left)
+        untried = seen.untried(nodes)
+        easting, northing = seen.position_m(untried)
         eyes, stands = stand_where_possible(self._terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)
-        seen.bar(left[~stands])
+        seen.mark_bare(untried[~stands])
         if len(eyes):
-            seen.add(left[stands], self._look(eyes))
+            seen.add(untried[stands], self._look(eyes))
 
     def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
-        """Return at which of nodes (N, 2) a denser lattice pays."""
+        """Return a mask of the nodes (N, 2) at which a denser lattice pays."""
         if level == _LEVELS - 1:
             return np.zeros(len(nodes), dtype=bool)
         cost = seen.lost_around(nodes, level) + self._price * _DENSITY
@@ -191,7 +192,7 @@ class AdaptivePlanner:
         return np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, denser)
 
     def _in_reach(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
-        """Return which of nodes (N, 2) have the square that they are of meet the area."""
+        """Return a mask of the nodes (N, 2) whose square meets the area."""
         side = _side(level)
         west, south = seen.position_m(nodes - nodes % side)
         reach_m = side * _FINEST_M
@@ -216,10 +217,10 @@ class AdaptivePlanner:
 
 
 class _Seen:
-    """The nodes in a block and round about that were looked at, and the places at some of them.
+    """The nodes in and around a block that were tried, and the places at some of them.
 
     Nodes are columns and rows of the finest lattice, from the block's south-western corner. A node
-    that was looked at has a place, or no surface to stand on; only places have a row.
+    that was tried has a place or no surface to stand on; only places have a row.
     """
 
     def __init__(self, west_m: float, south_m: float) -> None:
@@ -231,8 +232,8 @@ class _Seen:
         self._places: list[Places] = []
         self._lost: Float64Array = np.zeros((0, _LEVELS))
 
-    def left(self, nodes: Int64Array) -> Int64Array:
-        """Return those of nodes (N, 2) that were not looked at."""
+    def untried(self, nodes: Int64Array) -> Int64Array:
+        """Return the nodes, of (N, 2), that were not tried."""
         return nodes[~self._looked_at[_index(nodes)]]
 
     def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
@@ -240,7 +241,7 @@ class _Seen:
         position = self._corner_m + nodes * _FINEST_M
         return position[:, 0], position[:, 1]
 
-    def bar(self, nodes: Int64Array) -> None:
+    def mark_bare(self, nodes: Int64Array) -> None:
         """Note that there is no surface to stand on at nodes (N, 2)."""
         self._looked_at[_index(nodes)] = True
 
@@ -255,7 +256,8 @@ class _Seen:
     def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
         """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
 
-        Averages over those that have places, shape (N, levels); NaN where none of them has.
+        The shares are means over the nodes that have places, (N, levels); NaN where none of them
+        has.
         """
         side = _side(level)
         steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * side
@@ -280,14 +282,15 @@ class _Seen:
 
 
 def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Return where nodes (..., 2) are in the arrays of `_Seen`."""
+    """Return the indices of nodes (..., 2) in the arrays of `_Seen`."""
     return nodes[..., 0] + _UNITS, nodes[..., 1] + _UNITS
 
 
 def _side(level: int) -> int:
     """Return the side of the squares that a level's places lie at, in finest spacings.
 
-    Those of an even level lie at their corners; an odd level has one in the middle of each too.
+    Places of an even level lie at the corners; an odd level also has one in the middle of each
+    square.
     """
     return _UNITS >> level // 2
 
@@ -303,7 +306,8 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:
-        # From the corner to the middle of a side, and from the middle to that of the other.
+        # The new nodes: from a corner to the middle of a side, from a square's middle to another
+        # side's.
         step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
         beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
     return np.concatenate([nodes, beside])

@@ -82,7 +82,7 @@ def build(
 
 
 def print_built(result: BuildResult, path: Path, rows: str) -> None:
-    """Print how many rows a store has, and how many of them were rendered now."""
+    """Print the number of rows of a store, and of those that were rendered now."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         print_line(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")

@@ -38,22 +38,22 @@ from skyline.errors import (
 if TYPE_CHECKING:
     from skyline.arrays import Progress
 
-# Typer brings click under one name or another, by its version; this one name is public in all.
+# Typer's versions bring click under different names; this name is public in all of them.
 _UsageError: Any = typer.BadParameter.__base__
 
 _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
 _SLOW_S = 5.0
-"""From this time on a message says what takes so long."""
+"""Time after which a message names the step that is taking long."""
 _PROGRESS_EVERY_S = 1.0
-"""Progress is a JSON line this often at most; the last step always is."""
+"""Least interval between JSON lines of progress; the last step always has one."""
 
 _log = logging.getLogger(__name__)
 _on_interrupt: ContextVar[str] = ContextVar("on_interrupt", default="")
 
 
 def panel(title: str) -> Callable[..., Any]:
-    """Return a maker of options that stand under a title in the help."""
+    """Return a function that makes options listed under a title in the help."""
     return partial(Option, rich_help_panel=title)
 
 
@@ -119,7 +119,7 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
 
 
 def on_interrupt(message: str) -> None:
-    """Set what the error after Ctrl-C adds from now on: which work of this command is kept."""
+    """Set the advice of the error after Ctrl-C: the work of this command that is kept."""
     _on_interrupt.set(f"; {message}")
 
 
@@ -141,7 +141,7 @@ def run_app(app: typer.Typer) -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except SystemExit as stop:
-        # Typer and rich make exit code 1 of it.
+        # Typer and rich would turn this into exit code 1.
         sys.exit(0 if isinstance(stop.__context__, BrokenPipeError) else stop.code)
     except SkylineError as error:
         _fail(str(error), error.exit_code)
@@ -163,7 +163,8 @@ def run_app(app: typer.Typer) -> None:
 def progress_bar(doing: str) -> "Iterator[Progress]":
     """Show a bar on standard error from the first step on; yields a function of done and total.
 
-    Without a terminal, a line says what takes more than five seconds, or there are JSON lines.
+    Without a terminal, a line names a step that takes more than five seconds, or there are JSON
+    lines.
     """
     if as_json():
         yield progress_lines(doing)
@@ -240,7 +241,7 @@ def parse_place(text: str) -> tuple[float, float]:
 
 
 def are_degrees(lon: float, lat: float) -> bool:
-    """Whether two numbers can be a longitude and a latitude."""
+    """Return whether two numbers can be a longitude and a latitude."""
     return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
 
 
@@ -280,7 +281,7 @@ def _open_streams() -> None:
 
 
 def _flush_streams() -> None:
-    """Discard output that cannot be written: Python would print an error of its own at its end."""
+    """Discard output that cannot be written, for which Python would print an error at its end."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -19,7 +19,7 @@ dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_hel
 
 @dem.callback()
 def _group() -> None:
-    """Keep `fetch` a command of its own, though it is the only one."""
+    """Do nothing: with this callback, `fetch` stays a subcommand although it is the only one."""
 
 
 @dem.command()

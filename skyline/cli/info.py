@@ -60,7 +60,7 @@ def info(
             facts |= describe_store(path[0])
         else:
             facts |= _describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
-    _say_facts(facts, as_json)
+    _print_facts(facts, as_json)
 
 
 def explain(
@@ -88,10 +88,10 @@ def explain(
         east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
     height_m = DEFAULT_EYE_HEIGHT_M
     eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
-    _say_facts(_describe_scene(terrain, eye, config), as_json)
+    _print_facts(_describe_scene(terrain, eye, config), as_json)
 
 
-def _say_facts(facts: Facts, as_json: bool) -> None:
+def _print_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
         print_line(json.dumps(facts))
         return

@@ -46,7 +46,7 @@ _UNREFINED = "unrefined"
 """The full matcher without its last step."""
 _CHOICES = (FULL, _UNREFINED, *(name for name in MATCHERS if name != FULL))
 
-# Groups of options in the help, after those that most people need.
+# Groups of options in the help, after the options that are needed most.
 _known, _search, _files = panel("The photos"), panel("The search"), panel("More files to write")
 
 T = TypeVar("T")
@@ -150,9 +150,9 @@ def match(
     file = None
     if results is not None:
         file = ResultsFile(results, _search_of(store, matcher, common, surfaces))
-        queries = _left(queries, file)
+        queries = _unanswered(queries, file)
     output = _Output(as_json, file, goes_on=bool(exports or report or results))
-    # Before the store is opened, which may take a minute.
+    # These checks come before the store is opened, which may take a minute.
     checked, refused = _attempted(queries, Query.check)
     usable = [one for one, _ in checked]
     skylines, unread = _attempted(usable if same_place else (), Query.read)
@@ -194,7 +194,7 @@ def match(
         raise typer.Exit(output.exit_code)
 
 
-def _left(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
+def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
     """Return the queries that a file of results lacks; print how many it has."""
     on_interrupt(
         f"{file.path} has the answers so far, and the same command continues with the others"

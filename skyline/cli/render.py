@@ -132,11 +132,11 @@ def render(
         _refuse_given(others, "leave it out: a planner plans one area as a whole, in this process")
         planned = PlanConfig(
             planner,
-            _or(grid, _PLANNED.coarse_m),
-            _or(candidate_spacing, _PLANNED.candidate_m),
-            _or(threshold_px, _PLANNED.threshold_px),
-            _or(coverage, _PLANNED.coverage),
-            _or(seed, _PLANNED.seed),
+            _given_or(grid, _PLANNED.coarse_m),
+            _given_or(candidate_spacing, _PLANNED.candidate_m),
+            _given_or(threshold_px, _PLANNED.threshold_px),
+            _given_or(coverage, _PLANNED.coverage),
+            _given_or(seed, _PLANNED.seed),
         )
         _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
         return
@@ -158,7 +158,7 @@ def render(
     print_built(result, output, "renderings")
 
 
-def _or(given: T | None, default: T) -> T:
+def _given_or(given: T | None, default: T) -> T:
     return default if given is None else given
 
 

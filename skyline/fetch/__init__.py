@@ -1,1 +1,1 @@
-"""Elevation tiles and peaks from servers."""
+"""Fetching elevation tiles and named peaks from servers."""

@@ -29,7 +29,7 @@ from skyline.terrain.rasters import shown
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64
-"""The largest fetch: 8 x 8 degrees."""
+"""Greatest number of tiles of a fetch: 8 x 8 degrees."""
 
 SOURCES = {
     "copernicus": (
@@ -41,12 +41,12 @@ SOURCES = {
 """Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
 
 MAX_BYTES = 4 << 30
-"""The largest fetch, unpacked."""
+"""Greatest size of a fetch, unpacked."""
 
 _ARC_SECOND_BYTES = 4 * 3600**2
 _MAX_BLOCK_BYTES = 256 << 20
 _TAG = "SKYLINE_FETCH"
-# Bounds this near a pixel's edge are on it, but for rounding.
+# Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
 
 _FIELD = re.compile(r"\{(lat|lon|ns|ew)(?::(\d{1,2}d))?\}")
@@ -58,7 +58,7 @@ _log = logging.getLogger(__name__)
 class TileSource:
     """A template of addresses.
 
-    Raises `InputError` unless it is an http(s) address with no other fields than these.
+    Raises `InputError` unless the template is an http(s) address with only the fields below.
     """
 
     template: str
@@ -88,7 +88,7 @@ class TileSource:
 
     @property
     def tiled(self) -> bool:
-        """Whether there is one file for each degree, not one over all."""
+        """True if there is one file for each degree, False if one file covers all."""
         return bool(_FIELD.search(self.template))
 
     def url(self, lat: int, lon: int) -> str:
@@ -138,7 +138,7 @@ class FetchResult:
     files: tuple[Path, ...]
     """All tiles, from the south-west, row by row."""
     fetched: int
-    """How many of these were fetched now; the others were there already."""
+    """Number of these that were fetched now; the others already existed."""
     missing: tuple[str, ...]
     """Tiles that the source does not have, usually sea."""
 
@@ -176,13 +176,14 @@ def fetch_dem(
     ----------
     bounds_deg : tuple
         W, S, E, N in degrees. A skyline needs the terrain around its viewpoints: give the area to
-        build, and as far around it as one sees.
+        build and all terrain around it that can be seen from there.
     source : str
         A name of `SOURCES` or a template, see `TileSource`.
     folder : str or Path
-        Made where it does not exist. Files are named by their tile: ``N46E009.tif``.
+        The folder, which is made if it does not exist. Files are named by their tile:
+        ``N46E009.tif``.
     retries : int
-        How often a failed request is repeated.
+        Greatest number of repetitions of a failed request.
     timeout_s : int
         Seconds without an answer after which a request has failed.
     progress : callable, optional
@@ -191,10 +192,10 @@ def fetch_dem(
     Raises
     ------
     InputError
-        Bounds or source out of range, too much at a time, no tile at all, tiles of different
-        spacing, or a file that is in the way or cannot be written.
+        The bounds or the source are not usable, the area is too large, there is no tile, tiles
+        differ in spacing, or a file is in the way or cannot be written.
     FetchError
-        A server that fails, after the retries. Nothing of its tile is written.
+        A server still fails after the retries. Nothing of its tile is written.
     """
     origin = TileSource.named(source)
     tiles = origin.tiles(bounds_deg)
@@ -365,7 +366,7 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
         ) as file:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
-            # This tag says whether samples stand for points or areas.
+            # This tag holds whether samples stand for points or areas.
             kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
             file.update_tags(**{_TAG: cut.tag}, **kept)
         return bytes(memory.getbuffer())

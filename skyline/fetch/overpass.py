@@ -27,9 +27,9 @@ def fetch_peaks(
     retries: int = RETRIES,
     timeout_s: int = TIMEOUT_S,
 ) -> int:
-    """Write the named peaks and volcanoes of a box as GeoJSON; return how many there are.
+    """Write the named peaks and volcanoes of a box as GeoJSON; return their number.
 
-    `skyline.read_peaks` reads it.
+    `skyline.read_peaks` reads the file.
 
     Parameters
     ----------
@@ -40,15 +40,14 @@ def fetch_peaks(
     path : Path
         Written whole or not at all.
     retries : int
-        How often a failed request is repeated.
+        Greatest number of repetitions of a failed request.
     timeout_s : int
         Seconds within which the whole answer must arrive.
 
     Raises
     ------
     InputError
-        Bounds that are not in order, a server that is no http address, or a file that cannot be
-        written.
+        The bounds are not in order, the server is no http address, or the file cannot be written.
     FetchError
         The server fails, is too slow, or its answer is not a list of peaks in the box.
     """

@@ -1,4 +1,4 @@
-"""Requests to servers: repeated where that may help, with an error of one line where it does not.
+"""Requests to servers, repeated where that may help; the error of a failed one is one line.
 
 GeoTIFFs are read through GDAL's HTTP client.
 """
@@ -17,12 +17,12 @@ from skyline.errors import FetchError
 from skyline.terrain.rasters import shown
 
 RETRIES = 4
-"""How often a failed request is repeated by default."""
+"""Default number of repetitions of a failed request."""
 TIMEOUT_S = 30
 """Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
 
 _FIRST_DELAY_S = 1.0
-"""Before the first repetition; twice as long before each further one."""
+"""Delay before the first repetition; it doubles before each further one."""
 _STALLED_BYTES_A_S = 1000
 _PASSING = re.compile(
     r"HTTP response code: (429|5\d\d)|CURL error|[Rr]ead (error|failed)|IReadBlock"
@@ -86,7 +86,7 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
 
     def read() -> _T:
         try:
-            # GTiff alone: other drivers follow references in the file of a stranger.
+            # Only the GTiff driver may read: others follow references in an untrusted file.
             with (
                 _environment(retries, timeout_s),
                 rasterio.open(f"/vsicurl/{url}", driver="GTiff") as file,
@@ -124,7 +124,7 @@ def _environment(retries: int, timeout_s: int) -> Iterator[None]:
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
-    """Return the error for a failure of GDAL, from the messages of it and its causes."""
+    """Return the error for a failure of GDAL, from its message and those of its causes."""
     messages: list[str] = []
     cause: BaseException | None = error
     while cause is not None:

@@ -1,7 +1,7 @@
 """The answer to a query: candidate places, whether the best one is the answer, and if not, why.
 
-All that Skyline says or writes about an answer is here: its sentences, its JSON, its row of
-``match --results``, its GeoDataFrame, and at the end the rules by which an answer is refused.
+This module holds every form in which an answer is given (sentences, JSON, the row of ``match
+--results``, the GeoDataFrame) and, at its end, the rules by which an answer is refused.
 """
 
 import math
@@ -26,17 +26,19 @@ _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
-"""From this share of a skyline on, terrain beyond the elevation model is mentioned."""
+"""Least share of a skyline possibly formed by terrain beyond the elevation model for which the
+answer carries a warning."""
 _FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
-"""A photo's own position that is farther off than both of the first two, and a compass that is
-farther off than the third, disagree with the answer: phones are seldom as wrong."""
+"""The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
+than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
+seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
-"""A field of view within this share of the range searched is at the range's end: fits that are
-held to a bound miss it by rounding."""
+"""A field of view counts as at an end of the range searched if it is nearer to it than this share
+of the range: fits that are held to a bound miss it by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ class MatchResult:
 
     @property
     def confidence(self) -> float | None:
-        """The estimated chance that the answer is right within `within_m`; None without any."""
+        """The estimated probability that the answer is right within `within_m`, if there is one."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     @property
@@ -127,8 +129,8 @@ class MatchResult:
 
         The keys are those of ``exif`` in ``skyline match --json``. ``heading_off_deg`` is how far
         the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None
-        where the photo does not say which north it counts from; ``left_aside`` says which GPS tags
-        cannot be used, and why. None where the photo notes nothing.
+        where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
+        that cannot be used, with the reasons. None where the photo notes nothing.
         """
         noted, best = self.query.noted, self.best
         if noted == NOTHING_NOTED:
@@ -184,8 +186,8 @@ class MatchResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --json`` prints it.
 
-        ``refusal`` is there without an answer, ``exif`` where the photo notes a place or a
-        direction, ``lens`` where it notes a lens and no field of view was given.
+        The key ``refusal`` is present if there is no answer, ``exif`` if the photo notes a place or
+        a direction, ``lens`` if it notes a lens and no field of view was given.
         """
         candidates = [one.to_dict() for one in self.candidates]
         lens, exif = self.query.lens, self.exif
@@ -201,7 +203,7 @@ class MatchResult:
         }
 
     def to_row(self) -> dict[str, Any]:
-        """Return the row of ``skyline match --results``: the best candidate, and if it answers."""
+        """Return a row of ``skyline match --results``: the best candidate and its verdict."""
         best, exif = self.best, self.exif
         row = {} if best is None else best.to_dict()
         return row | {
@@ -276,7 +278,7 @@ class JointResult:
 
     @property
     def agrees(self) -> tuple[bool, ...]:
-        """Whether each query was taken at the best place rather than anywhere else."""
+        """For each query, whether it was taken at the best place rather than at any other."""
         return tuple(bool(one.candidates) for one in self.results)
 
     @property
@@ -291,7 +293,7 @@ class JointResult:
 
     @property
     def answer(self) -> Candidate | None:
-        """The best place, if it is sure enough to be the answer; the camera as of `places`."""
+        """The best place, if it is sure enough to be the answer; the camera as in `places`."""
         return self.places[0] if self.places and not self.refusal else None
 
     @property
@@ -302,7 +304,8 @@ class JointResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --same-place --json`` prints it.
 
-        A place is a candidate without its camera; each photo that agrees has its own at the best.
+        A place is a candidate without its camera; each photo that agrees has its own camera at the
+        best place.
         """
         places = [
             {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}

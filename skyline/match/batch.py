@@ -25,7 +25,7 @@ _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
 
 _Opening = tuple[Hashable, ...]
-"""When the store was written, then the arguments of `Matcher`."""
+"""The time at which the store was written, followed by the arguments of `Matcher`."""
 
 
 def match_many(
@@ -33,8 +33,8 @@ def match_many(
 ) -> Iterator[MatchResult | SkylineError]:
     """Match queries to a store; yields results in the queries' order, each as soon as it is there.
 
-    A query that fails has the error of `Matcher` or `Matcher.match` in its place, and the others
-    are matched.
+    In place of a query's result stands the error of `Matcher` or `Matcher.match` if the query
+    fails; the others are still matched.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ def match_many(
 
 
 def _parts(store: Path) -> list[slice]:
-    """Return parts of a store's blocks of places; one part if it need not be shared."""
+    """Return parts of a store's blocks of places; a single part if it has few or none."""
     try:
         with open_store(store) as opened:
             blocks = -(-len(opened) // PLACES_A_CHUNK) if opened.header.holds == PLACES else 0
     except SkylineError:
-        return [slice(None)]  # Every job will raise it.
+        return [slice(None)]  # Every job will raise the error.
     starts = range(0, max(blocks, 1), _PART_BLOCKS)
     return [slice(start, start + _PART_BLOCKS) for start in starts]
 
@@ -106,13 +106,13 @@ def _read(query: Query) -> QuerySkyline:
     return query.read()
 
 
-_here: dict[_Opening, Matcher] = {}
-"""The matcher that this process has open."""
+_open_matcher: dict[_Opening, Matcher] = {}
+"""The one matcher that this process has open, by its opening."""
 
 
 def _opened(*opening: Hashable) -> Matcher:
-    if opening not in _here:
-        while _here:
-            _here.popitem()[1].release()
-        _here[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
-    return _here[opening]
+    if opening not in _open_matcher:
+        while _open_matcher:
+            _open_matcher.popitem()[1].release()
+        _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
+    return _open_matcher[opening]

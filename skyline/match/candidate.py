@@ -6,7 +6,8 @@ from typing import Any
 
 RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
 """Largest errors of an answer that is right, and of one that is roughly right. Poses farther apart
-are different answers, and not even roughly the same answer."""
+than the first are different answers; farther apart than the second, they are not even roughly the
+same answer."""
 DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 
 COLUMNS = {
@@ -130,7 +131,7 @@ class Candidate:
 
     @property
     def residual_in_words(self) -> str:
-        """How far the two skylines of a fitted pose are apart; empty for other poses."""
+        """The difference of the two skylines of a fitted pose, in words; empty for other poses."""
         if self.residual_deg is None or self.terrain_share is None:
             return ""
         return (

@@ -9,8 +9,8 @@ the reliability diagram):
     P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
 
 The figures describe how well the best pose fits, its margin over all other answers, how unusual its
-camera is, and how much skyline there was to fit: no fit to too little of a skyline is believed. The
-camera's tilt is not a figure, since synthetic queries tilt less than photos do.
+camera is, and how much skyline there was to fit: a fit to too little of a skyline is never trusted.
+The camera's tilt is not a figure, since synthetic queries tilt less than photos do.
 """
 
 import json
@@ -27,8 +27,8 @@ from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Hypotheses, RefinedPoses
 
 _MAX_MARGIN = 60.0
-"""Cap of margins. Caps of up to 1,000 teach no more: strangers have been fitted with margins of
-124."""
+"""Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
+have been fitted with margins of 124."""
 _MIN_MARGIN = 1e-3
 _MOST_VISIBLE_DEG = 90.0
 """Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
@@ -71,10 +71,10 @@ def refined_figures(
 ) -> dict[str, Float64Array]:
     """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
-    The skyline of another region can be bent to fit some place well, but is hardly like that place
-    in retrieval. The margin is 0 where all retrieved poses are one place, so that there is no
-    rival. Where none lies beyond 1 km, as in a narrow search, the margin over nearer rivals counts
-    for both.
+    The skyline of another region can be bent to fit some place well, but seldom resembles that
+    place in retrieval; so the retrieval counts too. The margin is 0 where all retrieved poses are
+    one place, so that there is no rival. Where none lies beyond 1 km, as in a narrow search, the
+    margin over nearer rivals counts for both.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     widest_m = found.distances_m().max(initial=0.0)
@@ -90,8 +90,8 @@ def refined_figures(
 def lone_figures(poses: RefinedPoses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
     """Return the figures (M,) for a model, by name, of poses that were fitted without a search.
 
-    They are those of a search in which nothing else fits: with the greatest margin, after a
-    retrieval like the mean of those that the model was learned from.
+    They are those of a search in which nothing else fits: the margin is the greatest, and the
+    figures of retrieval are the means over the queries that the model was learned from.
     """
     most = np.full(len(poses), _MAX_MARGIN)
     usual = {

@@ -109,8 +109,8 @@ class FullMatcher(Ranker):
     ) -> Sequence[Ranking] | None:
         """See `Ranker.rank_together`; raises as `rank`.
 
-        Each query is first matched by itself: its cost where it fits best tells whether it belongs
-        to the others.
+        Each query is first matched by itself: its cost where it fits best shows whether it was
+        taken at the place of the others.
         """
         if self._scene is None:
             return None
@@ -164,7 +164,8 @@ class FullMatcher(Ranker):
     ) -> RefinedPoses | None:
         """Return retrieved poses refined; None without a scene.
 
-        Most skylines fit one place far better than any other, and a quick refinement shows it.
+        A quick refinement comes first, and is enough where one place fits far better than any
+        other, as with most skylines. Otherwise the poses are refined with more effort.
         """
         if self._scene is None:
             return None
@@ -231,7 +232,7 @@ def _with_one_noted_place(
 ) -> list[tuple[QueryRays, Prior]]:
     """Return queries with the most precise noted place alone.
 
-    A phone errs alike in all its photos, so their positions are not independent.
+    The positions of photos from one phone share their error, so they are not independent.
     """
     noted = [prior.noted for _, prior in queries if prior.noted is not None]
     best = min(noted, key=lambda place: place.sd_m, default=None)

@@ -53,8 +53,8 @@ class Matcher:
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
         be read, a warning is logged and answers stay unrefined.
     matcher : str
-        A name in `skyline.match.matchers.MATCHERS`: ``full``, which is ours and searches places,
-        or one that compares renderings.
+        A name in `skyline.match.matchers.MATCHERS`: ``full``, which searches a store of places, or
+        one of the others, which search a store of renderings.
     config : MatchConfig, optional
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may match, and several at a time. By default the
@@ -175,8 +175,8 @@ class Matcher:
         """Find the one place where several photos were taken.
 
         Photos that look in different directions hold more information together than each alone. A
-        photo that was taken somewhere else is named where it fits nowhere near, and seldom spoils
-        the answer.
+        photo that was taken at another place seldom spoils the answer; the result names it if it
+        fits nowhere near the place of the others.
 
         Parameters
         ----------

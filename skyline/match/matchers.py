@@ -42,9 +42,10 @@ class MatchConfig:
         Whether the full matcher refines the retrieved poses by rendering.
     min_confidence : float
         Least probability, 0 to 1, that the best place is right within 1 km for it to be the answer.
-        It is the answer within 200 m where half of the doubt is left: with the default, at a
-        probability of 0.9. Of answers to queries as hard as those that the confidence was learned
-        from, on other terrain, 93 % are right; of easier queries more.
+        The answer is given within 200 m instead if the probability of an error above 200 m is at
+        most half of what is allowed for 1 km: with the default, if it is right with a probability
+        of 0.9. Of answers to queries as hard as those that the confidence was learned from, on
+        other terrain, 93 % are right; of easier queries more.
     fov_slack : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
     fov_range_deg : (float, float)
@@ -93,11 +94,12 @@ class Ranker(ABC):
     """
 
     narrows: ClassVar[bool] = False
-    """Whether it takes prior knowledge of a pose; others are only called without any."""
+    """True if the matcher uses prior knowledge of a pose; if not, it is called without any."""
     finds_fov: ClassVar[bool] = False
-    """Whether it can match a photo of unknown field of view."""
+    """True if the matcher can match a photo of unknown field of view."""
     searches: ClassVar[str] = RENDERINGS
-    """Kind of store that it searches, `PLACES` or `RENDERINGS` of `skyline.store.format`."""
+    """Kind of store that the matcher searches, `PLACES` or `RENDERINGS` of
+    `skyline.store.format`."""
 
     @classmethod
     @abstractmethod

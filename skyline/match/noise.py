@@ -43,7 +43,7 @@ BEYOND_SHARE = 0.3
 """Prior probability that terrain past the data's edge rises in a column where it may."""
 
 _X_AT_ONE_OVER_E = 2.1461932206205825
-"""Where (1 + x) exp(-x) is 1 / e."""
+"""The x at which (1 + x) exp(-x) is 1 / e."""
 _JITTER = 1e-6
 _UNKNOWN_M = 1e9
 _LEAST = 1e-12

@@ -29,7 +29,7 @@ _WRONG_SHARE = 0.05
 _ANYWHERE_M2 = 1e9
 """A: within 18 km, as in a search without a noted position."""
 _COMPASS_WRONG_SHARE = 0.2
-"""Compasses are disturbed by cars, railings and cases."""
+"""Share of photos whose compass was disturbed, as by a car, a railing or a case."""
 _REACH_SD = 3.0
 _REACH_M = 1000.0
 _LEAST_SD_M = 1e-6
@@ -44,7 +44,8 @@ _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
 """The declination is not modelled, and reaches 20 degrees where people live. A compass that does
 not name its north may refer to the magnetic one."""
 _CONVERGENCE_DEG = 5.0
-"""More than meridians converge within a frame. Screening opens turns that much more widely."""
+"""Bound on the convergence of meridians within a frame; screening searches turns this much farther
+to either side of a given heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +68,7 @@ class PlacePrior:
     elevation_sd_m: float = 30.0
     """Scale of that distribution."""
     weight: float = 1.0
-    """Factor on the log probabilities, for scores of which a unit is worth less than one of log
-    odds."""
+    """Factor on the log probabilities, for scores whose unit is less than a unit of log odds."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.easting_m, self.northing_m]).all() and self.sd_m > 0.0):
@@ -179,7 +179,7 @@ class EyeHeightPrior:
         return self.usual_m + _GREATEST_SD * self.sd_m
 
     def cost(self, height_m: Float64Array) -> Float64Array:
-        """Return the negative log density of heights (M,), but for a constant."""
+        """Return the negative log density of heights (M,), up to a constant."""
         return np.asarray(np.log1p(self._deviations(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
@@ -193,7 +193,7 @@ class EyeHeightPrior:
 
 @dataclass(frozen=True, slots=True)
 class Narrowing:
-    """Knowledge about a photo's pose that narrows the search; None for what is unknown.
+    """Knowledge about a photo's pose that narrows the search; unknown values are None.
 
     Attributes
     ----------

@@ -112,10 +112,10 @@ class Profiles:
     ) -> "Profiles":
         """Join views by location; a location may have views in any of the four headings.
 
-        With the views of a chunk come their keypoint columns (N, K) uint16, padded with 65535
-        (`features.polyline_keypoints`). The views of one location may lie in different chunks. Of
-        two views with the same eye and heading the later one counts. Raises `InputError` where
-        there is no view.
+        Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
+        `skyline.store.keypoints.polyline_keypoints`). The views of one location may lie in
+        different chunks. Of two views with the same eye and heading the later one counts. Raises
+        `InputError` where there is no view.
         """
         eyes, quadrants, keypoints = [], [], []
         count = 0
@@ -154,7 +154,8 @@ def joined_views(
 
     ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
     or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
-    bound and taken as it is: something else may rise above it in the query, as where a tree stands.
+    bound. It is used as it is: farther terrain may rise above it in the query, as a tree may
+    anywhere.
     """
     y, nearest, cosine = _quadrants(views, bins, FLAG_NO_DATA, np.float64)
     distance = views.depth_m[:, nearest].astype(np.float64) / cosine

@@ -27,7 +27,7 @@ _PICTURES = (
 _TOGETHER = (
     ("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"), ("lowest_m", "highest_m"),
 )  # fmt: skip
-"""Columns that a row fills all or none of."""
+"""Groups of columns; a row fills either all columns of a group or none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Query:
         return replace(query, lens=Lens(self.fov_deg, self.fov_slack * self.fov_deg))
 
     def match(self, matcher: Matcher) -> MatchResult:
-        """Match it, with seconds from the file to the candidates; raises as `Matcher.match`."""
+        """Match the query; the result's seconds include reading it; raises as `Matcher.match`."""
         started = time.perf_counter()
         found = matcher.match(self.read(), narrowing=self.narrowing)
         return replace(found, seconds=time.perf_counter() - started, name=self.path)
@@ -107,7 +107,7 @@ def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
 def _rows(path: Path) -> list[dict[str, str]] | None:
     """Return the rows of a list; None for another file, such as a trace."""
     try:
-        # Names in a list are whatever bytes name the files.
+        # File names are bytes, which need not be UTF-8.
         with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             names = [name.strip() for name in reader.fieldnames or ("",)]
@@ -116,7 +116,7 @@ def _rows(path: Path) -> list[dict[str, str]] | None:
             reader.fieldnames = names
             rows = list(reader)
     except (OSError, csv.Error):
-        return None  # Reading it as a trace raises the error.
+        return None  # Reading the file as a trace raises the error.
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(

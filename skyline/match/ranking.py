@@ -31,7 +31,7 @@ class Hypotheses(Rows):
 
     @classmethod
     def of_pose(cls, *pose: float) -> "Hypotheses":
-        """Return one pose, given as the attributes in order but for the score, which is 0."""
+        """Return one pose, given as the attributes in order, without the score, which is 0."""
         return cls(*(np.array([float(value)]) for value in (*pose, 0.0)))
 
     def distances_m(self) -> Float64Array:
@@ -42,7 +42,8 @@ class Hypotheses(Rows):
     def rival_margin(self, farther_than_m: float) -> Float64Array:
         """Return the score (M,) of each pose's best rival minus the pose's own score.
 
-        Rivals are the poses farther away than ``farther_than_m``. Infinite for a pose without any.
+        Rivals are the poses farther away than ``farther_than_m``. Infinite for a pose without
+        rivals.
         """
         is_rival = self.distances_m() > farther_than_m
         rival = np.where(is_rival, self.score, np.inf).min(axis=1, initial=np.inf)

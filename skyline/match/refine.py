@@ -1,8 +1,8 @@
 r"""Refinement: hypotheses move, by repeated rendering, to where the rendering fits the query.
 
 Each round renders all remaining hypotheses in one call. A rendering holds the distance of every
-skyline point, so it also tells how the skyline changes as the eye moves (`skyline.match.solver`),
-and position, heading, pitch, roll and field of view are solved together. A step is kept where the
+skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
+So position, heading, pitch, roll and field of view are solved together. A step is kept where the
 rendering from the new place fits better; otherwise a shorter one is tried from the old place. The
 worst hypotheses are dropped from round to round. Occlusion makes local optima, so the best few then
 start again from places around them.
@@ -66,7 +66,8 @@ _SECTOR_MARGIN_DEG = 3.0
 _GREATEST_LOG_ODDS = 50.0
 
 _STRANGER = 10.0
-"""L: one photo in twenty was taken somewhere else, at one of a thousand places."""
+"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
+about 10."""
 _JOINT_SHARE, _JOINT_LEAST = 0.5, 8
 """Share of places kept from one joint round to the next, and their least number: several queries
 separate right places from wrong ones at once."""
@@ -80,7 +81,7 @@ _LEAST_SHARE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How many hypotheses a refinement follows, and for how long."""
+    """The number of hypotheses that a refinement follows, and of the rounds for which it does."""
 
     shortlist: int
     """Hypotheses taken, the best by their scores."""
@@ -104,12 +105,12 @@ QUICK = Effort(
     shortlist=64, particles=16, rounds=4, keep_share=0.6, keep_least=6,
     restarts=1, finalists=6, final_rounds=3,
 )  # fmt: skip
-"""Enough for the many skylines that fit one place far better than any other."""
+"""Enough for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
     shortlist=400, particles=128, rounds=8, keep_share=0.9, keep_least=48,
     restarts=6, finalists=12, final_rounds=5,
 )  # fmt: skip
-"""For all others."""
+"""For all other skylines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +183,7 @@ class Refinement:
         particles = self.started(self.rough, hypotheses)
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
-            particles = self._moved(self.rough, self._left(particles, kept))
+            particles = self._moved(self.rough, self._survivors(particles, kept))
         particles = Particles.concatenate([particles, self._restarted(particles)])
         particles = self.reweighted(self._finalists(particles))
         for _ in range(effort.final_rounds):
@@ -272,8 +273,8 @@ class Refinement:
         ground_m = np.nan_to_num(ground_m)
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
-    def _left(self, particles: Particles, count: int) -> Particles:
-        """Return the best particles, and the rivals of the very best, best first."""
+    def _survivors(self, particles: Particles, count: int) -> Particles:
+        """Return the particles of the next round: the best, and the very best one's rivals."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
         place = ordered.curves.place_m
@@ -316,7 +317,7 @@ class Refinement:
 
 
 def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
-    """Return covariances (M, 2, 2) about each pose of all poses that are the same answer.
+    """Return covariances (M, 2, 2) about each pose, over all poses that are the same answer as it.
 
     ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
     """
@@ -366,8 +367,8 @@ class JointRefinement:
         -------
         poses : N RefinedPoses
             M poses of each query, at the same places; scores are the costs of the places. Margins
-            and covariances are joint ones, for one query in the mean: queries of one place share
-            the terrain model's errors, so their information is not summed.
+            and covariances are joint ones, with the information of one average query, not the sum:
+            queries of one place share the terrain model's errors.
         agrees : (N, M) bool
             Whether each query was more likely taken at the place than somewhere else.
         """

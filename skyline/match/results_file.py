@@ -65,7 +65,7 @@ class ResultsFile:
     path : Path
         Its suffix is one of `RESULTS`.
     search : str
-        Tells searches apart: a file holds the results of one.
+        Identifies the store and the options: a file holds the results of one search.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class ResultsFile:
     Raises
     ------
     InputError
-        Another suffix, a file that holds other things or results of another search, or a file that
+        The suffix is unknown, the file holds other data or the results of another search, or it
         cannot be written.
     """
 
@@ -113,7 +113,7 @@ class ResultsFile:
 
 
 class _Csv:
-    """Rows of a CSV file; the rest of a row whose writing was killed is cut off."""
+    """Rows of a CSV file; the beginning of a row whose writing was interrupted is cut off."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

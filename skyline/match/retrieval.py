@@ -52,7 +52,8 @@ _FITS_AT_ONCE = 2048
 _PLACES_AT_ONCE = 512
 """Places whose best turns are found together; keeps the arrays in the cache."""
 _LIKELY_DEVIATIONS = 2.5
-"""Fields of view farther from the expected one are not screened, though fits may start there."""
+"""Fields of view more than this many standard deviations from the expected one are not screened,
+though fits may start there."""
 _UNLIKELY = 0.25
 """Penalty of a field of view in screening, over the square of its standard deviations."""
 _SLOPE_REACH_M = 15.0
@@ -81,7 +82,7 @@ _BEYOND = 2.0
 
 @dataclass(frozen=True, slots=True)
 class FitStage:
-    """How closely poses are fitted."""
+    """The precision of one stage of fitting."""
 
     rays: int
     """Number of runs of the query's columns whose means are fitted."""
@@ -171,7 +172,8 @@ class Retriever:
         The result holds the poses of each query at the same places, in the same order. A place lies
         within the narrowings of all queries, and its score is the sum of the queries' scores. A
         query whose score at a place is worse than its median counts with the median, so a query of
-        another place vetoes nothing. Raises `InputError` where the search is narrowed to no place.
+        another place cannot exclude the right one. Raises `InputError` where the search is narrowed
+        to no place.
         """
         priors = [prior for _, prior in queries]
         screens = [self._screen(*one) for one in queries]
@@ -253,7 +255,8 @@ class Retriever:
                 np.degrees(roll),
                 _fov_deg(query, zoom),
                 np.zeros(len(zoom)),
-                # A fit knows more than screening, but trusts that the query is near its place.
+                # The sum of both scores: a fit compares more than screening does, but assumes that
+                # the query is near its place.
                 score.astype(np.float64) - part.score,
             )
 
@@ -368,7 +371,7 @@ class _CurveFit:
     def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
         """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
 
-        A score is the mean over rays of the negative log likelihood, but for a constant.
+        A score is the mean over rays of the negative log likelihood, up to a constant.
         """
         pose = np.zeros((len(heading), 6), dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom

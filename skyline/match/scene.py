@@ -72,7 +72,7 @@ class RenderedScene:
     def render(self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False) -> Views:
         """Render one view an eye, each along its heading (N,), in order.
 
-        Where a thread renders for all, ``urgent`` views go before those that others wait for.
+        Where a thread renders for all, ``urgent`` views are rendered before the views that are not.
         """
         return self._rendered(self._renderers[0], viewpoints, headings, urgent)
 

@@ -52,7 +52,8 @@ ReportProgress = Callable[[str, float], None]
 """Called with the current step of a match, and the share of that step that is done, 0 to 1."""
 
 _TURNS_AT_ONCE = 20
-"""Must divide the bins. More waste products, fewer make small ones."""
+"""Turns scored by one product; must divide the number of bins. With more turns, more of each
+product is wasted; with fewer, the products are too small to be fast."""
 _SAMPLE = 2048
 """Places from which the mean and deviation of a query's scores are estimated."""
 _SLACK = 4

@@ -41,10 +41,11 @@ distortion."""
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error, from which the most likely is chosen."""
 HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
-"""Standard deviations of the terrain model's heights, over the expected one, likewise."""
+"""Standard deviations of the terrain model's heights, as multiples of the expected one, from which
+the most likely is chosen."""
 _WIDEST = len(ANGLES_DEG) - 1, len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-"""Steps of the two indices that are tried."""
+"""Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
 _LOG_HEIGHT_SD = 0.7
 """Standard deviation of the logarithm of the height shares."""
 _PITCH_SD_RAD, _ROLL_SD_RAD = np.radians((6.0, 3.0))
@@ -66,17 +67,18 @@ _UPWARD = 0.25
 """Damping of the eye's height, as a share of that of its place."""
 _NO_STEP_M = 1e-6
 _MOST_DISTORTION = 0.3
-"""A lens that moves the side of its image by more is a fisheye."""
+"""Greatest distortion: a lens with more is a fisheye."""
 _HELD = 1e14
 """Precision that holds an unknown at its bound."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 _AGREEMENT_RAD_SD = np.radians(0.3)
-"""Shifts of the whole curve that are tried, and the deviation within which columns agree."""
+"""Shifts of the whole curve that are tried, and the standard deviation of columns about a shift on
+which they agree."""
 
 
 @dataclass(frozen=True, slots=True)
 class SolverMode:
-    """How closely the errors are modelled, and how many steps one rendering is used for."""
+    """The detail in which errors are modelled, and the number of steps taken from one rendering."""
 
     steps: int
     """Gauss-Newton steps from one rendering."""
@@ -93,8 +95,8 @@ SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
 """For the search: quick, and it converges from farther away."""
 FINE = SolverMode(steps=2, choices=1, nodes=32)
-"""For the last rounds: near and far terrain have the right weights, and costs and covariances mean
-what they say."""
+"""For the last rounds: near and far terrain have the right weights, and costs and covariances have
+their statistical meaning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,7 +439,7 @@ class Solver:
         errors: HeightErrors,
         steps: Sequence[tuple[int, int]],
     ) -> tuple[Fit, Likelihood]:
-        """Return the fit with the deviations that the best of some steps, or none, leads to."""
+        """Return the fit with the likeliest deviations: the current ones, or those after a step."""
         angle, height = fit.angle, fit.height
         best = self._likelihood(fit, linear, errors, (angle, height))
         fit = replace(fit, odds=best.odds)

@@ -1,1 +1,1 @@
-"""The paper's own methods: its matcher (section 3), reprojection error (4.2), strategies (4.3)."""
+"""The methods of the paper: matcher (3), reprojection error (4.2), strategies (4.3)."""

@@ -1,8 +1,9 @@
 """Section 3, matching: the affine map between two skylines.
 
-RANSAC finds the map that most correspondences agree on. It rests on keypoints, whose place along a
-smooth skyline is uncertain by several px; the whole curve then says where it fits best. Without
-that the distance after warping measures RANSAC's luck more than the likeness of the skylines.
+RANSAC finds the map that most correspondences agree on. That map rests on keypoints, whose place
+along a smooth skyline is uncertain by several px, so it is then refined on the whole curve. Without
+this step the distance after warping depends more on RANSAC's random choices than on the likeness of
+the skylines.
 """
 
 import cv2
@@ -30,8 +31,9 @@ _DAMPING = 1e-3
 def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> Float64Array:
     """Return the affine maps that most correspondences agree on, by OpenCV's RANSAC.
 
-    Points of a low skyline lie nearly on a line, which leaves the action of an affine map across
-    it open. Where the affine map is not plausible the similarity is taken that most agree on.
+    Points of a low skyline lie nearly on a line, which leaves an affine map undetermined across
+    that line. Where the affine map is not plausible, the similarity on which most correspondences
+    agree is taken instead.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
     target : (F, P, 2) float64
         The points in each of F sets of correspondences.
     used : (F, P) bool
-        Which correspondences there are; target may be NaN where there is none.
+        True where a correspondence exists; target may be NaN where it does not.
 
     Returns
     -------
@@ -63,7 +65,7 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
 
 
 def plausible(maps: Float64Array) -> BoolArray:
-    """Return which maps (F, 2, 3) neither mirror nor turn nor scale too much; NaN is none."""
+    """Return which maps (F, 2, 3) neither mirror nor turn nor scale too much; False for NaN."""
     linear = np.nan_to_num(maps[..., :2])
     scale = np.linalg.svd(linear, compute_uv=False)
     turn_deg = np.degrees(np.arctan2(linear[..., 1, 0], linear[..., 0, 0]))
@@ -92,7 +94,7 @@ def align_curves(
     affine : (C, 2, 3) float64
         Maps to start from; NaN stays NaN.
     points_px, weight : (R, 2), (R,) float64
-        Points of the curve, x from straight ahead, and how far each is trusted.
+        Points of the curve, x from straight ahead, and the trust in each.
     y_px : (C, B) float32
         The other curves, over a whole turn.
     bin_px : float
@@ -100,7 +102,8 @@ def align_curves(
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)
-    # The first bin again at the end: the bins to either side of a position are then neighbours.
+    # The first bin is repeated at the end, so that the bins on both sides of a position are
+    # neighbours.
     flat_y, flat_slope = (np.hstack([c, c[:, :1]]).ravel() for c in (y_px, slope))
     begin = np.arange(count)[:, np.newaxis] * (bins + 1)
     homogeneous = np.concatenate([points_px, np.ones((len(points_px), 1))], axis=1)

@@ -15,10 +15,10 @@ from skyline.match.query_rays import QueryCurves
 from skyline.store.keypoints import NO_KEYPOINT, local_patches, polyline_vertices
 
 _TOLERANCE_PX = 1.0
-"""Of the query's polyline; the store's keypoints have the same."""
+"""Tolerance of the polyline whose vertices are the query's keypoints; the store's have the same."""
 
 _MAX_KEYPOINTS = 64
-"""Of a query, at most."""
+"""Greatest number of keypoints of a query."""
 
 _HALF_PX, _STEP_PX = 40.0, 4.0
 """Reach of a local skyline to either side of its keypoint, and distance of its samples."""
@@ -27,7 +27,7 @@ MIN_OVERLAP = 0.8
 """Least share of the query's weight that must land on known profile."""
 
 _PAIRS = 4096
-"""Pairs at a time; keeps the arrays of one step in the cache."""
+"""Pairs of patches compared at a time; keeps the arrays of one step in the cache."""
 
 _FAR_PX = np.float32(1e6)
 
@@ -53,7 +53,7 @@ class QueryCurve:
     point_bins: IntArray
     """(R,) intp. Bin B / 2 is straight ahead."""
     bins: IntArray
-    """(Q,) intp. Of the keypoints."""
+    """(Q,) intp. Bins of the keypoints."""
     local_bins: IntArray
     """(3,) intp. Points of a local skyline, relative to its keypoint."""
     local_px: Float64Array
@@ -103,7 +103,7 @@ class StoredCurves:
     y_px: Float32Array
     """(C, B) float32. NaN where unknown."""
     bins: IntArray
-    """(C, K) intp. Of the keypoints; 0 where padded."""
+    """(C, K) intp. Bins of the keypoints; 0 where padded."""
     patches: Float32Array
     """(C, K, S) float32. Local skylines relative to their keypoints; NaN where unknown and where
     padded."""
@@ -159,7 +159,7 @@ def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array
 
 
 def _chamfer_block(a: Float32Array, b: Float32Array, step_px: np.float32) -> Float32Array:
-    """As `chamfer_px` on (S, M) arrays, samples first so that each step runs along pairs."""
+    """Return `chamfer_px` of (S, M) arrays; samples come first, so each step runs along pairs."""
     known = np.isfinite(a) & np.isfinite(b)
     # Unknown points are put so far off, on opposite sides, that none is the nearest of any point.
     a, b = np.where(known, a, _FAR_PX), np.where(known, b, -_FAR_PX)
@@ -183,7 +183,7 @@ def nearest_patches(
     mean_squared: Float32Array,
     step_px: float,
 ) -> tuple[IntArray, Float32Array]:
-    """Return the stored patch of each location nearest to each query patch, and how near.
+    """Return the stored patch of each location nearest to each query patch, and its distance.
 
     The Chamfer distance is computed for the few stored patches that come nearest by mean squared
     vertical difference. Curves that are near by Chamfer distance are near vertically unless they
@@ -196,14 +196,14 @@ def nearest_patches(
     stored : (C, K, S) float32
         The patches of C locations.
     mean_squared : (C, Q, K) float32
-        Of `mean_squared_px2`; infinite for pairs not to be compared.
+        Result of `mean_squared_px2`; infinite for pairs that are not compared.
     step_px : float
         Distance between neighbouring samples.
 
     Returns
     -------
     index : (C, Q) intp
-        Into the K patches of the location.
+        Index into the K patches of the location.
     distance_px : (C, Q) float32
         Infinite where nothing could be compared.
     """
@@ -223,7 +223,7 @@ def nearest_patches(
 def mean_squared_px2(query: Float32Array, stored: Float32Array, min_known: int) -> Float32Array:
     """Return mean squared vertical differences (C, Q, K) of query patches with stored ones, px2.
 
-    They are taken over common offsets, and infinite where there are too few.
+    The mean is over common offsets, and infinite where there are too few of them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sections 4 and 5.1: candidate locations, and how far tolerance areas cover them.
+"""Sections 4 and 5.1: candidate locations, and the tolerance areas that cover them.
 
 A planning problem is one heading. Candidates lie on a grid of rows (north to south) and columns
 (west to east); a candidate's index is ``row * cols + col``. The tolerance area of a view is a
@@ -29,7 +29,7 @@ class Candidates:
     northing_m: Float64Array
     """(rows,) float64. Descending."""
     reach: int
-    """How far a tolerance area may extend, in candidates; at least 1."""
+    """Greatest extent of a tolerance area from its view, in candidates; at least 1."""
 
     def __post_init__(self) -> None:
         if not self.valid.any():
@@ -80,7 +80,7 @@ class Coverage:
     uncovered : (rows, cols) bool
         Valid candidates in no tolerance area.
     counts : (rows, cols) int32
-        In how many tolerance areas each candidate is.
+        Number of tolerance areas that hold each candidate.
     """
 
     def __init__(self, candidates: Candidates) -> None:

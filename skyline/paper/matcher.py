@@ -36,13 +36,13 @@ from skyline.paper.chamfer import (
 from skyline.paper.shortlist import Shortlist
 
 _CHUNK = 64
-"""Locations at a time."""
+"""Locations compared at a time."""
 
 _POSES = 100
 """Pairs of a location and an assumed attitude on the shortlist."""
 
 _DIRECTIONS = 3
-"""Tried at a location: those that most correspondences agree on."""
+"""Directions tried at a location: those on which most correspondences agree."""
 
 _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
@@ -117,7 +117,7 @@ def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
         directions.append(_agreeing_shifts(raw_shift, left, stored.y_px.shape[1]))
         left = left & ~directions[-1][1]
     shift, agreeing = (np.concatenate(parts) for parts in zip(*directions, strict=True))
-    # All directions are fitted together; that takes the skylines alone of what is stored.
+    # All directions are fitted together; this step needs only the skylines.
     repeated = replace(stored, y_px=np.tile(stored.y_px, (_DIRECTIONS, 1)))
     fits = _fits_in_direction(repeated, query, shift, agreeing).split(_DIRECTIONS)
     return reduce(Fits.best_with, fits)
@@ -144,10 +144,10 @@ def _fits_in_direction(
 def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
     """Unwrap the shifts of correspondences and mark those that could share a plausible map.
 
-    Azimuth is circular, an affine map is not. And a location is seen all the way round, the
-    paper's reference in one direction: so the direction is agreed on first, as the shift that
-    most others come within `_VOTE_TURNS` of. Those further off than `_REACH_TURNS`, more than a
-    plausible map stretches a 60 degree view, could only be outliers and are left out.
+    Azimuth is circular and an affine map is not; and a location is seen all the way round, but the
+    paper's reference in one direction. So the direction is found first: the shift with most others
+    within `_VOTE_TURNS`. Shifts farther from it than `_REACH_TURNS`, more than a plausible map
+    stretches a 60 degree view, can only be outliers and are left out.
 
     Shifts (C, Q) are stored minus query bin of each correspondence; ``known`` (C, Q) marks the
     correspondences that exist. Shifts are returned within half a turn of the agreed one.
@@ -203,7 +203,7 @@ def _distance_after_warp_px(
 def _pose(
     affine: Float64Array, score: Float64Array, query: QueryCurve, stored: StoredCurves
 ) -> Fits:
-    """Read the pose off the maps: where they put the optical axis, and how they turn it.
+    """Return the poses that follow from the maps: where these put the optical axis and turn it.
 
     The axis' vertical is followed at the skyline's mean height, not at the axis itself: the
     points the map was made from lie there, and its shear is too poorly known to leave them.

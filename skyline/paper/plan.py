@@ -1,8 +1,8 @@
 """Sections 4 and 4.3 on real terrain: a strategy chooses viewpoints, which are rendered and stored.
 
 A coarse grid is rendered first. Each heading and each square of the coarse grid is then a planning
-problem of its own. All run in step, so that what they ask for in a round is rendered as one batch.
-All random choices follow from the seed.
+problem of its own. All run in step, so that all views requested in a round are rendered as one
+batch. All random choices follow from the seed.
 """
 
 import logging
@@ -41,7 +41,7 @@ from skyline.terrain.viewpoints import Viewpoints, stand_on
 _log = logging.getLogger(__name__)
 
 _REACH_M = 300.0
-"""How far a tolerance area may extend from its view."""
+"""Greatest extent of a tolerance area from its view."""
 
 _MOST_CANDIDATES = 20_000_000
 
@@ -62,9 +62,9 @@ class PlanConfig:
     strategy: str = "lpov"
     """A name of `skyline.paper.strategies.STRATEGIES`."""
     coarse_m: float = 1000.0
-    """Between viewpoints of the coarse grid; a whole multiple of ``candidate_m``."""
+    """Distance between viewpoints of the coarse grid; a whole multiple of ``candidate_m``."""
     candidate_m: float = 50.0
-    """Between candidates; at most 300."""
+    """Distance between candidates; at most 300."""
     threshold_px: float = 3.0
     """A location is covered where the reprojection error of some view is at most this."""
     coverage: float = 0.98
@@ -113,7 +113,7 @@ class Plan:
     config: PlanConfig
     candidates: Candidates
     coverages: tuple[Coverage, ...]
-    """One a heading: its viewpoints and their tolerance areas."""
+    """One for each heading: its viewpoints and their tolerance areas."""
     views: Views
     """All renderings, in the order they were made."""
     batches: int
@@ -147,8 +147,8 @@ def build_planned(
 ) -> tuple[BuildResult, Plan, Verification] | None:
     """Let a strategy choose viewpoints until the area is covered, and store their renderings.
 
-    The store is written at the end of the plan. Returns the build, the plan, and how much of its
-    coverage renderings confirm; None where the store is there already, with the same settings.
+    The store is written at the end of the plan. Returns the build, the plan, and the share of its
+    coverage that renderings confirm; None if the store already exists with the same settings.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def build_planned(
     Raises
     ------
     InputError
-        An area that cannot be planned.
+        The area cannot be planned.
     StoreMismatchError
         The store at ``path`` was built from another DEM or with other settings.
     """
@@ -240,7 +240,7 @@ def plan(
 
 
 class _Heading:
-    """The views rendered along one heading: what they cover, and their skyline points."""
+    """The views rendered along one heading: their coverage and their skyline points."""
 
     def __init__(
         self, field: HeightField, config: PlanConfig, candidates: Candidates, heading: int
@@ -298,7 +298,7 @@ _Running = tuple[_Heading, Iterator[Int64Array]]
 def _started(
     one: _Heading, squares: Int64Array, config: PlanConfig
 ) -> Iterator[Iterator[Int64Array]]:
-    """Yield the strategy of each square of a heading, about to begin."""
+    """Yield a strategy for each square of a heading, which has not begun."""
     valid = one.coverage.candidates.valid
     for number, square in enumerate(np.unique(squares[valid])):
         region = valid & (squares == square)
@@ -357,7 +357,7 @@ def lay_out(
 
 
 def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
-    """Return where the surface goes on for a sample to every side."""
+    """Return the places around which the surface is known for a sample to every side."""
     ground = field.height_at(easting_m=easting, northing_m=northing)
     for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ground = ground + field.height_at(

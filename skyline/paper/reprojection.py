@@ -1,7 +1,7 @@
 """Section 4.2, Equations 1 to 4: reprojection errors, and the tolerance areas they bound.
 
-The skyline points X of a view are moved to another eye (Equation 1) and projected there. A warp of
-the skyline as the view has it is compared with these images; the paper's warp is Equation 4.
+The skyline points X of a view are moved to another eye (Equation 1) and projected there. These
+images are compared with a warp of the view's own skyline; the paper's warp is Equation 4.
 
 Axes are the view's own: right, up, forward, metres. A displacement t leads to the other eye,
 and up holds the change of the ground's height; the paper's T is -t. Images are on a plane at unit
@@ -36,7 +36,7 @@ _AT_ONCE = 1 << 18
 """Points projected together, to stay in the processor's cache."""
 
 _COLUMNS = 80
-"""Points of a view, evenly spread. On Davos, 80 decide as 640 do."""
+"""Points of a view, evenly spread. On the terrain of Davos, 80 give the same decisions as 640."""
 
 _FEWEST_POINTS = 3
 """A view with fewer points in the other frame predicts nothing there."""
@@ -73,7 +73,8 @@ def displacements_m(
         ],
         axis=-1,
     )
-    # Quarter turns hold zeros, and 0 * NaN is NaN: an unknown height must spoil `up` alone.
+    # Heights do not go through the product: 0 * NaN is NaN, and an unknown one must affect `up`
+    # alone.
     turned = np.einsum("nij,ncj->nci", _ROTATIONS[heading][:, ::2, ::2], east_up_north[..., ::2])
     return np.stack([turned[..., 0], east_up_north[..., 1], turned[..., 1]], axis=-1)
 
@@ -138,7 +139,7 @@ def non_affine(points_m: Float64Array, displacements_m: Float64Array) -> Float64
 
 
 def affine_mean(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return Equation 4 at the mean depth of the points: the planners' warp."""
+    """Return Equation 4 at the mean depth of the points: the warp of the planners."""
     depth = np.ma.masked_invalid(points_m[..., 2]).mean(axis=1)
     return equation_4(np.ma.filled(depth, np.nan), displacements_m)
 
@@ -150,7 +151,7 @@ def affine_median(points_m: Float64Array, displacements_m: Float64Array) -> Floa
 
 
 def affine_least_squares(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return the warps that take points nearest to their images; ours, compared with Equation 4.
+    """Return the warps that take points nearest to their images, to compare with Equation 4.
 
     Where the points lie on a line, or are fewer than three, many warps are equally near; the
     result is the one nearest to the identity.

@@ -1,4 +1,4 @@
-r"""The shortlist of the paper's matcher, which is ours: likely locations and assumed attitudes.
+r"""The shortlist of likely locations and attitudes, which Skyline adds to the paper's matcher.
 
 Two cheap steps look at every location at every attitude:
 
@@ -30,10 +30,10 @@ _AT_ONCE = 32
 """Locations whose patches are compared together; keeps a product in the cache."""
 
 _SAMPLES = 2
-"""Every such sample of a patch is compared."""
+"""Step between the samples of a patch that are compared."""
 
 _FAR = np.float32(1e12)
-"""px squared; what pads the patches of a location is farther than any patch."""
+"""px squared; padding of a location's patches gets this distance, so that any patch is nearer."""
 
 _VOTE_TURNS = 1.0 / 64.0
 """Width of a direction's window, which advances by half of it."""
@@ -42,14 +42,14 @@ _RUN = 4
 """Bins that are averaged to one for the distance; profiles have a multiple of 8."""
 
 _REACH = 4
-"""Thinned bins that a direction is off by at most, either way."""
+"""Greatest error of a direction, in thinned bins to either side."""
 
 _STEPS = 2 * _REACH + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Patches:
-    """The K patches each of C locations, S samples a patch, as a right-hand side."""
+    """The patches of C locations, K each with S samples, as the right-hand side of a product."""
 
     rows: IntArray  # (C,)
     bins: IntArray  # (C, K)
@@ -107,9 +107,9 @@ class Shortlist:
     def _shifts(self, queries: list[QueryCurve], used: list[BoolArray]) -> list[IntArray]:
         """Return stored minus query bin (L, Q) of the used keypoints' correspondences.
 
-        Keypoints of all attitudes are compared in one product. Stored patches that take part are
-        known everywhere, so sums over a query patch's known samples can be compared as they are,
-        less its own squares, which are the same for all.
+        The keypoints of all attitudes are compared in one product. Stored patches that take part
+        are known everywhere, so sums over a query patch's known samples can be compared as they
+        are, less its own squares, which are the same for all.
         """
         patches = np.concatenate(
             [query.patches[rows, ::_SAMPLES] for query, rows in zip(queries, used, strict=True)]
@@ -150,7 +150,7 @@ class Shortlist:
 
 
 def _thinned(query: QueryCurve) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return a query's skyline on N thinned bins, as products with stored windows are made of it.
+    """Return a query's skyline on N thinned bins, prepared for products with stored windows.
 
     These are the weights w (N,), w q and w times each of F basis curves (N, 1 + F), and the
     latter's products with q itself (1 + F,).
@@ -185,13 +185,13 @@ def _slid(values: Float64Array) -> Float32Array:
 
 
 def _around(y: Float32Array) -> Float32Array:
-    """Return curves (L, B) thinned, and so often round that no window comes to their end."""
+    """Return curves (L, B) thinned and repeated, so that no window comes to their end."""
     thin = y.reshape(len(y), -1, _RUN).mean(axis=2)
     return np.concatenate([thin, thin, thin[:, : 2 * _REACH]], axis=1)
 
 
 def _bridged(y: Float32Array, known: BoolArray) -> Float32Array:
-    """Return curves (L, B) with straight lines over what is unknown; 0 where all is."""
+    """Return curves (L, B) with straight lines over unknown bins; 0 where all are unknown."""
     bins = np.arange(y.shape[1])
     filled = np.zeros_like(y)
     for row in np.flatnonzero(known.any(axis=1)):
@@ -203,7 +203,7 @@ def _bridged(y: Float32Array, known: BoolArray) -> Float32Array:
 def most_voted(shift: IntArray, bins: int) -> IntArray:
     """Return the turns (L,) in bins that most of the shifts (L, Q) agree on.
 
-    That is the mean of the shifts in the fullest window, of equals the first from north on.
+    The turn is the mean of the shifts in the fullest window; of equal windows the first counts.
     """
     halves = round(2.0 / _VOTE_TURNS)
     width = bins / halves

@@ -15,18 +15,18 @@ _RANKED = 64
 """Candidates that LPOV ranks for each viewpoint it selects, at most."""
 
 _INTERPOLATED_FROM = 4
-"""Rendered views, the nearest, that an area is interpolated from."""
+"""Number of nearest rendered views from which an area is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """A region of one heading to cover. A strategy sees no terrain and no views beside it."""
+    """A region of one heading to cover. A strategy knows nothing else of terrain and views."""
 
     coverage: Coverage
     """Holds the views rendered so far whenever a strategy is resumed; strategies of one heading
     share it."""
     region: BoolArray
-    """(rows, cols) bool. The candidates to cover, and to choose from."""
+    """(rows, cols) bool. The candidates to cover, from which viewpoints are chosen."""
     target: float
     """Share of the region's valid candidates to cover, in (0, 1]."""
     projected_areas: Callable[[Int64Array], BoolArray]
@@ -35,7 +35,7 @@ class Problem:
 
     @property
     def is_covered(self) -> bool:
-        """Whether the region is covered to the target."""
+        """True if the region is covered to the target."""
         return self.coverage.fraction(self.region) >= self.target
 
     def open_candidates(self) -> Int64Array:
@@ -51,7 +51,8 @@ def rov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
     """Random Optimistic Viewpoint.
 
     Draws candidates from the uncovered area, computes their tolerance areas by projecting known
-    skyline points, and selects the candidate whose area overlaps most with the uncovered area.
+    skyline points, and selects the candidate whose area has the largest overlap with the uncovered
+    area.
     """
     while not problem.is_covered:
         drawn = draw(generator, problem.open_candidates(), _DRAWN)
@@ -88,7 +89,7 @@ def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
     allowed = int(len(lattice) * (1.0 - problem.target)) if spacing > 1 else 0
     left = lattice[coverage.uncovered.ravel()[lattice]]
     areas = interpolated_areas(coverage, left)
-    # Gains only fall: one that was found earlier is a bound, looked at again when it is highest.
+    # Gains only fall, so an earlier gain is an upper bound; it is computed anew when it is highest.
     bound = coverage.gains(left, areas)
     while not problem.is_covered:
         uncovered = coverage.uncovered.ravel()[left]
@@ -128,8 +129,8 @@ def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
 def minor_axes(areas: BoolArray) -> Float64Array:
     """Return the minor semi-axes (N, 2) (rows, columns) of the ellipses with areas' moments.
 
-    Moments are taken about the viewpoint, since that is what the ellipse is centred on. A filled
-    ellipse has the variance b^2 / 4 along its semi-axis b; a cell adds its own 1 / 12.
+    Moments are taken about the viewpoint, the ellipse's centre. A filled ellipse has the variance
+    b^2 / 4 along its semi-axis b; a cell adds its own 1 / 12.
     """
     reach = areas.shape[1] // 2
     step = np.arange(-reach, reach + 1, dtype=np.float64)
@@ -149,9 +150,9 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Arra
     those uncovered as AROV does. Where none is uncovered, candidates are drawn as in AROV.
 
     The viewpoint's distances from the two ends are in proportion to the linear sizes (square
-    roots of the areas) of their tolerance areas. The paper words the weights as proportional to
-    an end's size; taken as weights of the ends themselves they would draw viewpoints towards the
-    large areas, against what the paper says they achieve: few viewpoints where areas are large.
+    roots of the areas) of their tolerance areas. The paper calls the weights proportional to an
+    end's size. As weights of the ends themselves they would draw viewpoints towards large areas,
+    contrary to the effect that the paper describes: few viewpoints where areas are large.
     """
     yield from _preselected(problem, generator, _locate, _RANKED)
 
@@ -175,7 +176,7 @@ def _preselected(
 ) -> Iterator[Int64Array]:
     """Select among the candidates that ``mark`` sets for the rendered viewpoints.
 
-    Of more than ``ranked``, so many are drawn.
+    If there are more than ``ranked``, that number of them is drawn at random.
     """
     coverage = problem.coverage
     marked = np.zeros(problem.coverage.candidates.shape, dtype=bool)
@@ -194,8 +195,8 @@ def _preselected(
 def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
     """Return areas (N, K, K) of candidates (N), interpolated from the nearest rendered views.
 
-    The weight of a view falls with its distance; a location is inside where at least half of the
-    weight lies in views that hold it. Before anything is rendered an area is the candidate itself.
+    The weight of a view falls with its distance; a location is inside where views with at least
+    half of the weight hold it. Before anything is rendered an area is the candidate itself.
     """
     grid = coverage.candidates
     share = np.zeros((len(candidates), grid.window, grid.window), dtype=np.float32)

@@ -1,7 +1,7 @@
-"""Proof by rendering: whether the locations that a plan covers are covered.
+"""Verification by rendering that the locations of a plan are covered as it predicts.
 
 A stored skyline is compared with the one rendered at another eye, after the best affine warp. The
-paper's matcher allows for such a warp, and this is what reprojection errors predict.
+paper's matcher allows for such a warp, and reprojection errors predict the distance after it.
 """
 
 from dataclasses import dataclass
@@ -40,27 +40,28 @@ _MIN_SHARE = 0.5
 """Least share of the columns that must land on known columns of the other curve."""
 
 _OUTLIER_PX = 3.0
-"""A column farther off than this counts by its distance, a nearer one by its square."""
+"""Huber's threshold: a column farther off counts by its distance, a nearer one by its square."""
 
 _DAMPING = 1e-3
 _RIDGE = 1e-9
 
 _STEEPEST = 0.3
-"""Least stretch of the abscissa that the slope of a warped curve is trusted for."""
+"""Least stretch of the abscissa at which the slope of a warped curve is used."""
 
 _COLUMNS = (20, 40, 80, 160, 320)
-"""Columns of the coarser curves a warp is found on first: a rough skyline has many valleys."""
+"""Columns of the coarser curves on which a warp is found first: on a rough skyline the cost has
+many local minima."""
 
 _AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Shares of a sample of covered locations of which a rendering confirms the coverage."""
+    """The share of a plan's coverage that renderings of a sample of locations confirm."""
 
     share: float
-    """Share of the sample whose rendering is within the threshold of some stored view, after the
-    best affine warp."""
+    """Share of the sample in which the rendering comes within the threshold of some stored view,
+    after the best affine warp."""
     low: float
     high: float
     """``low``, ``high``: 95 % interval of the share (Wilson)."""
@@ -77,7 +78,7 @@ class Verification:
 def verify_coverage(plan: "Plan", render: "Render", sample: int = 400) -> Verification:
     """Render a random sample of covered locations and compare them with the views that cover them.
 
-    A location that was rendered itself counts as any other. Of the views whose tolerance areas
+    Locations that were rendered themselves may be in the sample. Of the views whose tolerance areas
     hold a location, the nearest four are compared.
     """
     covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
@@ -108,7 +109,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def _covering(coverage: Coverage, location: int) -> Int64Array:
-    """Return the rows of the views whose areas hold a location, nearest first, the first few."""
+    """Return the rows of the views whose areas hold a location, nearest first, at most four."""
     grid, reach = coverage.candidates, coverage.candidates.reach
     row, col = grid.row_col(coverage.viewpoints)
     down, across = location // grid.shape[1] - row, location % grid.shape[1] - col
@@ -177,7 +178,8 @@ def _starts(stored: Views, rendered: Views) -> Float64Array:
 def block_means(rows: FloatArray, blocks: int) -> Float32Array:
     """Return means (..., min(blocks, W)) over runs of the columns of rows (..., W).
 
-    Runs are as equal as can be. NaN is unknown: left out, and the mean where all of a run is.
+    Runs are as equal as can be. NaN is unknown: left out of the mean; the mean of a run without any
+    number is NaN.
     """
     width = rows.shape[-1]
     if width <= blocks:
@@ -192,7 +194,7 @@ def block_means(rows: FloatArray, blocks: int) -> Float32Array:
 def fitted_warps(
     curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int, rounds: int = 6
 ) -> tuple[Float64Array, Float64Array]:
-    """Warp curves onto others as well as an affine map within bounds can.
+    """Fit affine maps within bounds that warp curves onto others.
 
     Parameters
     ----------
@@ -226,7 +228,7 @@ def fitted_warps(
 
 @dataclass(slots=True, eq=False)
 class _State(Rows):
-    """B warps and how the curves miss each other under them; arrays of columns are (B, Q)."""
+    """B warps and the misses of the curves under them; arrays of columns are (B, Q)."""
 
     affine: Float64Array
     error: Float64Array
@@ -236,7 +238,7 @@ class _State(Rows):
 
 
 class _Pair:
-    """B curves and what each is warped onto."""
+    """B curves and the curves onto which they are warped."""
 
     def __init__(self, curves: FloatArray, targets: FloatArray, pixel: float) -> None:
         self.columns = curves.shape[1]

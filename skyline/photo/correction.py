@@ -30,7 +30,7 @@ from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 _PAINTED_CONFIDENCE = 0.6
 """Least confidence of a column under a brush stroke: a person has looked at it."""
 _HULL_PX = 64
-"""Photo columns on each side of changed columns that are found again with them."""
+"""Columns of the photo on each side of changed columns whose skyline is found anew with theirs."""
 
 
 class StrokeKind(StrEnum):
@@ -185,7 +185,7 @@ def _columns(stroke: Stroke, width: int) -> IntArray:
 
 
 def _along(stroke: Stroke, columns: IntArray) -> Float64Array:
-    """Return a line's rows at columns; where it runs back over itself, the later row counts."""
+    """Return a line's rows at columns; where the line turns back, the later row counts."""
     rows: dict[int, float] = {}
     before = stroke.points_px[0]
     for here in stroke.points_px:

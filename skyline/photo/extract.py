@@ -54,17 +54,17 @@ _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
 
 STEPS = (8, 0.1, 3.0)
-"""Arguments of `shortest_path` at working size."""
+"""Arguments ``reach``, ``price_per_row`` and ``jump_price`` of `shortest_path` at working size."""
 FORBIDDEN = 1e3
 """Cost of a pixel that the skyline must not cross."""
 
 _REFINE_STEPS = (2, 0.05, 1.0)
-"""Arguments of `shortest_path` along the edge in the full photo."""
+"""The same arguments along the edge in the full photo."""
 _REFINE_REACH = 1.5
 """Largest error of a working path, in working pixels; at least three photo pixels are searched."""
 
 _NETWORK_PIXELS = 110_000
-"""Size of the network's input, that of its training."""
+"""Size of the network's input in training, and so here."""
 _MULTIPLE_PX = 32
 """The sides of the network's input are multiples of this."""
 _WORK_PIXELS = 400_000
@@ -80,7 +80,8 @@ _ODDS_WEIGHT = 0.25
 _EDGE_REACH_SHARE = 0.02
 """Neighbourhood up and down, as a share of all rows, whose sharpest edge counts fully."""
 _FULL_SHARE = 0.5
-"""Edges of this share of that sharpness count fully too: rock before sky must not lose to snow."""
+"""An edge with at least this share of the sharpest edge's strength counts fully too: rock against
+sky must not lose to snow against rock."""
 _EDGE_FLOOR = 3.0
 """L*a*b* difference, typical of JPEG and noise, that halves an edge."""
 _SAME_SHARE = 0.01
@@ -116,7 +117,7 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """The rectangle of an image that is photo: half-open ranges of rows and columns."""
+    """The part of an image inside its borders: half-open ranges of rows and columns."""
 
     top: int
     bottom: int
@@ -181,7 +182,8 @@ class Extraction:
     """(w,) intp. The cheapest path at working size."""
     row_px: Float64Array
     confidence: Float64Array
-    """``row_px``, ``confidence``: (W,) float64. Of all columns of the photo, trusted or not."""
+    """``row_px``, ``confidence``: (W,) float64. Row and confidence of every column of the photo,
+    trusted or not."""
 
     @classmethod
     def of(cls, image: UInt8Array) -> Self:
@@ -325,7 +327,7 @@ def _bar_length(image: UInt8Array) -> int:
 
 
 def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
-    """Whether a row (N, 3) differs from a bar's colour nearly everywhere.
+    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
 
     Borders of that colour at the row's ends are ignored, as long as most of the row remains.
     """

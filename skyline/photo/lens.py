@@ -41,7 +41,8 @@ _SWEPT_HEIGHT, _SWEPT_SD = 0.83, 0.12
 """Share of the camera's height that a swept panorama keeps, between 0.7 and nearly all, and the
 relative deviation of its width."""
 _KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
-"""Of a crop's greatest possible field of view: evenly between half and all of it."""
+"""Mean, deviation and greatest value of a crop's field of view, as a share of the greatest
+possible: it is taken to lie evenly between half and all of that."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 """Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
 
@@ -53,13 +54,14 @@ class Lens:
     Attributes
     ----------
     fov_deg : float or None
-        The likeliest, degrees; None if nothing is known.
+        The likeliest horizontal field of view; None if nothing is known.
     sd_deg : float or None
-        Its deviation; None if it is as good as a value that a person gives.
+        Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
     most_deg : float or None
-        The greatest possible, if the photo was cropped.
+        The greatest possible field of view, if the photo was cropped.
     said : str
-        The reason in words; empty if the file notes no lens.
+        The source of the values in words, or the reason that there are none; empty if the file
+        notes no lens.
     """
 
     fov_deg: float | None = None
@@ -208,7 +210,7 @@ def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Foc
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Whether a focal length, in diagonals of its frame, is possible for a lens and a sensor."""
+    """Return whether a focal length, in diagonals of its frame, is possible for lens and sensor."""
     if 2.0 * degrees(atan(0.5 / diagonals)) > _MAX_FOV_DEG:
         return False
     return focal_mm is None or _SENSOR_MM[0] <= focal_mm / diagonals <= _SENSOR_MM[1]
@@ -230,8 +232,9 @@ def _sensor_diagonal_mm(tags: Mapping[int, object], frame: tuple[float, float]) 
 def _frame(tags: Mapping[int, object], size_px: tuple[int, int]) -> tuple[float, float]:
     """Return the frame size that the camera noted; resizing keeps its shape, cropping does not.
 
-    Cameras note upright photos either upright or lying. The better fit to the file is taken, and if
-    neither fits, the one of which the file shows the wider part.
+    For a photo taken upright, some cameras note the frame upright and some lying. Of the two the
+    better fit to the file is taken; if neither fits, the frame of which the file shows the wider
+    part.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))
@@ -256,17 +259,17 @@ def _kept(size_px: tuple[int, int], frame: tuple[float, float]) -> tuple[float, 
 def _is_whole(
     size_px: tuple[int, int], frame: tuple[float, float], tolerance: float = _ASPECT_TOLERANCE
 ) -> bool:
-    """Whether a file has the shape of a frame."""
+    """Return whether a file has the shape of a frame."""
     return abs(size_px[0] / size_px[1] / (frame[0] / frame[1]) - 1.0) <= tolerance
 
 
 def _is_unscaled(size_px: tuple[int, int], frame: tuple[float, float]) -> bool:
-    """Whether a file has all columns or all rows of the frame, and at most its rows or columns."""
+    """Return whether a file has all columns or all rows of the frame, and is nowhere larger."""
     return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0
 
 
 def number(value: object) -> float | None:
-    """Return a tag's finite number, else None: a rational may be 0/0."""
+    """Return a tag's number; None if it is not finite, as the rational 0/0, or no number."""
     try:
         as_float = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):

@@ -15,12 +15,12 @@ _MET = 1e-9
 
 
 class Projection(StrEnum):
-    """The quantity of which equal steps in a photo are equal steps.
+    """Projections, each with the quantities that grow in equal steps across and up a photo.
 
     Attributes
     ----------
     PERSPECTIVE
-        Tangents, both ways: a lens.
+        Tangents of the angle, across and upwards: a photo through a lens.
     CYLINDRICAL
         Azimuth across, tangent of elevation upwards: swept and most stitched panoramas.
     EQUIRECTANGULAR
@@ -33,7 +33,7 @@ class Projection(StrEnum):
 
     @property
     def is_panorama(self) -> bool:
-        """Whether the photo was swept or stitched, not taken through one lens."""
+        """True if the photo was swept or stitched, rather than taken in one exposure."""
         return self is not Projection.PERSPECTIVE
 
     def check_fov_deg(self, fov_deg: float) -> float:
@@ -95,7 +95,7 @@ class Projection(StrEnum):
 def undistorted(
     across: Float64Array, above: Float64Array, distortion: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the places in a photo that a lens without distortion would give for places in one.
+    """Return the places at which a lens without distortion would show what this lens shows.
 
     The distortion k multiplies the distance r from the middle, in halves of the width, by
     1 + k r^2; it is positive for barrel distortion.

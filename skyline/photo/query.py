@@ -74,7 +74,7 @@ class QuerySkyline:
 
     @property
     def trusted(self) -> BoolArray:
-        """Whether each column has a skyline, shape (W,)."""
+        """(W,) bool: True for columns with a skyline."""
         return np.isfinite(self.row_px)
 
     def with_fov(self, fov_deg: float) -> "QuerySkyline":

@@ -172,7 +172,7 @@ def read_photo(
     check_fov(fov_deg, projection)
     with opened_image(Path(path)) as image:
         photo = _photo(Path(path), image)
-    # Notes on a lens say nothing about a panorama, and the other way round.
+    # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
     is_as_noted = projection is None or projection.is_panorama == photo.projection.is_panorama
     lens = photo.lens if fov_deg is None and is_as_noted else None
     if lens is not None:
@@ -267,8 +267,8 @@ def _photo(path: Path, image: Image.Image) -> Photo:
     width, height = image.size
     _require_bounded(path, image)
     upright = ImageOps.exif_transpose(image)
-    # Some decoders turn the pixels, some their size as well, and each leaves other tags. Whether
-    # the file's size is upright follows from the upright picture.
+    # Decoders differ: some have already turned the pixels, some the size as well, and each leaves
+    # other tags. The upright picture shows whether the file's size is upright.
     if (upright.width < upright.height) != (width < height):
         width, height = height, width
     exif = image.getexif()
@@ -305,7 +305,7 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def _require_bounded(path: Path, image: Image.Image) -> None:
-    """Have a large JPEG decoded at a smaller size; raise `InputError` for other large images."""
+    """Let a large JPEG be decoded smaller; raise `InputError` for other large images."""
     width, height = image.size
     if width * height <= MAX_JPEG_PIXELS:
         for shrink in (2, 4, 8):

@@ -1,8 +1,8 @@
 """Skylines of sky masks, white for sky and black for ground, and of sky segmentation models.
 
-A sky segmentation model in ONNX may replace the built-in extraction. The contract: one input,
-float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or
-(1, 2, h', w'), the sky's probability or logits; of two channels the second is the sky. The photo is
+A sky segmentation model in ONNX may replace the built-in extraction. The model must have one input,
+float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or (1, 2, h',
+w'), the sky's probability or logits; if it has two channels, the second is the sky. The photo is
 resized to the h and w that the model states, or else to at most 1024 px a side, rounded to
 multiples of 32.
 """
@@ -90,7 +90,7 @@ def _probability(photo: UInt8Array, session: Any) -> Float64Array:
     planes = np.ascontiguousarray(small.transpose(2, 0, 1)[np.newaxis], dtype=np.float32)
     try:
         outputs = session.run(None, {inputs[0].name: planes / np.float32(255.0)})
-    except Exception as error:  # As above.
+    except Exception as error:  # The runtime's errors share no base class.
         raise InputError(f"the sky model failed ({_line(error)}); {_CONTRACT}") from error
     sky = np.asarray(outputs[0], dtype=np.float64)
     if sky.ndim == 3:
@@ -123,7 +123,7 @@ def _line(error: Exception) -> str:
 
 
 def is_sky_mask(image: UInt8Array) -> bool:
-    """Whether an RGB image (H, W, 3) uint8 is grey and nearly all black or white.
+    """Return whether an RGB image (H, W, 3) uint8 is grey and nearly all black or white.
 
     About five hundred rows and columns are sampled.
     """

@@ -1,1 +1,1 @@
-"""Rendering with OpenGL: the context, the shaders and the rasterizers."""
+"""Rendering of skylines with OpenGL: the context, the shaders and the rasterizers."""

@@ -1,11 +1,11 @@
-"""The OpenGL context without a display: one a process, made on first use, for all renderers.
+"""The OpenGL context without a display: one per process, made on first use, for all renderers.
 
 OpenGL 4.3 is required, for its compute shaders. The order is EGL on a GPU, EGL on Mesa's software
 rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of them alone.
 
-Threads: the context belongs to the thread that first acquired it, and any other is refused.
-Processes: drivers keep threads of their own, which a fork does not copy, so a child forked after
-the context was made is refused as well (measured: Mesa hangs there). Start workers with
+Threads: the context belongs to the thread that first acquired it, and `acquire` refuses any other
+thread. Processes: drivers keep threads of their own, which a fork does not copy, so a child forked
+after the context was made is refused as well (measured: Mesa hangs there). Start workers with
 multiprocessing's "spawn" method, or fork before anything is rendered.
 """
 
@@ -59,11 +59,11 @@ class GlContext:
     attempts: list[str]
     """All attempts in order: backend, device, and its OpenGL or its error."""
     forced: bool
-    """Whether ``SKYLINE_GL`` named the backend."""
+    """True if ``SKYLINE_GL`` named the backend."""
 
     @property
     def software(self) -> bool:
-        """Whether the CPU does the rendering."""
+        """True if the CPU does the rendering."""
         return is_software(self.renderer)
 
     @property
@@ -102,7 +102,8 @@ class _SharedContext:
         InputError
             ``SKYLINE_GL`` names no backend.
         """
-        # Before the lock: another thread of the parent may have held it during the fork.
+        # This comes before the lock, which another thread of the parent may have held during the
+        # fork.
         if self._process not in (None, os.getpid()):
             raise ContextError(
                 f"process {os.getpid()} was forked from {self._process} after that made its OpenGL "
@@ -238,7 +239,7 @@ def _devices(backend: str) -> list[tuple[str, Callable[[], Any]]]:
     try:
         _egl_context(_BEYOND_ALL_DEVICES)
     except ContextError as error:
-        # glcontext names the number of devices only when it refuses an index.
+        # glcontext gives the number of devices only in its error for an index that is too large.
         if found := re.search(r"found (\d+) devices", str(error)):
             count = max(int(found[1]), 1)
     return [(f"device {index}", partial(_egl_context, index)) for index in range(count)]
@@ -257,7 +258,7 @@ def _egl_context(device_index: int) -> Any:
             glversion=_VERSION_CODE,
             device_index=device_index,
         )
-    except Exception as error:  # glcontext raises nothing narrower.
+    except Exception as error:  # glcontext raises plain exceptions.
         raise ContextError(str(error)) from error
 
 

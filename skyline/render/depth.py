@@ -1,8 +1,8 @@
 """The paper's rasterizer: perspective depth images, and the skyline read from each (section 3).
 
-Per heading the height field is drawn as a grid of triangles into a W x W image of inverse depth,
-and the skyline is, per column from the top, the first pixel whose depth is not infinite. It is
-quantized: within half a pixel of the exact skyline, about 0.3 px rms.
+For each heading the height field is drawn as a grid of triangles into a W x W image of inverse
+depth. The skyline of a column is its first pixel from the top with a finite depth. It is quantized:
+within half a pixel of the exact skyline, about 0.3 px rms.
 """
 
 import math
@@ -30,7 +30,7 @@ TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""
 
 _HOLE_HEIGHT_M = -1e30
-"""Stands for NaN in the texture: not every driver lets a shader see a NaN."""
+"""Height that marks a hole in the texture, since some drivers do not pass NaN to shaders."""
 
 _VIEWPOINTS_A_READ = 64
 
@@ -51,7 +51,7 @@ class DepthRenderer:
     Raises
     ------
     InputError
-        A width out of range, or a field larger than one texture of this OpenGL.
+        The width is out of range, or the field is larger than one texture of this OpenGL.
     ContextError
         No OpenGL context can be made.
     """
@@ -171,7 +171,7 @@ class DepthRenderer:
             offset_m[..., 1] -= self.curvature.drop_per_m2 * square_m2
             met += [_rims_met(offset_m, heading, self.width) for heading in HEADINGS]
         border, over_hole = (np.stack(columns) for columns in zip(*met, strict=True))
-        # Where a border is met, the column crosses data, which end there.
+        # A column that meets a border crosses data, which end at that border.
         meets_data = np.isfinite(border)
         # A skyline no higher than the rim behind which the data end may hide more terrain. A
         # border as high as the skyline may be, given its quantization, may be the skyline itself.
@@ -292,7 +292,7 @@ def _rims_m(field: HeightField) -> Float64Array:
 
 
 def _rims_met(offset_m: Float64Array, heading: int, width: int) -> tuple[Float64Array, BoolArray]:
-    """Return which rims the W columns of one view meet.
+    """Return the rims that the W columns of one view meet.
 
     Parameters
     ----------

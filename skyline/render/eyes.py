@@ -23,7 +23,7 @@ _EYE_DTYPE = np.dtype(
         ("turn_tan", "<f4", 2),
     ]
 )
-"""As struct Eye of `horizon.comp`; ``nearest`` is relative to the window.
+"""The layout of struct Eye in `horizon.comp`; ``nearest`` is relative to the window.
 
 ``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
 may leave the view of 90 degrees.
@@ -64,7 +64,7 @@ class Eyes:
         return len(self._order)
 
     def groups(self) -> Iterator[tuple[slice, int, bool]]:
-        """Yield the sorted rows of each heading, in float32 and in float64, that has any."""
+        """Yield the sorted rows of each heading and precision that occurs; True is float64."""
         kind = 2 * self._heading.astype(np.int64) + self._double
         for value in np.unique(kind):
             rows = np.flatnonzero(kind == value)
@@ -118,7 +118,7 @@ class Eyes:
         return np.where(farthest < aside, -np.inf, bound)
 
     def _gap(self, window: Window, place: Float64Array) -> Float64Array:
-        """Return how far places (..., 2) are outside a window, metres north-south and east-west."""
+        """Return the distances of places (..., 2) from a window, north-south and east-west."""
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - place, place - last), 0.0)

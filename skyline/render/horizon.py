@@ -24,7 +24,8 @@ class RenderConfig:
     width : int
         Columns W of a view.
     tolerance_px : float
-        How far a skyline may fall short of the exact one; 0 is exact but for float32.
+        Greatest amount by which a skyline may lie below the exact one; with 0 it is exact to
+        float32.
     curvature : Curvature
     """
 
@@ -43,12 +44,12 @@ class HorizonRenderer(ColumnRenderer):
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
     tolerance_px : float
-        How far v may fall short of the skyline's; 0 is exact but for float32.
+        Greatest amount by which v may be less than the exact one; with 0 it is exact to float32.
 
     Raises
     ------
     InputError
-        A width or tolerance out of range, or samples much longer than wide.
+        The width or the tolerance is out of range, or samples are much longer than wide.
     ContextError
         No OpenGL context can be made.
     """
@@ -89,7 +90,7 @@ class HorizonRenderer(ColumnRenderer):
         viewpoints : Viewpoints
             N eyes.
         headings : (N,) array_like of int, optional
-            One heading an eye; all four of each by default.
+            One heading for each eye; by default all four.
 
         Returns
         -------

@@ -37,7 +37,7 @@ _NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet, as in the shader."""
 
 _RESIDENT_SAMPLES = 1 << 25
-"""Samples whose windows stay on the GPU, some 43 bytes each."""
+"""Number of samples whose windows stay on the GPU, at some 43 bytes a sample."""
 
 _MAX_GROUPS = 65_535
 _MAX_RESULT_BYTES = 1 << 26
@@ -61,8 +61,8 @@ class ColumnRenderer:
     Parameters
     ----------
     u, tolerance : (W,) float64
-        Each column's abscissa, of magnitude at most 1, and how far its v may fall short; 0 is
-        exact but for float32.
+        Each column's abscissa, of magnitude at most 1, and the greatest amount by which its v may
+        be too small; with 0 it is exact to float32.
     near_error : float
         Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
 
@@ -172,7 +172,7 @@ class ColumnRenderer:
         )
 
     def _reserve(self, rows: int) -> None:
-        """Make room for so many rows of results; the first march of each row writes all of it."""
+        """Make room for ``rows`` rows of results; the first march of a row writes all of it."""
         for buffer in self._results:
             buffer.release()
         self._results = ()

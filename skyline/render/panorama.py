@@ -29,13 +29,13 @@ class PanoramaRenderer(ColumnRenderer):
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
     tolerance_deg : float
-        How far a skyline may fall short, in elevation at level view and less above and below; 0
-        is exact but for float32.
+        Greatest angle by which a skyline level with the eye may lie too low; above and below it
+        the angle is smaller. With 0 the skyline is exact to float32.
 
     Raises
     ------
     InputError
-        Bins or a tolerance out of range, or samples much longer than wide.
+        The bins or the tolerance are out of range, or samples are much longer than wide.
     ContextError
         No OpenGL context can be made.
     """
@@ -73,8 +73,8 @@ class PanoramaRenderer(ColumnRenderer):
         Parameters
         ----------
         first_azimuth_rad : (N,) array_like, optional
-            Grid azimuth of each eye's bin 0, from which the others go on clockwise: the negative
-            of the meridian convergence makes azimuths count from true north. By default that of
+            Grid azimuth of each eye's bin 0; the other bins follow clockwise: the negative of the
+            meridian convergence makes azimuths count from true north. By default that of
             `skyline.skylines.bin_azimuths_rad`.
         """
         count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins

@@ -1,4 +1,4 @@
-"""One thread that renders for all others; an urgent task goes before all tasks that wait.
+"""A thread that renders for all others; an urgent task is run before all tasks that wait.
 
 An OpenGL context belongs to one thread. A program of many threads gives all its rendering to a
 `RenderThread`; long work gives it piece by piece, so that an urgent task waits for one piece at
@@ -44,7 +44,7 @@ class RenderThread:
         Parameters
         ----------
         urgent : bool
-            Whether it goes before all tasks that are not.
+            Whether the task is run before all that are not urgent.
 
         Raises
         ------

@@ -98,7 +98,7 @@ class WindowTextures:
     slabs : Trees
         Upper bounds of the heights, in this code.
     rims : Trees or None
-        A bit a slab: whether the surface may begin again there, after a hole.
+        One bit per slab: whether the surface may begin again there, after a hole.
     slope_max : (float, float)
         Greatest slope of a ray, cells across per strip, for headings 0, 2 and for 1, 3.
     top_level : int

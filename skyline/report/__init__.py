@@ -1,1 +1,1 @@
-"""Pictures, maps, pages that need no network, and files for other programs."""
+"""Results to look at and to pass on: pictures, maps, HTML pages, and files for other programs."""

@@ -2,8 +2,8 @@
 
 Candidates are points, views and ellipses in degrees of WGS 84 as GeoJSON (RFC 7946); places, views,
 and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); waypoints, which navigation
-devices and hiking maps read, as GPX 1.1; and cameras in UTM as plain JSON, what monoplotting and
-photogrammetry start from.
+devices and hiking maps read, as GPX 1.1; and cameras in UTM as plain JSON, for monoplotting and
+photogrammetry.
 """
 
 import io
@@ -32,21 +32,21 @@ from skyline.photo.read import read_picture
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
 VIEW_REACH_M = 2000.0
-"""How far a view's wedge reaches; views see farther, but a map is for telling them apart."""
+"""Radius of the wedge drawn for a view; a camera sees farther, but longer wedges would overlap."""
 
 _DECIMALS = 7
-"""A centimetre."""
+"""Decimals of degrees in files: a centimetre on the ground."""
 _KML, _GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
 _PHOTO_AT_M = 300.0
-"""How far before the camera the photo stands."""
+"""Distance from the camera at which a PhotoOverlay shows its photo."""
 
 Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
 
 def write_geojson(path: Path, results: Sequence[MatchResult], frame: Frame) -> None:
-    """Write the candidates of results, whose frame is given, as a FeatureCollection.
+    """Write the candidates of results as a FeatureCollection; ``frame`` is that of the candidates.
 
     Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
     (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
@@ -209,7 +209,7 @@ def write_kml(
 
 
 def _href(photo: Path, folder: Path | None) -> str:
-    """Return the address of a photo's file, relative to a folder or its own (RFC 3986, 4.2)."""
+    """Return a photo's address relative to a folder; without one, its file name (RFC 3986, 4.2)."""
     if folder is None:
         return quote(os.fsencode(photo.name))
     # A link among the folders would lead `..` to another folder.
@@ -273,7 +273,7 @@ def _add_point(parent: Xml.Element, candidate: Candidate) -> None:
 
 
 def _described(candidate: Candidate) -> str:
-    """Return in words whence a candidate's pose is, how its camera stood and how sure it is."""
+    """Return in words the origin of a pose, the attitude of its camera and its confidence."""
     sure = "" if candidate.confidence is None else f"; confidence {candidate.confidence:.2f}"
     return (
         f"{candidate.origin.capitalize()}. Heading {candidate.heading_deg:.1f}° from true north, "
@@ -322,7 +322,7 @@ EXPORTS: Mapping[str, Writer] = MappingProxyType(
 
 
 def check_export(path: str | Path) -> Writer:
-    """Return the function that writes such a file; raises `InputError` for an unknown suffix."""
+    """Return the writer for a file's suffix; raises `InputError` for an unknown one."""
     suffix = Path(path).suffix.lower()
     if suffix not in EXPORTS:
         raise InputError(f"{path}: the suffix is {suffix!r}; expected one of {', '.join(EXPORTS)}")
@@ -340,14 +340,14 @@ def export_matches(
     Parameters
     ----------
     path : str or Path
-        Folders that it needs are made.
+        Missing folders are made.
     results : sequence of MatchResult
         Each is named after its photo's file.
     frame : Frame
-        Of the candidates: `Matcher.frame`.
+        Frame of the candidates: `Matcher.frame`.
     photos : sequence of (H, W, 3) uint8 or None, optional
-        RGB of each result's photo, for photos that are no files of these names; KMZ holds them. By
-        default the photos are read from the files that the results are named after.
+        RGB of each result's photo, which a KMZ holds. By default the photos are read from the files
+        that the results are named after.
 
     Raises
     ------

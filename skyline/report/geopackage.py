@@ -1,6 +1,6 @@
-"""Places of a store as a GeoPackage, drawn by QGIS as squares of the ground they stand for.
+"""Places of a store as a GeoPackage; QGIS draws each as the square of ground that it represents.
 
-The style lies in the file, in the table that QGIS keeps styles in, so that QGIS uses it at once.
+The file holds the style too, in QGIS's own table of styles, so that QGIS applies it at once.
 """
 
 import contextlib
@@ -32,22 +32,22 @@ def write_geopackage(store: Store, path: Path) -> int:
     Parameters
     ----------
     store : Store
-        Of places.
+        A store of places.
     path : Path
         Ends in ``.gpkg``; written whole or not at all.
 
     Raises
     ------
     InputError
-        A store of renderings, another suffix, a file that cannot be written, or GeoPandas is not
-        installed.
+        The store holds renderings, the suffix is another, the file cannot be written, or GeoPandas
+        is not installed.
     StoreError
-        Damaged data.
+        The store's data are damaged.
     """
     if path.suffix.lower() != ".gpkg":
         raise InputError(f"--output is {path}; expected a name that ends in .gpkg")
     table = store.to_geodataframe()
-    # In memory, since SQLite needs file locks and not every folder has them.
+    # The file is made in memory: SQLite needs file locks, which some network folders lack.
     held = io.BytesIO()
     table.to_file(held, layer=_LAYER, driver="GPKG")
     with contextlib.closing(sqlite3.connect(":memory:")) as file:

@@ -121,7 +121,7 @@ def _escaped(text: str) -> str:
 
 
 def _is_numeric(values: Sequence[object]) -> bool:
-    """Whether a column holds at least one number, and only numbers (also as text) and None."""
+    """Return whether a column holds a number, and only numbers (also as text) and None."""
     given = [value for value in values if value is not None]
     return bool(given) and all(
         (isinstance(value, Real) and not isinstance(value, bool))

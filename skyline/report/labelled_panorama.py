@@ -109,7 +109,7 @@ def save_panorama_of(
 
 
 def draw_panorama(view: PanoramaView) -> Figure:
-    """Draw a panorama in rows; a degree has the same length upwards and sideways."""
+    """Draw a panorama in rows, with one scale for azimuth and elevation."""
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
     rows = [_Row.of(view, row, figure) for row in range(row_count(view.config.fov_deg))]

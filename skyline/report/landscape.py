@@ -43,7 +43,8 @@ _RINGS_SAMPLES = (300.0, 1000.0, math.inf)
 _HIDDEN_DEG = HIDDEN_DEG + 0.05
 """Terrain this far below nearer terrain is hidden, as are peaks on it between two columns."""
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
-"""How much farther terrain behind a ridge must be: times as far, and samples beyond that."""
+"""A point is a ridge if the next terrain in sight is farther by more than this factor and, beyond
+that, by more than this many samples."""
 _RANGES_A_DOUBLING = 10
 _NOTHING_DEG = -90.0
 
@@ -85,7 +86,7 @@ class PanoramaView:
     """The terrain and the summits that a panorama shows."""
 
     landscape: "Landscape"
-    """Its columns are those of the picture, row by row; see `picture_azimuths_deg`."""
+    """Its columns are those of the picture, one row after another; see `picture_azimuths_deg`."""
     sightings: Sequence[Sighting]
     """Visible summits, the most prominent first."""
     config: PanoramaConfig
@@ -151,7 +152,7 @@ def row_count(fov_deg: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """The terrain that one eye sees in C columns: P points, by column and outwards in each."""
+    """The terrain that one eye sees: P points in C columns of azimuth, outwards in each."""
 
     terrain: HeightField
     """Parts hidden from the eye may be missing."""
@@ -201,7 +202,7 @@ class Landscape:
         if np.isnan(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
             terrain = blocks.field(
                 np.zeros_like(wanted)
-            )  # Its error names the extent of the whole map.
+            )  # This raises an error that names the extent of the map.
         eye = stand_on(
             terrain,
             easting_m=easting_m,
@@ -385,7 +386,7 @@ class _Look:
         up_deg = np.degrees(np.arctan(up_m / np.where(up_m > 0.0, from_m, to_m))) + _HIDDEN_DEG
         far = np.flatnonzero((to_m > near_m) & (up_deg > self._so_far_deg.min()))
         half_rad = np.arcsin(radius_m / away_m.flat[far])
-        # Columns of two full turns, so that no span is cut.
+        # Two full turns of columns, so that a span across north is not cut.
         columns, turn = len(self._so_far_deg), round(2.0 * math.pi / self._column_rad)
         hidden_deg = np.full((2, turn), np.inf)
         hidden_deg[:, :columns] = self._so_far_deg

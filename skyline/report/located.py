@@ -42,7 +42,7 @@ _XMP_POSE = re.compile(
     rb"|<(?P<name>%b)(?:\s[^>]*?)?(?:/>|>.*?</(?P=name)\s*>)" % (_POSE, _POSE),
     re.DOTALL,
 )
-"""An attribute or an element with such a name."""
+"""An attribute or an element with a name of place or attitude."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Candidate) -> None:

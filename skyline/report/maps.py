@@ -78,7 +78,7 @@ class Area:
         return part if part.west_m < part.east_m and part.south_m < part.north_m else self
 
     def holds(self, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-        """Whether places lie in the area."""
+        """Return whether places lie in the area."""
         easting, northing = np.asarray(easting_m), np.asarray(northing_m)
         across = (self.west_m <= easting) & (easting <= self.east_m)
         return across & (self.south_m <= northing) & (northing <= self.north_m)
@@ -112,7 +112,7 @@ def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -
 
 
 def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
-    """Return the area a kilometre or so around one candidate, wider if it is less certain."""
+    """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
     area = Area.around([candidate.easting_m], [candidate.northing_m], side_m)
@@ -323,7 +323,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
 
 
 def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
-    """Draw a scale bar, as long as its label says on the ground, in the lower left."""
+    """Draw a scale bar in the lower left; its label gives the length on the ground."""
     scale = float(frame.scale(**area.centre))
     length_m = _nice_length(0.28 * area.width_m / scale)
     west, south = area.west_m + 0.05 * area.width_m, area.south_m + 0.045 * area.height_m

@@ -48,15 +48,15 @@ def report_matches(
     Parameters
     ----------
     folder : str or Path
-        Made if need be; files of the same names are replaced.
+        Made if it is missing; files of the same names are replaced.
     matcher : Matcher
-        The one that made the results. Relief and the candidates' skylines are drawn from its
+        The matcher that made the results. Relief and the candidates' skylines are drawn from its
         terrain, or else from the DEM that its store names; without either they are left out.
     results : iterable of MatchResult
         Each is shown with its photo, its candidates and a map. The pose drawn over the photo is
         that of the first candidate.
     peaks : Peaks, optional
-        To name in pictures and maps.
+        Peaks to name in pictures and maps.
     photos : iterable of (H, W, 3) uint8 or None, optional
         RGB of each result's photo, of the query's size; None for a trace or a mask. By default
         read from the files that the results are named after.

@@ -223,7 +223,8 @@ class Sighting:
     easting_m: float
     northing_m: float
     surface_m: float
-    """``easting_m``, ``northing_m``, ``surface_m``: the summit on the terrain."""
+    """``easting_m``, ``northing_m``, ``surface_m``: position and height of the summit on the
+    terrain."""
     azimuth_deg: float
     """Grid azimuth."""
     elevation_tan: float
@@ -309,7 +310,7 @@ def _summit(
 def _is_hidden(
     terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
 ) -> bool:
-    """Whether terrain on the line to a peak stands above it by more than the tolerance."""
+    """Return whether terrain on the line to a peak stands above it by more than the tolerance."""
     share = _crossings(terrain, eye, sighting)
     distance = share * sighting.distance_m
     near_m, far_m = UNDERFOOT_SAMPLES * terrain.spacing_m, sighting.distance_m - SUMMIT_RADIUS_M

@@ -82,10 +82,10 @@ def save_depth_images(images: Float32Array, views: Views, path: Path) -> None:
 
 
 def save_coverage_map(plan: "Plan", path: Path) -> None:
-    """Save a map (PNG) for each heading: viewpoints, and what their tolerance areas cover.
+    """Save a picture (PNG) of one map per heading: viewpoints and the area that they cover.
 
     After Figure 6 of the paper. A location has the colour of the largest tolerance area that holds
-    it; the terrain stays bare where there is none.
+    it; terrain in no tolerance area stays uncoloured.
 
     Raises `InputError` where the file cannot be written.
     """

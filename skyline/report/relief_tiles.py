@@ -21,7 +21,8 @@ DARKEST = 0.35
 TILE_PX = 256
 MAX_ZOOM = 20
 _MESH = 9
-"""Points along a tile's side at which the projection is computed; it is interpolated between."""
+"""Points along a tile's side at which the projection is computed; between them it is
+interpolated."""
 _NOWHERE = -1e6
 _STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in TINTS])[:, ::-1]
 _AT = np.linspace(0.0, len(TINTS) - 1.0, 256)
@@ -30,7 +31,7 @@ _TINTS = np.stack(
 )
 """Blue, green, red (256, 3) from the lowest to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
-"""Towards the light, east, north and up: from the north-west, halfway up."""
+"""Direction to the light (east, north, up): from the north-west, halfway up."""
 
 
 class ReliefTiles:
@@ -148,5 +149,5 @@ def _halved(heights: Float32Array) -> Float32Array:
     rows, cols = heights.shape[0] // 2 * 2, heights.shape[1] // 2 * 2
     blocks = heights[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of four that are all unknown
+        warnings.simplefilter("ignore", RuntimeWarning)  # All four may be unknown.
         return np.asarray(np.nanmean(blocks, axis=(1, 3)), dtype=np.float32)

@@ -19,14 +19,14 @@ Render = Callable[[Viewpoints, Sequence[int]], Views]
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """The area that a store describes, and how to render what is seen there."""
+    """The area that a store describes, and a function that renders views in it."""
 
     frame: Frame
-    """Of the store, and so of every candidate."""
+    """Frame of the store and of every candidate."""
     viewpoints: Viewpoints
-    """The store's."""
+    """The store's viewpoints."""
     terrain: HeightField | None = None
-    """None: no relief, no rendered skyline and no peak is drawn."""
+    """The elevation model; without it no relief, no rendered skyline and no peak is drawn."""
     render: Render | None = None
     """Renders the candidates' skylines; given with ``terrain``."""
     peaks: Peaks | None = None

@@ -31,7 +31,8 @@ from skyline.store.stored_dem import curvature_of
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, at_elevation, stand_at
 
 AROUND = 0.52
-"""A rendered skyline is drawn this far from the picture's middle, in widths: just beyond it."""
+"""Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
+widths: just beyond the picture."""
 _WIDTH = 1024
 """Columns of a rendered 90 degree view: more than a screen shows of it."""
 _MARGIN_DEG = 8.0
@@ -160,7 +161,7 @@ class SeenPeak:
 
 
 class Viewer:
-    """Renders the skylines of poses on a matcher's terrain, ahead of the matcher's own renderings.
+    """Renders the skylines of poses on a matcher's terrain, with priority over its own renderings.
 
     Parameters
     ----------

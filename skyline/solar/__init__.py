@@ -1,1 +1,1 @@
-"""Horizons of places, the sun above them, and how much of the sky they leave."""
+"""Local horizons of places, hours of sun above them, and sky view factors."""

@@ -69,7 +69,7 @@ class LocalHorizons(Rows):
 
     @property
     def has_surface(self) -> bool:
-        """Whether a surface model was given."""
+        """True if a surface model was given."""
         return not bool(np.isnan(self.surface_deg).all())
 
     def sky_view_factor(self, tilt_deg: float = 0.0, facing_deg: float = 180.0) -> Float64Array:
@@ -195,7 +195,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
     surface : path, paths or HeightField, optional
-        A surface or canopy model, for how far trees and houses may rise above the horizon.
+        A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional
         Move each eye to the highest point within this distance. By default eyes stay in place, and
         an eye within one sample's spacing of a summit of the model is raised to its height; 0
@@ -204,7 +204,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     Raises
     ------
     OffMapError
-        A place off the map or on a hole, or an eye height below 0.
+        A place is off the map or on a hole, or an eye height is below 0.
     InputError
         The step does not divide a full turn, or the surface does not cover the DEM.
     ContextError

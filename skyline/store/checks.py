@@ -67,7 +67,7 @@ def _foreign(path: Path) -> StoreError:
 
 
 def _layout(path: Path, file: h5py.File) -> dict[str, Any]:
-    """Return which kind of rows a file holds, and their width; raises `StoreError`."""
+    """Return the kind of rows that a file holds, and their width; raises `StoreError`."""
     rows = json.loads(_text(path, file, "rows"))
     kind = rows.get("rows") if isinstance(rows, dict) else None
     if kind == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:

@@ -3,10 +3,10 @@
 A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
 
 HDF5 guards its own structures (object headers, chunk indexes, the superblock) with checksums, and
-each chunk of rows here with another (Fletcher-32), which readers verify as they read. Those find a
-chunk that changed, but not one that was never written: a hole in a file reads as zeros, and the
-Fletcher-32 of zeros is zero. So each row has a CRC-32 of its own. It finds the hole, it shows which
-rows are whole when others are not, and it goes with the row from store to store.
+each chunk of rows here with another (Fletcher-32), which readers verify as they read. These
+checksums find a chunk that changed, but not one that was never written: a hole in a file reads as
+zeros, and the Fletcher-32 of zeros is zero. So each row also has a CRC-32, which finds such holes,
+shows which rows are whole when others are not, and is copied with the row from store to store.
 """
 
 import hashlib
@@ -54,8 +54,8 @@ PLACES_A_CHUNK = 1024
 """Places of a chunk, some 0.7 MB, which are mapped and worked on at a time."""
 
 _VIEWS_A_CHUNK = 32
-"""Views of a chunk, 80 kB of skylines at W = 640. Half as many cost 3 % more bytes, four times as
-many save 1 %, and a single row is read by unpacking one chunk."""
+"""Views of a chunk, 80 kB of skylines at W = 640. With half as many a store is 3 % larger, with
+four times as many 1 % smaller, but to read a single row a whole chunk is unpacked."""
 
 KEYPOINTS = "features/keypoint_column"
 
@@ -157,7 +157,8 @@ class StoreHeader:
     def __post_init__(self) -> None:
         if self.holds == RENDERINGS:
             check_width(self.width)
-        # As it will be read back, so that a stored and a requested config compare equal.
+        # The config is kept as JSON will give it back, so that stored and requested ones compare
+        # equal.
         plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         object.__setattr__(self, "config", plain)
 
@@ -189,7 +190,7 @@ class StoreHeader:
         }
 
     def chunk_rows(self, rows: int) -> int:
-        """Return how many rows a chunk of every dataset has, in a store of so many rows."""
+        """Return the number of rows in a chunk of every dataset, in a store of ``rows`` rows."""
         return max(1, min(rows, PLACES_A_CHUNK if self.holds == PLACES else _VIEWS_A_CHUNK))
 
     @property
@@ -216,10 +217,10 @@ class StoreHeader:
 def refuse_mismatch(
     one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], subject: str, advice: str
 ) -> None:
-    """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
+    """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
-    Each header comes with the words for its place in the message, which begins with ``subject``
-    and ends with ``advice``.
+    Each header comes with the words that describe it in the message. The message begins with
+    ``subject`` and ends with ``advice``.
     """
     differences = [
         f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"

@@ -9,7 +9,7 @@ from skyline.errors import InputError
 from skyline.skylines import Views
 
 NO_KEYPOINT = 65535
-"""Pads the rows of keypoint tables."""
+"""Value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
 
@@ -17,7 +17,7 @@ DEFAULT_MAX_KEYPOINTS = 128
 def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
     """Return the `polyline_vertices` of each view's skyline: the paper's key features.
 
-    The tolerance is in px (2 / W in v); of N views come (N, DEFAULT_MAX_KEYPOINTS) columns.
+    The tolerance is in px (2 / W in v). N views give (N, DEFAULT_MAX_KEYPOINTS) columns.
     """
     return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
 
@@ -80,7 +80,7 @@ def local_patches(
     ----------
     curves : (N, W) floating
     row, column : (M,) int
-        Where the keypoints are.
+        Curve and column of each keypoint.
     offsets : (S,) int
         Columns relative to the keypoint.
 
@@ -139,7 +139,7 @@ def _worst_miss(
     miss = np.abs(flat[at] - flat[left][segment] - slope[segment] * step)
     worst = np.maximum.reduceat(miss, start)
     hit = np.flatnonzero(miss == worst[segment])
-    # Of equal misses the leftmost.
+    # Of equal misses the leftmost counts.
     hit = hit[np.diff(segment[hit], prepend=-1) > 0]
     return worst, at[hit]
 

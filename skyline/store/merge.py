@@ -33,11 +33,12 @@ _BLOCK_ROWS = 1024
 
 _LIMIT_S = 60.0
 _LIMIT_S_PER_BYTE = 1e-6
-"""Processor time that a check may take, since a busy machine damages no store. Checking reads 30 MB
-a second and more on one core of 2020."""
+"""Processor time that a check may take for each byte. Checking reads at least 30 MB a second on one
+core of 2020; time by the clock would depend on how busy the machine is."""
 
 _LIMIT_BY_THE_CLOCK = 30.0
-"""So many times that limit by the clock, for a check that waits for the disk."""
+"""Time by the clock that a check may take, as a multiple of the limit of processor time: it may
+wait for the disk."""
 
 _EXAMINE = """
 import dataclasses, json, pathlib, resource, sys, time
@@ -71,11 +72,12 @@ class StoreReport:
     damage: tuple[Damage, ...] = ()
     """The damage that was found; `repair_store` leaves these rows out."""
     duplicates: int = 0
-    """Rows that `merge_stores` left out because the same view or place is there already."""
+    """Rows that `merge_stores` left out because the same view or place is already in the new
+    store."""
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is damaged."""
+        """True if nothing is damaged."""
         return not self.damage
 
 
@@ -94,7 +96,7 @@ def merge_stores(
     Raises
     ------
     StoreMismatchError
-        Two of the stores were built otherwise; both values are named.
+        Two of the stores were built with different settings; both values are named.
     StoreError
         A store is damaged, or the new one cannot be written or exists.
     """
@@ -131,7 +133,7 @@ def merged_rows(
     """
     stores = []
     for path in paths:
-        # Closed at once: there may be more stores than files can be open.
+        # Each store is closed at once: there may be more stores than files can be open.
         with open_store(path) as store:
             stores.append(store)
     for store in stores[1:]:
@@ -143,7 +145,7 @@ def merged_rows(
             "merge stores of one DEM and configuration",
         )
     headers = [store.header for store in stores]
-    # Independent of the order of the stores.
+    # The header must not depend on the order of the stores.
     header = replace(
         headers[0],
         dem_files=min(header.dem_files for header in headers),
@@ -156,7 +158,7 @@ def merged_rows(
 
 
 def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
-    """Return which rows to write, in order: sorted by location and heading, each of them once."""
+    """Return the rows to write, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
     order = np.lexsort(keys[::-1])
     again = np.ones(len(order), dtype=bool)
@@ -186,7 +188,7 @@ def _gathered(
     ):
         rows = np.zeros(0, dtype=record)
         if total:
-            # Taken now: a full disk under a memory map ends the process.
+            # The space is taken now: a disk that fills up under a memory map ends the process.
             os.posix_fallocate(file.fileno(), 0, total * record.itemsize)
             rows = np.memmap(file, dtype=record, mode="r+", shape=total)
         stop = 0
@@ -212,9 +214,9 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
     Raises
     ------
     MissingFileError
-        No such file, or a build that has not finished.
+        The file does not exist, or its build has not finished.
     StoreError
-        The store could not be examined, for want of memory for example.
+        The store could not be examined, for lack of memory for example.
     """
     path = Path(path).resolve()
     with open_hdf5(path):

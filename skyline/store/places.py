@@ -1,7 +1,8 @@
 r"""Places: eyes and their skylines in few bytes, which a search compares a photo with.
 
 A place is an eye, its skyline all the way round, the skyline's distance, and the distance around
-the eye for which it stands. Places are rendered when a store is built and mapped when it is opened.
+the eye within which it represents all other eyes. Places are rendered when a store is built and
+mapped when it is opened.
 
 A skyline's tangents y are held as rises from bin to bin, one signed byte k each:
 
@@ -50,7 +51,7 @@ PHASE_BINS = 180
 """Azimuth bins of a place's phases."""
 
 UNKNOWN_RISE = np.int8(-128)
-"""A bin without a skyline; the next rise is taken from the last that has one."""
+"""Code of a bin without a skyline; the next rise is taken from the last bin that has one."""
 
 RISE_SIZE, RISE_GROWTH = 0.006, 0.035
 """a and c of the formula."""
@@ -67,9 +68,9 @@ _DISTANCES = (NEAREST_M * np.exp(DISTANCE_STEP * (np.arange(256) - 1.0))).astype
 _DISTANCES[0] = np.nan
 
 PHASES = 255
-"""Phases are counted in so many steps of a turn; code 0 stands for an unknown rise."""
+"""Number of steps of a phase in a turn; code 0 stands for an unknown rise."""
 ALIKE_DEG = 0.75
-"""Rises over 2 degrees of azimuth that differ by this much elevation count nothing."""
+"""Difference in elevation at which two rises over 2 degrees of azimuth add nothing to a score."""
 RISE_TO_TURN = float(np.pi / 2.0 / np.radians(ALIKE_DEG))
 """Omega, radians per unit of tangent: `ALIKE_DEG` is a quarter turn."""
 _PHASE = (np.arange(PHASES) + 0.5) * (2.0 * np.pi / PHASES)
@@ -81,7 +82,7 @@ def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
 
     The first bin's byte is 0; where it has no skyline, the rises begin from 0.
     """
-    # A bin a row, so that values that are worked on together lie together.
+    # One bin per row, so that values that are processed together lie together in memory.
     y = np.ascontiguousarray(elevation_tan.T)
     known = np.isfinite(y)
     first = np.where(known[0], y[0], np.float32(0.0))
@@ -157,7 +158,8 @@ class Places(Rows):
     eye_elevation_m : (N,) float32
         Elevation of the eye above the DEM's datum.
     tolerance_m : (N,) float32
-        Distance from the eye, east and north, for which the place stands: half a grid's spacing.
+        Distance from the eye, east and north, within which the place represents other eyes: half a
+        grid's spacing.
     first_tan : (N,) float32
         Tangent of the skyline's elevation angle in the first bin.
     rise : (N, 360) int8
@@ -189,7 +191,8 @@ class Places(Rows):
             first,
             rise,
             encode_distance(horizons.distance_m),
-            # Of the decoded rises, so that phases can be made again from a store.
+            # The phases are those of the decoded rises, so that they can be made again from a
+            # store.
             encode_phases(decode_rises(first, rise)),
         )
 

@@ -65,7 +65,7 @@ class PlaceMap:
         self._types = header.specs
         self._size = header.chunk_rows(places)
         self._checksum = header.checksum
-        # In the order in which their checksums are taken.
+        # The datasets are in the order in which checksums are computed.
         self._fields = sorted(header.fields.items(), key=lambda item: item[1])
         self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
         ends = [
@@ -114,9 +114,9 @@ class PlaceMap:
         Raises
         ------
         InputError
-            A row that is not there.
+            A row does not exist.
         StoreError
-            A place that differs from its checksum, or a file that was cut short.
+            A place differs from its checksum, or the file was cut short.
         """
         wanted: NDArray[np.intp] = np.asarray(rows, dtype=np.intp)
         if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
@@ -127,7 +127,8 @@ class PlaceMap:
         taken: Any = {
             field: np.empty(len(wanted), self._types[name]) for field, name in self._fields
         }
-        # In the order of the file, so that a disk is read forwards and each page once.
+        # Rows are read in the order of the file, so that a disk is read forwards and each page
+        # once.
         order = np.argsort(wanted, kind="stable")
         for first in range(0, len(wanted), _TAKEN_AT_ONCE):
             self._check_length(self._map.size())
@@ -228,7 +229,7 @@ class Store:
         Raises
         ------
         InputError
-            A row that is not there, or a store of places.
+            A row does not exist, or the store holds places.
         StoreError
             Damaged data.
         """
@@ -305,7 +306,7 @@ class Store:
         Raises
         ------
         InputError
-            A row that is not there, or xarray is not installed.
+            A row does not exist, or xarray is not installed.
         StoreError
             Damaged data.
         """
@@ -326,13 +327,13 @@ class Store:
         -------
         geopandas.GeoDataFrame
             Points in the store's frame, with ``place`` (the row), ``lon``, ``lat``,
-            ``eye_elevation_m``, ``tolerance_m`` (how far from the eye, east and north, the place
-            stands for) and ``spacing_m``, twice as much.
+            ``eye_elevation_m``, ``tolerance_m`` (the distance from the eye, east and north, within
+            which the place represents other eyes) and ``spacing_m``, which is twice that.
 
         Raises
         ------
         InputError
-            A store of renderings, a row that is not there, or GeoPandas is not installed.
+            The store holds renderings, a row does not exist, or GeoPandas is not installed.
         StoreError
             Damaged data.
         """
@@ -363,12 +364,12 @@ class Store:
                 return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
             if (np.diff(rows) == 1).all():
                 return np.asarray(dataset[rows[0] : rows[-1] + 1])
-            # HDF5 wants rows ascending and once each.
+            # HDF5 requires rows in ascending order and each once.
             ascending, position = np.unique(rows, return_inverse=True)
             return np.asarray(dataset[ascending])[position]
 
     def _chunk_offsets(self, name: str, size: int) -> NDArray[np.int64]:
-        """Return where the chunks of a dataset, of so many rows each, begin in the file."""
+        """Return the offsets in the file of a dataset's chunks of ``size`` rows."""
         dataset, at = self._datasets[name], np.zeros(-(-len(self) // size), dtype=np.int64)
 
         def visit(info: Any) -> None:
@@ -388,7 +389,7 @@ class Store:
         """Return the number of rows; raises `StoreError` where the file does not hold them."""
         counts = {len(dataset) for dataset in self._datasets.values()}
         rows = max(counts)
-        # Not by the chunks: HDF5 would visit every one that a damaged index names.
+        # Chunks are not counted: HDF5 would visit every chunk that a damaged index names.
         if len(counts) > 1 or rows > os.fstat(self._raw.fileno()).st_size:
             raise self._damaged(f"its datasets have {min(counts)} to {rows} rows")
         for name, dataset in self._datasets.items():
@@ -410,15 +411,15 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     Raises
     ------
     MissingFileError
-        No such file, or a build that has not finished.
+        The file does not exist, or its build has not finished.
     StoreError
-        Not a store, truncated or damaged, of another schema, or not readable.
+        The file is not a store, truncated or damaged, of another schema, or not readable.
     """
     return Store(Path(path).resolve())
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is that of a store, even a damaged or an unfinished one."""
+    """Return whether a path is that of a store, even of a damaged or an unfinished one."""
     path = Path(path)
     if parts_folder(path).is_dir():
         return True
@@ -435,7 +436,7 @@ def parts_folder(path: Path) -> Path:
 
 
 def open_hdf5(path: Path) -> io.FileIO:
-    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError` without one."""
+    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError` if there is none."""
     try:
         raw = io.FileIO(path)
     except FileNotFoundError as error:

@@ -12,9 +12,9 @@ from skyline.terrain.heightfield import HeightField
 
 
 def read_dem_of(header: StoreHeader, paths: Sequence[str | Path] = ()) -> HeightField:
-    """Read the DEM a store was built from, as it was read then.
+    """Read the DEM from which a store was built, with the same options.
 
-    ``paths`` are its files if they have moved.
+    ``paths`` are the DEM's files, if they have moved.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Writing a store: the file is finished, or it is not there.
+"""Writing a store: the file appears under its name only when it is finished.
 
-A store is written once, from rows that are all there, under a temporary name. It takes its own
-name when its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and
-two processes that write the same store at once do no harm: either's file is the same.
+A store is written once, from all of its rows, under a temporary name. It takes its own name when
+its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and two
+processes that write the same store at once do no harm: either's file is the same.
 """
 
 import io
@@ -63,11 +63,11 @@ def write_store(
     Parameters
     ----------
     path : path-like
-        A store that is there already is replaced.
+        A store that already exists is replaced.
     columns : mapping
         The rows, as `skyline.store.format.columns_of` returns them.
     order : (N,) intp, optional
-        Which of the rows to write, in this order; by default all.
+        The rows to write, in this order; by default all.
     partial : Path, optional
         Name of the temporary file; by default one beside the store.
 
@@ -162,14 +162,14 @@ def _create_datasets(file: h5py.File, header: StoreHeader, rows: int) -> None:
 class _Target(io.FileIO):
     """The file that HDF5 writes to.
 
-    HDF5 cannot give up: it writes what it holds when it closes a file, and where that fails again
-    it ends the process. So a write that fails is kept from HDF5, and raised by `finish`.
+    After a failed write, HDF5 writes again when it closes the file, and if that fails too it ends
+    the process. So failures are hidden from HDF5, and `finish` raises the first.
     """
 
     _error: OSError | None = None
 
     def write(self, data: "ReadableBuffer", /) -> int:
-        """Write all of the data, or note why that fails."""
+        """Write all of the data, or keep the error."""
         left = memoryview(data).cast("B")
         size = len(left)
         try:
@@ -180,7 +180,7 @@ class _Target(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None, /) -> int:
-        """Set the size of the file, or note why that fails."""
+        """Set the size of the file, or keep the error."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -188,7 +188,7 @@ class _Target(io.FileIO):
             return size or 0
 
     def finish(self) -> None:
-        """Bring the bytes to the disk; raises the `OSError` of the first write that failed."""
+        """Flush the bytes to the disk; raises the `OSError` of the first write that failed."""
         if self._error is not None:
             raise self._error
         os.fsync(self.fileno())

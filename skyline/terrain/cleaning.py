@@ -4,12 +4,12 @@ A skyline is a maximum, so one bad sample makes a phantom ridge. All functions w
 strip by strip: a field of hundreds of millions of samples costs little more than itself.
 
 While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
-declare, and +inf a sample that no file covers: it is never a neighbour and never filled.
+declare, and +inf a sample that no file covers, which is never a neighbour and never filled.
 
-Fill is a constant in place of heights that were never measured, which a DEM does not declare. A
-footprint that was turned or cut is often padded with zeros, for example. Left in, they are a plain
-at sea level below walls of 2,000 m, over which an eye seems to see far. They differ from lakes
-and the sea by their rim: terrain does not rise over water by `STEEPEST` along half of a shore.
+Fill is an undeclared constant in place of heights that were never measured. A footprint that was
+turned or cut is often padded with zeros, for example. Left in, they are a plain at sea level below
+walls of 2,000 m, over which an eye seems to see far. They differ from lakes and the sea by their
+rim: terrain does not rise over water by `STEEPEST` along half of a shore.
 """
 
 import logging
@@ -36,8 +36,8 @@ MAX_SPIKE_SAMPLES = 4
 """The largest spike: a clump of 2 x 2 samples."""
 
 STANDS_OUT = 3.0
-"""A spike is this many times farther off the median of its neighbours than their quartiles are
-apart."""
+"""Least distance of a spike from the median of its neighbours, in distances between their
+quartiles."""
 
 MAX_VOID_SAMPLES = 100
 """The largest void that is filled. Voids of the Everest tile, cut into the High Sierra at 90 m and
@@ -51,9 +51,11 @@ WALLED = 0.5
 """The least share of the rim of fill that is walls."""
 
 _MIN_RIM = 20
-"""The shortest rim of fill, and the fewest walls of a value that is looked at, in samples."""
+"""Least length of the rim of fill, and least number of walls of a value that is examined, in
+samples."""
 _REACH = 3
-"""A wall stands within this many samples of the rim: a cubic resampling smears it over them."""
+"""Greatest distance of a wall from the rim, in samples: a cubic resampling spreads a wall over
+them."""
 
 _LEAST_SURROUNDINGS = 3
 _STRIP_SAMPLES = 1 << 22
@@ -156,7 +158,7 @@ def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, lis
 
 
 def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
-    """Turn spikes, upward and downward, into voids, in place; return how many samples those are.
+    """Turn spikes, upward and downward, into voids, in place; return their number of samples.
 
     A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
     at most `MAX_SPIKE_SAMPLES` samples that
@@ -191,7 +193,7 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
 
 
 def fill_voids(heights_m: Float32Array) -> int:
-    """Fill voids of at most `MAX_VOID_SAMPLES` connected samples, in place; return how many.
+    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples, in place; return the count.
 
     The filling solves Laplace's equation with the rim as its boundary (the shape of a soap film):
     smooth, and never higher or lower than the rim, so that no skyline is invented. Samples are
@@ -233,7 +235,7 @@ def _least_step_m(spacing_m: float) -> float:
 
 
 def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
-    """Return flat indices, ascending, of heights a jump away from one beside them."""
+    """Return flat indices, ascending, of heights that differ by a jump from one beside them."""
     found = []
     for rows in strips(heights_m):
         top = max(rows.start - 1, 0)
@@ -364,7 +366,7 @@ def _heights(heights_m: Float32Array, samples: Int64Array) -> NDArray[np.float64
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
-    """Return the place of each wanted index among ascending samples, and whether it is there."""
+    """Return the position of each wanted index among ascending samples, and if it is there."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
 
@@ -402,8 +404,8 @@ def _before_walls(line: Float32Array, threshold_m: float) -> BoolArray:
 
 
 def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> int:
-    """Turn the fill of one value into voids; return how many samples became so."""
-    # Along both axes before any is removed, since removed samples hide the rim.
+    """Turn the fill of one value into voids; return the number of its samples."""
+    # Spans are found along both axes before any is removed, since removed samples hide the rim.
     views = heights_m, heights_m.T
     spans = [(view, *_fill_spans(view, value, threshold_m)) for view in views]
     count = 0
@@ -439,7 +441,7 @@ def _walls(
     value: float,
     threshold_m: float,
 ) -> Int64Array:
-    """Return at how many samples from each run its highest wall ends; 0 where it has no wall."""
+    """Return the samples from each run to the end of its highest wall; 0 without a wall."""
     wall = np.zeros(row.size, dtype=np.int64)
     before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
     for step in range(_REACH):

@@ -1,6 +1,6 @@
 """Conventions of a raster of heights: units, datums, axes, prime meridian, and its kind of surface.
 
-Conventions that a file names are taken. The others are assumed, with a warning where that matters.
+Conventions that a file names are used; the others are assumed, with a warning where that matters.
 """
 
 import math
@@ -36,7 +36,8 @@ _PRODUCTS = (
     (r"(?<![a-z])dsm(?![a-z])", "", SURFACE),
     (r"(?<![a-z])(dtm|dgm|dem_bare)(?![a-z])", "", GROUND),
 )
-"""Patterns of names and tags, the product, and its kind of surface; the first found counts."""
+"""Patterns in the names and tags of files, the product that each shows, and its kind of surface;
+the first pattern that is found counts."""
 
 _UNSAID = {"", "no", "none", "unknown", "unspecified"}
 """Band units that name no unit; ``NO`` is ArcInfo's."""
@@ -55,11 +56,12 @@ _WORDS = {
     "international": [],
     "intl": [],
 }
-"""Words in the names of units, and the words that stand for them; none where a word makes no
-difference."""
+"""Words in the names of units, and the words by which they are replaced; a word without meaning has
+none."""
 
 _DATUM = re.compile(r"\(|\babove\b|a\.?m?\.?s\.?l\b|ü")
-"""Where a unit ends and words on the datum begin: ``m (NAVD88)``, ``metres above sea level``."""
+"""The beginning of the words on the datum that follow a unit: ``m (NAVD88)``, ``metres above sea
+level``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def _units() -> Mapping[frozenset[str], float]:
         for unit in get_units_map(category="linear").values()
         for name in filter(None, (unit.proj_short_name, unit.name))
     }
-    # PROJ has 0.01 for it.
+    # PROJ gives 0.01 for it.
     return metres | {_key("decimetre"): 0.1, _key("dm"): 0.1}
 
 
@@ -126,16 +128,17 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str = "up") -> 
     source : str
         The name of the raster in errors.
     crs : CRS
-        With its vertical part.
+        The CRS with its vertical part.
     band_unit : str
-        May be empty.
+        Unit of the band; may be empty.
     positive : str
-        ``"down"`` for depths, as CF has it. So does a vertical axis that points down.
+        ``"down"`` for depths, as CF writes it. A vertical axis that points down has the same
+        effect.
 
     Raises
     ------
     InputError
-        A unit of the band that is not known to be one of length.
+        The unit of the band is not a known unit of length.
     """
     axis = next((axis for axis in crs.axis_info if axis.direction in ("up", "down")), None)
     notes = []

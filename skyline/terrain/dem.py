@@ -1,4 +1,4 @@
-"""DEM files to a `HeightField`: one grid, cleaned, in a metric frame."""
+"""Reading DEM files as a `HeightField`: on one grid, cleaned, in a metric frame."""
 
 import logging
 import math
@@ -27,23 +27,23 @@ from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
-"""A metric CRS that bends no angle by more than this is used without a warning."""
+"""Greatest error of angles in a metric CRS that is used without a warning."""
 
 TRUE_SCALE = 0.01
-"""So is one whose metres are within this fraction of metres on the ground."""
+"""Greatest error of lengths in such a CRS, as a share."""
 
 FAR_DEG = 10.0
-"""Coordinates of a DEM farther off the area of its CRS than this are likely those of another."""
+"""A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
 
 _PROBES = 9
-"""Rows and columns of places at which distortion is looked for."""
+"""Rows and columns of places at which distortion is computed."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class DemOptions:
-    """How DEM files are read.
+    """Options for reading DEM files.
 
     Attributes
     ----------
@@ -51,7 +51,8 @@ class DemOptions:
         Coordinate reference system of files that name none: an EPSG code or WKT. Its vertical part
         also counts for files in the same CRS that name none, such as ``EPSG:2263+6360``.
     reproject : bool
-        Warp a metric DEM too to the local conformal frame, for one that is not conformal.
+        Warp even a metric DEM to the local conformal frame, as is needed if its own CRS is not
+        conformal.
     """
 
     crs: str | None = None
@@ -65,8 +66,8 @@ class DemOptions:
     def from_json(cls, options: object) -> "DemOptions":
         """Return the options that a store holds; the defaults for None.
 
-        Names that are no options are left out: other releases write more of them. Raises
-        `InputError` for anything but a mapping.
+        Unknown names are left out, since other releases may write more options. Raises `InputError`
+        for anything but a mapping.
         """
         if not isinstance(options, Mapping | None):
             raise InputError(f"DEM options are {options!r}; expected names and values")
@@ -107,13 +108,13 @@ def read_dem(
     Raises
     ------
     MissingFileError
-        A path at which there is no file.
+        There is no file at a path.
     InputError
-        Not a raster, not one band, damaged, no (understood) CRS, a CRS that PROJ cannot transform,
-        a unit that is not one of length, a rotated grid, tiles that do not fit together, no height
-        at all.
+        A file is not a raster of one band, is damaged, or has a rotated grid or no height at all; a
+        CRS is missing, not understood, or one that PROJ cannot transform; a unit is not one of
+        length; or tiles do not fit together.
     FetchError
-        A server that has no such file, or does not answer.
+        A server has no such file, or does not answer.
     """
     return _height_field(read_files(paths, options), options)
 
@@ -121,7 +122,7 @@ def read_dem(
 def read_blocks(
     paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
 ) -> TerrainBlocks:
-    """Read a DEM as blocks of the field of `read_dem`, of which only those wanted are warped.
+    """Read a DEM as blocks of the field of `read_dem`, warped only where asked for.
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are the same too.
     """
@@ -139,7 +140,7 @@ def read_blocks(
 def read_files(
     paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
 ) -> Mosaic:
-    """Read files onto their own common grid, not cleaned; parameters and errors of `read_dem`."""
+    """Read files onto their own common grid, not cleaned; otherwise as `read_dem`."""
     if isinstance(paths, str | Path):
         paths = [paths]
     if not paths:
@@ -154,7 +155,7 @@ def dem_of(tile: Tile, options: DemOptions) -> HeightField:
 
 
 def _is_kept(mosaic: Mosaic, options: DemOptions) -> bool:
-    """Whether the heights stay on their files' own grid."""
+    """Return whether the heights stay on their files' own grid."""
     return is_metric(mosaic.crs) and not options.reproject
 
 

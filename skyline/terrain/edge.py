@@ -11,9 +11,10 @@ from skyline.geodesy import Curvature, Rectangle
 from skyline.terrain.heightfield import HeightField
 
 _REACH_M = 10_000.0
-"""Terrain past a point of the edge is assumed no higher than terrain inside this near to it."""
+"""Terrain past a point of the edge is assumed to be no higher than the terrain within this distance
+inside it."""
 _PARTS = 256
-"""Parts of each side, with a height each."""
+"""Number of parts of each side, each with a greatest height of its own."""
 _LEAST_M = 1.0
 """Least distance of an eye from the edge, and least length of a side: a DEM may be one sample
 wide."""
@@ -69,7 +70,7 @@ class DataEdge:
         edge. The arguments broadcast; azimuths are from grid north, places lie inside. float32
         arguments give a float32 result, for speed.
         """
-        distance_m, highest_m = self._left(easting_m, northing_m, azimuth_rad)
+        distance_m, highest_m = self._leaving(easting_m, northing_m, azimuth_rad)
         above_m = highest_m - np.asarray(eye_elevation_m)
         drop = self.curvature.drop_per_m2
         if drop > 0.0:
@@ -78,7 +79,7 @@ class DataEdge:
         # On a flat Earth terrain below the eye rises towards its level with distance, without end.
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
 
-    def _left(
+    def _leaving(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
         """Return the distance at which rays leave the data, and the height of terrain beyond."""
@@ -89,7 +90,8 @@ class DataEdge:
         with np.errstate(divide="ignore", invalid="ignore"):
             across = wide_m / 2.0 / np.abs(sine) - from_middle_m[0] / sine
             along = high_m / 2.0 / np.abs(cosine) - from_middle_m[1] / cosine
-        # A ray due north or south never leaves across: NaN there, which counts as farther off.
+        # A ray due north or south never crosses the east or west side: its distance is NaN, which
+        # counts as the farther one.
         distance_m, is_across = np.fmin(across, along), across <= along
         share = np.where(
             is_across,

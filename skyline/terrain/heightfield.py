@@ -33,7 +33,8 @@ BLOCK = 64
 """Cells along a side of a block."""
 
 _LEAST_SPACING_M = 0.01
-"""No model of terrain is finer; a second of arc, in degrees, is a fortieth of it."""
+"""Least spacing of samples. No model is finer; a grid in degrees read as metres would be (a second
+of arc is 0.0003 degrees)."""
 _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
 _LONGEST_PX = 240
@@ -42,7 +43,7 @@ _LONGEST_PX = 240
 
 @dataclass(frozen=True)
 class Provenance:
-    """The files of a height field, and how their samples were read.
+    """The files of a height field, and the treatment of their samples.
 
     Attributes
     ----------
@@ -51,9 +52,9 @@ class Provenance:
     resampling : str
         ``"none"`` where the file's own grid is used, else the method and the source CRS.
     filled, hollow, despiked : int
-        Void samples filled by interpolation, left as holes, and spikes removed.
+        Numbers of samples: voids filled by interpolation, voids left as holes, and spikes removed.
     undeclared : int
-        Of the void samples, those that the files do not declare (`skyline.terrain.cleaning`).
+        Number of the voids that the files do not declare (`skyline.terrain.cleaning`).
     options : mapping
         `skyline.DemOptions.to_json` of the options of reading.
     conventions : mapping
@@ -151,13 +152,14 @@ class HeightField:
         Returns
         -------
         HeightField
-            Its provenance names the file, where the dataset is one. A store of a field that no
-            file holds is matched with ``Matcher(store, dem=field)``.
+            Its provenance names the file, if the dataset is one. A store built from a field without
+            a file is matched with ``Matcher(store, dem=field)``.
 
         Raises
         ------
         InputError
-            Not one band, no (understood) CRS, a rotated grid, no height at all.
+            The dataset has not one band, no CRS that is understood, a rotated grid, or no height at
+            all.
         """
         from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
@@ -182,13 +184,14 @@ class HeightField:
         Returns
         -------
         HeightField
-            No file holds it: a store of it is matched with ``Matcher(store, dem=field)``.
+            The field has no file: a store built from it is matched with ``Matcher(store,
+            dem=field)``.
 
         Raises
         ------
         InputError
-            Other dimensions, several bands, coordinates missing or not even, no (understood) CRS,
-            no height at all.
+            The dimensions are others, there are several bands, coordinates are missing or not even,
+            there is no CRS that is understood, or no height at all.
         """
         from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
@@ -207,7 +210,7 @@ class HeightField:
 
     @property
     def height_sd_m(self) -> float:
-        """Expected deviation of the heights from the true ones at such a spacing.
+        """Expected standard deviation of the heights from the true ones, from the spacing.
 
         It grows as the root of the spacing. Measured against finer models of the same ground it is
         6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
@@ -238,7 +241,7 @@ class HeightField:
 
     @cached_property
     def has_holes(self) -> bool:
-        """Whether any sample is a hole."""
+        """True if any sample is a hole."""
         return bool(np.isnan(self.heights_m.min()))
 
     @cached_property
@@ -297,7 +300,7 @@ class HeightField:
         Raises
         ------
         InputError
-            Both pairs of coordinates, or half of one.
+            Both pairs of coordinates are given, or half of one.
         """
         if lon is not None and lat is not None and easting_m is None and northing_m is None:
             easting_m, northing_m = self.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
@@ -338,20 +341,22 @@ def ground_of(field: HeightField) -> Ground:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TerrainBlocks:
-    """R x C blocks of a height field, of which only those that an eye may see are made.
+    """R x C blocks of a height field, made only where an eye may see them.
 
-    An eye sees little of a wide DEM: terrain behind a ridge need not be warped. The place of a
-    block and a height that nothing in it exceeds decide whether an eye may see it. Neighbouring
-    blocks share the samples of their common edge.
+    An eye sees little of a wide DEM: terrain behind a ridge need not be warped. Whether an eye may
+    see a block follows from the block's place and a bound on its heights. Neighbouring blocks share
+    the samples of their common edge.
     """
 
     frame: Frame
     grid: Grid
-    """Of the samples, in metres of the frame."""
+    """Grid of the samples, in metres of the frame."""
     highest_m: Float32Array
-    """(R, C) float32. No height of a block is above it; -inf where there is none."""
+    """(R, C) float32. Upper bound of the heights of each block; -inf for a block without
+    heights."""
     field: Callable[[BoolArray], HeightField]
-    """From a mask of wanted blocks (R, C) to a field of these; others may be missing or NaN."""
+    """Takes a mask of wanted blocks (R, C) and returns a field with these; others may be missing or
+    NaN."""
 
     @classmethod
     def of(cls, field: HeightField) -> Self:

@@ -35,7 +35,7 @@ EMPTY = np.float32(-3e38)
 
 _SLACK_SLOPE = 1e-5
 _SLACK_CELLS = 0.02
-"""Far more than the error of a ray's place in float32 after MAX_STRIPS strips."""
+"""Margin of a bound, in cells: far more than a ray's error in float32 over the longest field."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +68,9 @@ class Triangles:
     def _edges(self) -> tuple[tuple[tuple[int, int], BoolArray, BoolArray], ...]:
         """All edges along rows, along columns and across cells.
 
-        Of each kind: the step in rows and columns from an edge's first sample to its second, and
-        which edges have a triangle on their right and on their left (seen from above, north up).
+        Each kind has the step in rows and columns from an edge's first sample to its second, and
+        masks of the edges with a triangle on their right and on their left (seen from above, north
+        up).
         """
         north_east, south_west = self.north_east, self.south_west
         return (
@@ -79,9 +80,9 @@ class Triangles:
         )
 
     def entries(self, north: bool, east: bool) -> BoolArray:
-        """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
+        """Return a mask of samples (rows, cols): ends of edges where a ray may enter the surface.
 
-        ``north`` and ``east``: whether the ray goes there rather than south and west.
+        The ray goes ``north`` rather than south, and ``east`` rather than west.
         """
         rows, cols = self.north_east.shape
         marks = np.zeros((rows - 1, cols - 1), dtype=bool)
@@ -100,7 +101,7 @@ class Triangles:
 
     @property
     def has_dangling_edges(self) -> bool:
-        """Whether two samples of triangles are neighbours along an edge without a triangle."""
+        """True if samples of triangles are neighbours along an edge without a triangle."""
         there = self.samples
         return any(
             bool((there[: len(left), : left.shape[1]] & there[row:, col:] & ~(left | right)).any())
@@ -110,9 +111,9 @@ class Triangles:
     def rims(self) -> tuple[Int64Array, Int64Array]:
         """Return rows and columns (E, 2) of the first and second sample of E rim edges.
 
-        Those belong to one triangle only: they are the border of the map, of an irregular outline
-        and of holes. From its first sample to its second, an edge has the surface on its right
-        (seen from above, north up) and nothing on its left.
+        A rim edge belongs to one triangle only: rims border the map, an irregular outline and
+        holes. From its first sample to its second, an edge has the surface on its right (seen from
+        above, north up) and nothing on its left.
         """
         rows, cols = [], []
         for (row_step, col_step), right, left in self._edges:
@@ -131,11 +132,11 @@ class SlabLevel:
     """(bins, bands, blocks, SLABS). Greatest value; `EMPTY` (0 of marks) where a ray meets no
     sample."""
     first_block: int
-    """Blocks left of the one that begins at column 0."""
+    """Number of blocks left of the block that begins at column 0."""
 
 
 def level_count(strips: int) -> int:
-    """Return the number of levels for a field whose longer axis has so many strips."""
+    """Return the number of levels for a field with this number of strips along its longer axis."""
     levels = 1
     while LEAF_STRIPS * SLABS**levels < strips:
         levels += 1
@@ -186,7 +187,7 @@ def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
 def _bin_level(
     source: Samples, step: int, slab: int, columns: int, slopes: Float64Array
 ) -> SlabLevel:
-    """Return the level of slabs of which ``source`` holds the maxima, as `_coarsened` does."""
+    """Return the level of the slabs whose maxima are in ``source``, laid out as by `_coarsened`."""
     bands = -(-len(source) // SLABS)
     values = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1)
     first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1

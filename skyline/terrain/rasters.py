@@ -1,6 +1,6 @@
 """Rasters of heights as tiles: files and addresses that GDAL opens, open datasets, xarray's arrays.
 
-A new kind of DEM becomes one more function here that returns a `Tile`; `open_tile` chooses it for
+To support a new kind of DEM, add a function here that returns a `Tile`; `open_tile` chooses it for
 a path. `skyline.terrain.tiles` then reads it, and all commands take it.
 """
 
@@ -39,23 +39,24 @@ UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
 
 EVEN = 0.05
-"""How far a coordinate of an array may lie off even steps, in samples: float32 degrees do."""
+"""Greatest distance of an array's coordinate from even steps, in samples: coordinates in float32
+degrees are not exact."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
-# Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
+# This cache is enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
 _GDAL_CACHE_BYTES = 64 << 20
 _COMPOUND = {"GTIFF_REPORT_COMPD_CS": "YES"}
-"""GDAL leaves the vertical part of a GeoTIFF's CRS out otherwise."""
+"""Without this option GDAL leaves out the vertical part of a GeoTIFF's CRS."""
 _ON_NETWORKS = {
     "GDAL_HTTP_CONNECTTIMEOUT": "30",
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
-"""A server that sends less than 1 kB a second for 30 seconds is given up."""
+"""Options for servers: reading fails if less than 1 kB a second arrives for 30 seconds."""
 _NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
-"""GDAL asks a server for a dozen files beside the DEM otherwise."""
+"""Without this option GDAL asks a server for a dozen other files in the DEM's folder."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
 _NO_ANSWER = re.compile(
     r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
@@ -65,7 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
-    """Return the tile in a file, or of a name that GDAL opens.
+    """Return the tile in a file, or under another name that GDAL opens.
 
     Raises `InputError`, `MissingFileError` or `FetchError` where it is not a usable DEM.
     """
@@ -106,7 +107,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
-        # Attributes that xarray has applied already are in the encoding instead.
+        # Once xarray has applied attributes, they are in the encoding instead.
         scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
         for rows in strips(band):
             voids = np.zeros(band[rows].shape, dtype=np.bool_)
@@ -127,7 +128,7 @@ def absolute_name(path: str | Path) -> str:
     MissingFileError
         There is no such file, and it is no address or name of GDAL's.
     InputError
-        A folder, or a name that is not UTF-8.
+        The path is a folder, or not UTF-8.
     """
     text = str(path)
     if is_file(text):
@@ -205,7 +206,7 @@ def _tile_of(
     default_crs: CRS | None,
     files: tuple[str, ...],
 ) -> Tile:
-    """Return the tile in a rasterio dataset, which is opened now and again to be read."""
+    """Return the tile in a rasterio dataset, which is opened now and once more when it is read."""
     with opened() as dataset:
         if dataset.count == 0 and dataset.subdatasets:
             raise InputError(

@@ -1,8 +1,8 @@
 """Summits of a height field: the highest point near a place, and the prominence of a hill.
 
-The sample of a summit lies up to a sample's spacing aside of it. An eye beside that sample stands
-on the model's slope, with the summit before it like a wall, although the two places are the same as
-far as the model can resolve.
+The highest sample of a summit lies up to a sample's spacing beside the true summit. An eye beside
+that sample stands on the model's slope, with the summit before it like a wall, although the two
+places are the same as far as the model can resolve.
 """
 
 import math
@@ -17,9 +17,9 @@ _FALL_SDS, _LEVEL_SDS = 2.0, 0.5
 """Least fall of the ground around a summit, and greatest rise on it, in deviations of the model's
 heights."""
 _SUMMIT_REACH = 16
-"""The ground falls off within this many samples of a summit."""
+"""Distance from a summit, in samples, within which the ground must fall off."""
 PROMINENCE_REACH = 64
-"""The way to higher ground is looked for within this many samples of a summit."""
+"""Distance from a summit, in samples, within which the way to higher ground is searched."""
 _PROMINENCE_STEP_M = 1.0
 _BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
 """From a sample into each triangle around it, in samples to the east plus i times to the south."""
@@ -29,11 +29,11 @@ _EIGHT_NEIGHBOURS = np.ones((3, 3), np.int64)
 def highest_within(
     field: HeightField, easting_m: float, northing_m: float, within_m: float
 ) -> tuple[float, float]:
-    """Return easting and northing of the surface's highest point in a disc; of equals the nearest.
+    """Return easting and northing of the highest point in a disc; of equals the nearest.
 
-    On each triangle the height is linear. Its greatest in the disc is therefore at a sample, where
-    an edge leaves the disc, or where the triangle's steepest way up from the disc's middle does.
-    Where the disc has no surface, its middle is returned.
+    On each triangle the height is linear. The highest point in the disc is therefore at a sample,
+    where an edge leaves the disc, or where the triangle's steepest way up from the disc's middle
+    does. Where the disc has no surface, its middle is returned.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def highest_within(
 def summit_heights_m(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> Float64Array:
-    """Return the height of the summit on which each place lies, (N,); NaN where on none.
+    """Return the height of the summit on which each place lies, (N,); NaN where there is none.
 
     A place lies on a summit if the highest sample within one spacing is on one: the ground falls
     off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
@@ -157,7 +157,7 @@ def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
 
 
 def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
-    """Whether ground falls by ``fall_m`` on all sides of a window's middle before it rises."""
+    """Return whether ground falls by ``fall_m`` all round a window's middle before it rises."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2

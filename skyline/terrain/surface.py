@@ -1,4 +1,4 @@
-"""How high trees and houses may rise above bare ground: a surface over a terrain, on its grid."""
+"""The surface of trees and houses over a terrain, on the terrain's grid: an upper bound."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
 UNKNOWN_M = 40.0
-"""Height above ground where the model has none: that of tall trees."""
+"""Height above ground assumed where the model has no height: that of tall trees."""
 
 _CANOPY_MOST_M = 120.0
 """The greatest height in a canopy model; a surface model of high ground has greater ones."""
@@ -29,8 +29,8 @@ Dem = str | Path | Sequence[str | Path] | HeightField
 def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
 
-    Raises `InputError` where the model is not over the terrain, or its heights have another datum;
-    or as `read_dem`.
+    Raises `InputError` where the model does not cover the terrain or its heights have another
+    datum, and as `read_dem`.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     Returns
     -------
     HeightField
-        On the terrain's samples, nowhere lower: the ground and the greatest height above the ground
-        that the model has within a sample's distance, or 40 m where the model has none.
+        On the terrain's samples, nowhere lower: the ground, plus the model's greatest height above
+        it within a sample's distance, or plus 40 m where the model has no height.
     """
     if not isinstance(paths, HeightField):
         crs = DemOptions.from_json(terrain.provenance.options).crs
@@ -81,7 +81,7 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
     reach_m = max(model.spacing_east_m, model.spacing_north_m)
     for rows in strips(model.heights_m):
         easting, northing = _samples(model, rows, terrain)
-        # Samples just outside give the heights between them and the border.
+        # Samples just outside are needed for the heights between them and the border.
         for at, least, most in ((easting, west, east), (northing, south, north)):
             beside = np.clip(at, least, most)
             np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)

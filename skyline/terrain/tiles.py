@@ -20,7 +20,7 @@ MAX_SAMPLES = 1 << 31
 """The largest mosaic: 8 GiB of float32."""
 
 GRID_TOLERANCE = 0.01
-"""How far a tile's samples may lie off the grid of the first tile, in samples."""
+"""Greatest distance of a tile's samples from the grid of the first tile, in samples."""
 
 AGREEMENT_M = 1.0
 """Overlapping tiles may differ by this much, from rounding to whole metres."""
@@ -41,12 +41,12 @@ class Grid:
 
     @property
     def east(self) -> float:
-        """Abscissa of the last column."""
+        """Abscissa of the easternmost samples."""
         return self.west + (self.cols - 1) * self.step_east
 
     @property
     def south(self) -> float:
-        """Ordinate of the last row."""
+        """Ordinate of the southernmost samples."""
         return self.north - (self.rows - 1) * self.step_north
 
     @property
@@ -83,7 +83,7 @@ class Tile:
     grid : Grid
         North-up, whichever way the raster's rows and columns run.
     north_up : (slice, slice)
-        Turns an array with the raster's rows and columns into one on the grid, and back.
+        Index that turns an array in the raster's order into the grid's order, and back.
     vertical : Vertical
     conventions : mapping
         Conventions of the raster by name, in words.
@@ -113,7 +113,7 @@ class Mosaic:
     heights_m : (rows, cols) float32
         NaN marks voids, -inf voids that no file declares, +inf samples that no tile covers.
     source, crs, grid, conventions, files
-        As of a `Tile`.
+        As in `Tile`.
     """
 
     heights_m: Float32Array
@@ -127,14 +127,14 @@ class Mosaic:
 def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     """Read tiles onto their common grid.
 
-    Where tiles overlap, the first tile that has a height gives it. A warning gives their
-    disagreement if that is more than `AGREEMENT_M`.
+    Where tiles overlap, the first tile that has a height gives it. If they differ by more than
+    `AGREEMENT_M`, a warning gives the difference.
 
     Raises
     ------
     InputError
-        Tiles of different CRS or spacing, off the grid of the first, or too far apart; heights
-        above the geoid in one tile and above the ellipsoid in another.
+        Tiles differ in CRS or spacing, lie off the grid of the first or too far apart, or one has
+        heights above the geoid and another above the ellipsoid.
     """
     grid, offsets = _common_grid(tiles)
     _check_vertical(tiles)

@@ -15,7 +15,7 @@ from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
 _MOST_WITHIN_M = 10_000.0
-"""The farthest that the highest point around an eye is looked for."""
+"""Greatest radius in which the highest point around an eye may be searched."""
 
 _ROUNDING_M = 1e-6
 _PLACES = (("easting", "northing"), ("lon", "lat"))
@@ -64,9 +64,9 @@ def stand_on(
     Raises
     ------
     OffMapError
-        A location off the map or on a hole, or an eye height below 0.
+        A location is off the map or on a hole, or an eye height is below 0.
     InputError
-        A distance to summits that is not from 0 to 10,000 m.
+        ``summit_within_m`` is not from 0 to 10,000 m.
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
@@ -96,7 +96,7 @@ def stand_at(
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = None,
 ) -> Viewpoints:
-    """Place eyes at longitudes and latitudes (WGS 84), as `stand_on` does at metres.
+    """Place eyes at longitudes and latitudes (WGS 84); parameters and errors as in `stand_on`.
 
     By default an eye beside a summit of the model stands as high as the summit.
     """
@@ -197,7 +197,7 @@ def _check_ground(
 
 
 def _is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-    """Return a mask of the places within bounds, of the places' shape."""
+    """Return a mask of the places that lie within bounds."""
     west, south, east, north = bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
@@ -242,9 +242,9 @@ def read_viewpoints(
     Raises
     ------
     MissingFileError, InputError
-        No such file; wrong columns; a value that is not a number; no rows.
+        The file does not exist or has no rows, the columns are wrong, or a value is not a number.
     OffMapError
-        A viewpoint off the map, on a hole, or with its eye below the ground.
+        A viewpoint is off the map, on a hole, or has its eye below the ground.
     """
     columns = _read_columns(Path(path))
     places = next((pair for pair in _PLACES if set(pair) <= columns.keys()), None)

@@ -1,10 +1,10 @@
-"""Resampling of a grid of one CRS to a square metric grid of another, with all summits kept.
+"""Resampling from a grid in one CRS to a square metric grid in another, with all summits kept.
 
 GDAL's ``WarpedVRT`` with a tolerance of 0.001 samples places samples as well and as fast, but its
 cubic convolution overshoots: with `keep_summits` after it, 4 to 18 % of the summits of Davos,
-California and Everest came out more than 1 m too high, by up to 21 m. A part of its target also
-differs from the whole, by up to 5 cm. Here nothing is higher than the samples around it, and blocks
-have the samples of the whole, to the bit.
+California and Everest came out more than 1 m too high, by up to 21 m. A part that is warped alone
+also differs from the whole, by up to 5 cm. In this module no sample is higher than the source's
+samples around it, and a block has the samples of the whole, bit for bit.
 """
 
 import math
@@ -29,13 +29,13 @@ _NODE_STEP = 32
 _EDGE_POINTS = 127
 _BLOCKS_AT_ONCE = 16
 _THREADS = 4
-# Positions this near the outermost source samples are on them, but for rounding.
+# Positions this near to the outermost source samples lie on them, up to rounding.
 _SLACK = 1e-6
 _BENT = 3
 """Source samples by which the edge of a block may bend beyond the box around its corners."""
 
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
-"""From rows (n,) and columns (m,) of the target to rows and columns (n, m) in the source."""
+"""Takes rows (n,) and columns (m,) of the target; returns rows and columns (n, m) in the source."""
 _Window = tuple[slice, slice]
 """Rows and columns."""
 
@@ -79,7 +79,7 @@ class Warp:
     """Resamples heights to a frame by cubic convolution (Keys 1981, a = -1/2), with all summits.
 
     No sample of the target is above or below the four samples of the source around it: a cubic
-    overshoots between two samples that are as high as each other. Then the sample nearest to each
+    overshoots, for example between two samples of equal height. Then the sample nearest to each
     local maximum of the source is lifted to it (`keep_summits`).
 
     The target's samples have eastings and northings that are whole multiples of the spacing. It
@@ -94,14 +94,14 @@ class Warp:
     heights_m : (rows, cols) float32
         On ``grid``, in the units of ``crs``; NaN marks holes.
     crs : CRS
-        The source's.
+        CRS of the source.
     frame : Frame
-        The target's.
+        Frame of the target.
 
     Attributes
     ----------
     target : Grid
-        In metres of the frame.
+        The target's grid, in metres of the frame.
     """
 
     def __init__(
@@ -133,9 +133,9 @@ class Warp:
         return self.blocks_m(np.ones(blocks, np.bool_))[0]
 
     def blocks_m(self, wanted: BoolArray) -> tuple[Float32Array, Grid]:
-        """Return the least part of the target with all blocks (R, C) wanted; the rest is NaN.
+        """Return the smallest part of the target with all wanted blocks (R, C), the rest NaN.
 
-        If none are wanted it is all of the target.
+        If no block is wanted, the part is the whole target.
         """
         target = self.target
         spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
@@ -177,7 +177,7 @@ class Warp:
 
 
 def _inside(inner: _Window, outer: _Window) -> _Window:
-    """Return rows and columns as slices of an array of other rows and columns."""
+    """Return the window ``inner`` as slices of an array that covers the window ``outer``."""
     row, col = (span.start for span in outer)
     rows, cols = inner
     return slice(rows.start - row, rows.stop - row), slice(cols.start - col, cols.stop - col)

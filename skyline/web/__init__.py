@@ -1,1 +1,1 @@
-"""The local page: photos in, their skylines mended, places found and fitted by hand."""
+"""The local web page: open photos, correct their skylines, and find and fit their places."""

@@ -59,7 +59,7 @@ class TooLargeError(InputError):
 
 
 def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
-    """Return the application over an opened store; ``started`` is called once it answers."""
+    """Return the web application of an engine; ``started`` is called once it answers requests."""
     return _Pages(engine, started).app()
 
 

@@ -123,7 +123,7 @@ class Guard:
         await self._app(scope, receive, with_policy)
 
     def allows(self, hosts: list[str], origins: list[str]) -> bool:
-        """Whether a request with these Host and Origin headers comes from the server's own page."""
+        """Return whether a request with these Host and Origin headers is from the page itself."""
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
             return False
         return all(origin == f"http://{hosts[0]}" for origin in origins)

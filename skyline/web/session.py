@@ -195,7 +195,7 @@ def version_of(query: QuerySkyline) -> str:
 
 
 def _is_guess(query: QuerySkyline) -> bool:
-    """Whether the field of view is a guess from a cropped photo, not a value to show as known."""
+    """Return whether the field of view is a guess from a cropped photo, not to be shown."""
     return query.lens is not None and query.lens.most_deg is not None
 
 
@@ -228,7 +228,7 @@ def _too_many(path: Path) -> str | None:
 
 
 class _CancelledError(Exception):
-    """The match was cancelled."""
+    """Raised in the match's thread when the user cancels it."""
 
 
 class Match:
@@ -367,7 +367,7 @@ def saved(
 
 
 def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
-    """Return the result of which the first candidate is shown, then the others."""
+    """Return the photo's result with these candidates, in this order."""
     judged = (one for one in (photo.found, photo.fitted) if one and candidates[0] in one.candidates)
     found = next(judged, MatchResult(photo.known(), (), 0.0))
     # Only the answer itself is an answer; other candidates of its search are not.
@@ -444,7 +444,7 @@ class Sessions:
         self.opened = Opened()
 
     def begin(self) -> Session:
-        """Return a new session; if there are too many, the one closed longest ago ends."""
+        """Return a new session; if there are too many, the one closed longest ago is ended."""
         if len(self._sessions) >= MAX_SESSIONS:
             oldest = max(list(self._sessions.values()), key=lambda session: session.unattended_s)
             if oldest.pages:
@@ -459,7 +459,7 @@ class Sessions:
         return self._sessions[session_id]
 
     def sweep(self) -> None:
-        """End matches without an open page, and sessions whose pages closed long ago."""
+        """End matches that no open page awaits, and sessions that were closed long ago."""
         for session in list(self._sessions.values()):
             if session.unattended_s > _UNATTENDED_S:
                 for match in session.matches.values():
