@@ -1,27 +1,15 @@
 """Elevation files for tests."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
-from rasterio.transform import Affine, from_origin
+from rasterio.transform import from_origin
 from scenes import write_dem
 
 UTM = "EPSG:32632"
 CALIFORNIA = [f"N{lat}W{lon}" for lat in (38, 37, 36) for lon in (120, 119)]
 
-AnyArray = NDArray[Any]
 
-
-def write(
-    path: Path,
-    heights: AnyArray,
-    transform: Affine | None = None,
-    crs: str | None = UTM,
-    **profile: Any,
-) -> Path:
+def write(path, heights, transform=None, crs=UTM, **profile):
     """Write heights (rows, cols) or (bands, rows, cols) as a GeoTIFF; return its path."""
     transform = from_origin(500_000.0, 5_200_000.0, 30.0, 30.0) if transform is None else transform
     tags = profile.pop("tags", {})
@@ -33,12 +21,12 @@ def write(
     return path
 
 
-def plane(x: AnyArray, y: AnyArray) -> AnyArray:
+def plane(x, y):
     """A height that names its place: every flip and every shift changes it."""
     return 1000.0 + 0.25 * x - 0.5 * y
 
 
-def plane_grid(rows: int, cols: int, transform: Affine) -> NDArray[np.float32]:
+def plane_grid(rows, cols, transform):
     """Heights of the plane at pixel centres, relative to the grid's first corner."""
     row, col = np.mgrid[0:rows, 0:cols] + 0.5
     x = transform.a * col + transform.b * row

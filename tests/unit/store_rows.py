@@ -2,14 +2,13 @@
 
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 
 from skyline.geodesy import Frame
 from skyline.skylines import Views
-from skyline.store import Store, StoreHeader, columns_of, write_store
+from skyline.store import StoreHeader, columns_of, write_store
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
@@ -27,7 +26,7 @@ PLACES_HEADER = replace(VIEWS_HEADER, width=0, holds=PLACES)
 HEADERS = {RENDERINGS: VIEWS_HEADER, PLACES: PLACES_HEADER}
 
 
-def numbered_views(start: int, stop: int) -> tuple[Views, np.ndarray]:
+def numbered_views(start, stop):
     """Return views and keypoints of rows ``start`` to ``stop``; some columns are NaN."""
     number = np.arange(start, stop)
     skyline = np.sin(0.1 * np.arange(WIDTH) + number[:, np.newaxis]).astype(np.float32)
@@ -46,7 +45,7 @@ def numbered_views(start: int, stop: int) -> tuple[Views, np.ndarray]:
     return views, keypoints
 
 
-def numbered_places(start: int, stop: int) -> Places:
+def numbered_places(start, stop):
     """Return places of rows ``start`` to ``stop``."""
     number = np.arange(start, stop)
     place, row = number.astype(np.float64), number[:, np.newaxis]
@@ -62,7 +61,7 @@ def numbered_places(start: int, stop: int) -> Places:
     )
 
 
-def write_rows(path: Path, start: int, stop: int, header: StoreHeader = VIEWS_HEADER) -> Path:
+def write_rows(path, start, stop, header=VIEWS_HEADER):
     """Write a store of rows ``start`` to ``stop`` of the header's kind."""
     if header.holds == PLACES:
         columns = columns_of(header, numbered_places(start, stop))
@@ -72,7 +71,7 @@ def write_rows(path: Path, start: int, stop: int, header: StoreHeader = VIEWS_HE
     return path
 
 
-def assert_holds(store: Store, rows: np.ndarray, index: object = slice(None)) -> None:
+def assert_holds(store, rows, index=slice(None)):
     """Assert that rows of a store, read in every way there is, are those numbered ``rows``."""
     wanted, last = np.atleast_1d(rows[index]), int(rows.max(initial=-1)) + 1
     if store.header.holds == PLACES:
@@ -89,20 +88,20 @@ def assert_holds(store: Store, rows: np.ndarray, index: object = slice(None)) ->
 
 
 @contextmanager
-def edited(path: Path):
+def edited(path):
     """Open a store's file to change it."""
     with h5py.File(path, "r+", libver=("v110", "v110")) as file:
         yield file
 
 
-def flip(path: Path, position: int) -> None:
+def flip(path, position):
     """Flip a bit of a file."""
     data = bytearray(path.read_bytes())
     data[position] ^= 16
     path.write_bytes(data)
 
 
-def chunk_of(path: Path, name: str, chunk: int) -> int:
+def chunk_of(path, name, chunk):
     """Return the byte at which a chunk of a dataset begins."""
     with h5py.File(path) as file:
         return int(file[name].id.get_chunk_info(chunk).byte_offset)

@@ -21,28 +21,17 @@ SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
 
 EAST, NORTH = np.meshgrid(np.arange(-960.0, 6081.0, 80.0), np.arange(6080.0, -961.0, -80.0))
 """Of samples in a block and round about. The lattices down to a spacing of 80 m lie on them."""
-ROW = NORTH // 80.0
 NODE_M = np.hypot(EAST - 2560.0, NORTH - 2560.0)
 """Distance from a node of the coarsest lattice."""
 RANDOM = np.random.default_rng(2).random(EAST.shape)
 
 HOLES = {
-    "none": NODE_M < 0.0,
     "a quarter": (EAST < 2560.0) & (NORTH < 2560.0),
     "all but a disc between the coarsest nodes": np.hypot(EAST - 1920.0, NORTH - 1920.0) > 500.0,
-    "all but one sample between the coarsest nodes": (EAST != 1920.0) | (NORTH != 1920.0),
     "all but one triangle": NODE_M + (EAST < 2560.0) + (NORTH < 2560.0) > 80.0,
-    "a checkerboard of nodes": (EAST // 160.0 + NORTH // 160.0) % 2 == 0,
-    "every other row": ROW % 2 == 0,
     "all but a diagonal": EAST != NORTH,
     "a third, scattered": RANDOM < 0.3,
     "all": NODE_M >= 0.0,
-}
-
-CUTS = {
-    "one sample": np.s_[44:45, 44:45],
-    "one cell wide": np.s_[:, 43:45],
-    "smaller than the coarsest spacing, between its nodes": np.s_[46:54, 46:54],
 }
 
 
@@ -106,17 +95,11 @@ class TestLoss:
         lost = lost_shares(distance, np.array([50.0, 300.0]))
         np.testing.assert_allclose(lost, plain, rtol=1e-9)
 
-    def test_near_skylines_and_far_places_lose_more(self):
-        distance = np.geomspace(10.0, 1e5, 20)[:, None] * np.ones((1, BINS))
-        lost = lost_shares(distance.astype(np.float32), SPACINGS_M)
-        assert (np.diff(lost, axis=0) < 0.0).all()
-        assert (np.diff(lost, axis=1) < 0.0).all()
-
 
 class TestPrice:
     look = staticmethod(looking(lambda easting: np.where(easting < BLOCK_M, 300.0, 3e4)))
 
-    @pytest.mark.parametrize("loss", [0.05, 0.2, 0.35])
+    @pytest.mark.parametrize("loss", [0.05, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
         price = price_of(loss, plain, AREA, self.look)
         lost = lost_shares(self.look(spread_over(plain, AREA)).distance_m, SPACINGS_M)
@@ -128,28 +111,21 @@ class TestPrice:
         # At the price itself two spacings may cost the same.
         assert lost_at(0.999 * price) <= loss < lost_at(1.001 * price)
 
-    def test_viewpoints_spread_evenly_over_the_area(self, plain):
-        eyes = spread_over(plain, AREA)
-        share = np.stack([eyes.easting_m / AREA[2], eyes.northing_m / AREA[3]])
-        counted, *_ = np.histogram2d(*share, bins=8)
-        assert len(eyes) == 512
-        assert (np.abs(counted - 8) <= 3).all()
-        with pytest.raises(InputError, match="no viewpoint falls on the surface"):
-            spread_over(plain, (1e6, 1e6, 2e6, 2e6))
-
     def test_viewpoints_are_found_on_a_small_island(self, plain):
         """In an elevation model that is nearly all holes."""
         west, south, east, north = plain.bounds_m
         share = (east - west) * (north - south) / 1e12
         eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
         assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
+        with pytest.raises(InputError, match="no viewpoint falls on the surface"):
+            spread_over(plain, (1e6, 1e6, 2e6, 2e6))
         assert not np.isnan(
             plain.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
         ).any()
 
 
 class TestPlan:
-    @pytest.mark.parametrize("level", [0, 1, 6, 7])
+    @pytest.mark.parametrize("level", [0, 7])
     def test_the_same_all_over_makes_a_lattice(self, plain, level):
         def far(easting):
             return np.full(len(easting), 2000.0)
@@ -192,25 +168,9 @@ class TestPlan:
             Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
         )
 
-    def test_every_rendering_is_kept(self, plain):
-        seen = []
-
-        def look(eyes):
-            seen.append(len(eyes))
-            return looking(lambda easting: np.full(len(easting), 400.0))(eyes)
-
-        places = joined(AdaptivePlanner(plain, look, AREA, 100.0), blocks_of(AREA))
-        # But for the coarsest places round about each block.
-        assert sum(seen) - len(places) == 2 * (6 * 6 - 4 * 4)
-
     @pytest.mark.parametrize("hole", HOLES)
     def test_holes_of_every_shape(self, hole):
         self.check_plan(np.where(HOLES[hole], np.nan, 500.0), EAST, NORTH)
-
-    @pytest.mark.parametrize("cut", CUTS)
-    def test_terrain_of_every_size(self, cut):
-        east, north = EAST[CUTS[cut]], NORTH[CUTS[cut]]
-        self.check_plan(np.full(east.shape, 500.0), east, north)
 
     @staticmethod
     def check_plan(heights_m, east, north):
@@ -224,20 +184,3 @@ class TestPlan:
         wanted = set(zip(east[stands].tolist(), north[stands].tolist(), strict=True))
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
-
-    def test_no_place_is_on_a_hole_or_outside(self, plain):
-        area = (2000.0, 1500.0, 5000.0, 4000.0)
-        heights = plain.heights_m.copy()
-        heights[40:50] = np.nan
-        holed = field_of(heights, 100.0, west_m=-1500.0, north_m=7500.0)
-        places = planned(holed, lambda easting: np.full(len(easting), 300.0), 100.0, area)
-        assert len(places) > 100
-        assert not np.isnan(
-            holed.height_at(easting_m=places.easting_m, northing_m=places.northing_m)
-        ).any()
-        assert places.easting_m.min() >= area[0]
-        assert places.easting_m.max() <= area[2]
-        assert places.northing_m.min() >= area[1]
-        assert places.northing_m.max() <= area[3]
-        off = AdaptivePlanner(plain, looking(np.ones_like), (1e6, 1e6, 2e6, 2e6), 1.0)
-        assert off.places((200, 200)) is None

@@ -1,6 +1,5 @@
 """Spikes are removed, small voids are filled, and nothing else changes."""
 
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -9,10 +8,8 @@ import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyline.arrays import Float32Array
 from skyline.terrain import cleaning
 from skyline.terrain.cleaning import fill_voids, remove_spikes
 
@@ -20,16 +17,16 @@ SPACING_M = 30.0
 
 
 @pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"], autouse=True)
-def strip_samples(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def strip_samples(request, monkeypatch):
     monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", request.param)
 
 
-def rugged(rows: int = 40, cols: int = 50) -> Float32Array:
+def rugged(rows=40, cols=50):
     row, col = np.mgrid[0:rows, 0:cols].astype(np.float32)
     return 1500.0 + 300.0 * np.sin(row / 5.0) * np.cos(col / 7.0) + 8.0 * row
 
 
-def despiked(heights: Float32Array, spacing_m: float = SPACING_M) -> Float32Array:
+def despiked(heights, spacing_m=SPACING_M):
     cleaned = heights.copy()
     count = remove_spikes(cleaned, spacing_m)
     assert count == np.count_nonzero(np.isnan(cleaned)) - np.count_nonzero(np.isnan(heights))
@@ -38,7 +35,7 @@ def despiked(heights: Float32Array, spacing_m: float = SPACING_M) -> Float32Arra
 
 @pytest.mark.parametrize("height_m", [32767.0, -32767.0, 1e30, 700.0, -700.0])
 @pytest.mark.parametrize("place", [(20, 25), (0, 25), (39, 49), (0, 0), (1, 10)])
-def test_a_spike_is_removed_and_nothing_else(height_m: float, place: tuple[int, int]) -> None:
+def test_a_spike_is_removed_and_nothing_else(height_m, place):
     heights = rugged()
     heights[place] += height_m
     assert np.argwhere(np.isnan(despiked(heights))).tolist() == [list(place)]
@@ -48,7 +45,7 @@ def test_a_spike_is_removed_and_nothing_else(height_m: float, place: tuple[int, 
     "clump", [[(0, 0), (0, 1)], [(0, 0), (1, 1)], [(0, 0), (0, 1), (1, 0), (1, 1)]]
 )
 @pytest.mark.parametrize("even", [True, False])
-def test_clumps_of_spikes_are_removed(clump: list[tuple[int, int]], even: bool) -> None:
+def test_clumps_of_spikes_are_removed(clump, even):
     heights = rugged()
     places = [(17 + r, 22 + c) for r, c in clump]
     for number, place in enumerate(places):
@@ -56,7 +53,7 @@ def test_clumps_of_spikes_are_removed(clump: list[tuple[int, int]], even: bool) 
     assert [tuple(p) for p in np.argwhere(np.isnan(despiked(heights)))] == places
 
 
-def test_a_pinnacle_among_ledges_is_ground() -> None:
+def test_a_pinnacle_among_ledges_is_ground():
     """A pinnacle in a ring of ledges, each 50 m above the one before, high above the sea."""
     heights = np.full((9, 9), 3000.0, dtype=np.float32)
     ring = [(3, 3), (3, 4), (3, 5), (4, 5), (5, 5), (5, 4), (5, 3), (4, 3)]
@@ -66,56 +63,49 @@ def test_a_pinnacle_among_ledges_is_ground() -> None:
     np.testing.assert_array_equal(despiked(heights), heights)
 
 
-def test_a_block_of_absurd_heights_is_removed() -> None:
+def test_a_block_of_absurd_heights_is_removed():
     heights = rugged()
     heights[5:15, 5:15] = 32767.0
     assert np.isnan(despiked(heights)[5:15, 5:15]).all()
 
 
-def cone(slope: float) -> Float32Array:
+def cone(slope):
     row, col = np.mgrid[-15:16, -15:16]
     return (4000.0 - slope * SPACING_M * np.hypot(row, col)).astype(np.float32)
 
 
-def cliff() -> Float32Array:
+def cliff():
     heights = np.zeros((30, 30), dtype=np.float32)
     heights[:, 15:] = 3000.0
     return heights
 
 
-def arete() -> Float32Array:
+def arete():
     """A wall of one sample, 500 m over its feet on either side, with both ends inside the map."""
     heights = np.zeros((30, 30), dtype=np.float32)
     heights[15, 5:25] = 500.0
     return heights
 
 
-def mesa() -> Float32Array:
+def mesa():
     heights = np.zeros((30, 30), dtype=np.float32)
     heights[10:13, 10:13] = 1000.0
     return heights
 
 
-def gorge() -> Float32Array:
-    return -arete()
-
-
-def noise() -> Float32Array:
-    return np.random.default_rng(3).uniform(0.0, 3000.0, (60, 60)).astype(np.float32)
-
-
 @pytest.mark.parametrize(
-    "terrain", [cone(1.0), cone(2.4), cliff(), cliff().T.copy(), arete(), mesa(), gorge()]
+    "terrain", [cone(1.0), cone(2.4), cliff(), cliff().T.copy(), arete(), mesa(), -arete()]
 )
-def test_real_shapes_stay(terrain: Float32Array) -> None:
+def test_real_shapes_stay(terrain):
     np.testing.assert_array_equal(despiked(terrain), terrain)
 
 
-def test_even_white_noise_stays_almost_whole() -> None:
-    assert np.count_nonzero(np.isnan(despiked(noise()))) <= 0.02 * noise().size
+def test_even_white_noise_stays_almost_whole():
+    noise = np.random.default_rng(3).uniform(0.0, 3000.0, (60, 60)).astype(np.float32)
+    assert np.count_nonzero(np.isnan(despiked(noise))) <= 0.02 * noise.size
 
 
-def test_samples_that_no_file_covers_are_no_neighbours() -> None:
+def test_samples_that_no_file_covers_are_no_neighbours():
     heights = rugged()
     heights[:, 30:] = np.inf
     heights[20, 29] += 800.0
@@ -135,13 +125,7 @@ def test_samples_that_no_file_covers_are_no_neighbours() -> None:
         ("sierra/sierra_ansel_adams_30m_albers.tif", 30.0, []),
     ],
 )
-def test_real_terrain_stays(
-    shared_data: Path,
-    path: str,
-    spacing_m: float,
-    expected: list[tuple[int, int]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_real_terrain_stays(shared_data, path, spacing_m, expected, monkeypatch):
     monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 1 << 18)
     with rasterio.open(shared_data / path) as dataset:
         heights = dataset.read(1, masked=True).astype(np.float32).filled(np.nan)
@@ -162,7 +146,7 @@ def test_real_terrain_stays(
     void=hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))),
     limit=st.integers(0, 12),
 )
-def test_voids_are_filled_by_size(void: NDArray[np.bool_], limit: int) -> None:
+def test_voids_are_filled_by_size(void, limit):
     heights = np.random.default_rng(1).uniform(0, 100, void.shape).astype(np.float32)
     heights[void] = np.nan
     before = heights.copy()
@@ -179,7 +163,7 @@ def test_voids_are_filled_by_size(void: NDArray[np.bool_], limit: int) -> None:
         assert heights[small].max() <= np.nanmax(before) + 1e-3
 
 
-def test_filling_is_the_mean_of_neighbours_and_keeps_planes() -> None:
+def test_filling_is_the_mean_of_neighbours_and_keeps_planes():
     row, col = np.mgrid[0:20, 0:20].astype(np.float32)
     plane = 3.0 * row - 7.0 * col + 500.0
     void = np.zeros(plane.shape, dtype=bool)
@@ -197,7 +181,7 @@ def test_filling_is_the_mean_of_neighbours_and_keeps_planes() -> None:
     np.testing.assert_allclose(rough[void], mean[void], atol=1e-3)
 
 
-def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim() -> None:
+def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim():
     heights = np.full((9, 9), 10.0, dtype=np.float32)
     heights[:, 6:] = np.inf
     heights[4, 5] = np.nan
@@ -206,21 +190,3 @@ def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim() -> None:
     assert heights[4, 5] == pytest.approx(10.0)
     assert np.isnan(heights[0, 7])
     assert np.count_nonzero(np.isposinf(heights)) == 26
-
-
-def test_a_void_that_meets_known_ground_by_a_corner_alone_stays() -> None:
-    heights = np.full((5, 5), 10.0, dtype=np.float32)
-    heights[:2], heights[:, :2] = np.inf, np.inf
-    heights[1, 1] = np.nan
-    heights[2, 2] = np.nan
-    assert fill_voids(heights) == 1
-    assert heights[2, 2] == pytest.approx(10.0)
-    assert np.isnan(heights[1, 1])
-
-
-def test_nothing_to_do() -> None:
-    heights = rugged()
-    before = heights.copy()
-    assert remove_spikes(heights, SPACING_M) == 0
-    assert fill_voids(heights) == 0
-    np.testing.assert_array_equal(heights, before)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted
+from query_scenes import equally_trusted, poses
 
 from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.match.ranking import Hypotheses, RefinedPoses
+from skyline.match.ranking import RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
@@ -18,15 +18,12 @@ NEAR_REFINED, NEAR_RETRIEVED = (
 )
 
 
-def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
+def retrieved(easting_m, score):
     """Poses along a line to the east."""
-    zero = np.zeros(len(score))
-    return Hypotheses(
-        np.array(easting_m), zero, zero, zero, zero, zero, zero + 60.0, zero, np.array(score)
-    )
+    return poses(len(score), easting_m=easting_m, score=score)
 
 
-def test_the_packaged_models_know_the_figures_they_are_given() -> None:
+def test_the_packaged_models_know_the_figures_they_are_given():
     zero = np.zeros(3)
     figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
@@ -42,13 +39,13 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
         models[NEAR_REFINED].probability({"margin": zero})
 
 
-def test_a_margin_is_over_the_best_rival() -> None:
+def test_a_margin_is_over_the_best_rival():
     # The second stands beside the first, so the third is the rival of both.
     some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
-def test_a_place_without_rivals_has_no_margin() -> None:
+def test_a_place_without_rivals_has_no_margin():
     found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
     figures = confidence.retrieved_figures(found, QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
@@ -61,7 +58,7 @@ def test_a_place_without_rivals_has_no_margin() -> None:
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)
-def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> None:
+def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name("refined", within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
     poses = RefinedPoses(
@@ -72,22 +69,3 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> 
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[2:] < 0.8).all()
-
-
-def test_refined_poses_have_the_figures_of_the_best_retrieved_pose() -> None:
-    found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
-    one = np.ones(2)
-    poses = RefinedPoses(
-        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one,
-        np.array([90.0, -90.0]), np.array([100.0, np.inf]),
-    )  # fmt: skip
-    figures = confidence.refined_figures(poses, found, QUERY)
-    assert figures["retrieved_score"].tolist() == [1.0, 1.0]
-    np.testing.assert_allclose(figures["retrieved_log_margin"], 0.0)  # 2 - 1
-    # Margins count up to 60; those of all but the best pose are negative.
-    assert figures["margin"].tolist() == [60.0, -60.0]
-    assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
-    assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
-    # Where no place beyond 1 km was retrieved, the margin over nearer ones counts.
-    assert figures["far_margin"].tolist() == figures["margin"].tolist()
-    assert set(confidence.models()[NEAR_REFINED].names) == set(figures)

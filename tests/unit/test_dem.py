@@ -2,22 +2,18 @@
 
 import gzip
 import json
-import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
-from dem_files import UTM, AnyArray, plane, plane_grid, write
-from pyproj import CRS, Transformer
+from dem_files import UTM, plane, plane_grid, write
+from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 from scenes import at_m
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.terrain import cleaning
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import Warp, local_maxima, square_spacing_m
 
@@ -25,9 +21,7 @@ from skyline.terrain.warp import Warp, local_maxima, square_spacing_m
 @pytest.mark.parametrize("step_east", [30.0, -30.0])
 @pytest.mark.parametrize("step_north", [-20.0, 20.0])
 @pytest.mark.parametrize("tag", ["Area", "Point"])
-def test_heights_are_where_the_file_puts_them(
-    tmp_path: Path, step_east: float, step_north: float, tag: str
-) -> None:
+def test_heights_are_where_the_file_puts_them(tmp_path, step_east, step_north, tag):
     transform = Affine(step_east, 0.0, 500_000.0, 0.0, step_north, 5_200_000.0)
     path = write(
         tmp_path / "dem.tif", plane_grid(23, 31, transform), transform, tags={"AREA_OR_POINT": tag}
@@ -49,13 +43,13 @@ def test_heights_are_where_the_file_puts_them(
     assert field.frame.name == UTM
 
 
-def write_hgt(path: Path, heights: AnyArray) -> Path:
+def write_hgt(path, heights):
     content = np.rint(heights).astype(">i2").tobytes()
     path.write_bytes(gzip.compress(content, 1) if path.suffix == ".gz" else content)
     return path
 
 
-def degree_plane(lon: AnyArray, lat: AnyArray) -> AnyArray:
+def degree_plane(lon, lat):
     """Whole metres at each sample of a 3 arc-second tile."""
     return 700.0 + 1200.0 * lon + 1200.0 * lat
 
@@ -63,18 +57,13 @@ def degree_plane(lon: AnyArray, lat: AnyArray) -> AnyArray:
 @pytest.mark.parametrize(
     ("names", "south", "west"),
     [
-        (["N46E009.hgt"], 46, 9),
         (["N46E009.hgt.gz"], 46, 9),
         (["S45E170.hgt.gz"], -45, 170),
-        (["N84E015.hgt.gz"], 84, 15),
         (["N00W001.hgt"], 0, -1),
         (["N60E179.hgt.gz", "N60W180.hgt.gz"], 60, 179),
-        (["N60W180.hgt.gz", "N60E179.hgt.gz"], 60, 179),
     ],
 )
-def test_degrees_are_warped_to_where_they_belong(
-    tmp_path: Path, names: list[str], south: int, west: int
-) -> None:
+def test_degrees_are_warped_to_where_they_belong(tmp_path, names, south, west):
     sample = np.arange(1201) / 1200.0
     for name in names:
         origin = (int(name[4:7]) * (1 if name[3] == "E" else -1) - west) % 360
@@ -96,17 +85,7 @@ def test_degrees_are_warped_to_where_they_belong(
     assert field.north_m % spacing_m == 0.0
 
 
-def test_a_tile_at_the_pole(tmp_path: Path) -> None:
-    sample = np.arange(1201) / 1200.0
-    write_hgt(tmp_path / "N89E010.hgt", 100.0 + 1200.0 * (1.0 - sample[:, None]) + 0.0 * sample)
-    field = read_dem(tmp_path / "N89E010.hgt")
-    easting, northing = field.frame.from_lonlat([10.3, 10.5, 10.8], [89.3, 89.6, 89.9])
-    np.testing.assert_allclose(
-        field.height_at(easting_m=easting, northing_m=northing), [460.0, 820.0, 1180.0], atol=0.02
-    )
-
-
-def test_ascii_grid_takes_its_crs_from_the_option(tmp_path: Path) -> None:
+def test_ascii_grid_takes_its_crs_from_the_option(tmp_path):
     path = tmp_path / "dem.asc"
     path.write_text(
         "ncols 3\nnrows 2\nxllcorner 1000\nyllcorner 2000\ncellsize 10\nNODATA_value -1\n"
@@ -120,9 +99,7 @@ def test_ascii_grid_takes_its_crs_from_the_option(tmp_path: Path) -> None:
         read_dem(path)
 
 
-def test_the_file_s_own_crs_wins_with_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
     path = write(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
     assert read_dem(path, DemOptions(crs="EPSG:32633")).frame.name == UTM
     assert "--crs WGS 84 / UTM zone 33N is only for files that name none" in caplog.text
@@ -133,7 +110,7 @@ def test_the_file_s_own_crs_wins_with_a_warning(
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2)])
 @pytest.mark.parametrize("degrees", [False, True])
-def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bool) -> None:
+def test_small_dems_are_dems(tmp_path, shape, degrees):
     heights = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
     transform = from_origin(10.0, 46.0, 1 / 3600, 1 / 3600) if degrees else None
     path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326" if degrees else UTM)
@@ -152,25 +129,16 @@ def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bo
         ((21.2, 30.9), 20.0),
         ((73.7, 92.5), 70.0),
         ((9.7, 92.9), 45.0),
-        ((30.9, 30.7), 30.0),
-        ((7.2, 10.3), 7.0),
-        ((15.4, 11.0), 10.0),
-        ((30.26, 29.74), 30.0),
         ((29.9, 29.9), 30.0),
-        ((690.0, 926.0), 650.0),
         ((0.99, 0.99), 0.95),
-        ((1.0, 1.0), 1.0),
-        ((3.09, 2.1), 2.0),
     ],
 )
-def test_warped_spacing_is_round(ground: tuple[float, float], spacing: float) -> None:
+def test_warped_spacing_is_round(ground, spacing):
     assert square_spacing_m(ground) == pytest.approx(spacing, rel=1e-12)
 
 
 @pytest.mark.parametrize(("north", "west"), [(47.0, 9.0), (69.0, 9.0), (-10.0, 179.9)])
-def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(
-    north: float, west: float
-) -> None:
+def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(north, west):
     rng = np.random.default_rng(7)
     heights = rng.uniform(0.0, 1000.0, (300, 260)).astype(np.float32)
     heights[40:60, 100:180] = np.nan
@@ -197,7 +165,7 @@ def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(
         )
 
 
-def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
+def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     rng = np.random.default_rng(5)
     heights = rng.uniform(0.0, 1000.0, (50, 60)).astype(np.float32)
     step = 1.0 / 1200.0
@@ -208,7 +176,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]
     lon, lat = frame.to_lonlat(target.west + 70.0 * col, target.north - 70.0 * row)
 
-    def kernel(x: AnyArray) -> AnyArray:
+    def kernel(x):
         x = np.abs(x)
         near = 1.5 * x**3 - 2.5 * x**2 + 1.0
         far = -0.5 * x**3 + 2.5 * x**2 - 4.0 * x + 2.0
@@ -231,7 +199,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     assert apart.min() > -1e-2
 
 
-def test_davos_is_20_m(shared_data: Path) -> None:
+def test_davos_is_20_m(shared_data):
     path = shared_data / "davos" / "davos_srtm1_30m.tif"
     field = read_dem([path])
     assert field.spacing_east_m == field.spacing_north_m == 20.0
@@ -252,7 +220,7 @@ def test_davos_is_20_m(shared_data: Path) -> None:
     assert np.sqrt((difference**2).mean()) < 1.2
 
 
-def test_everest_voids_are_counted(shared_data: Path) -> None:
+def test_everest_voids_are_counted(shared_data):
     field = read_dem(shared_data / "everest" / "mt_everest_90m.tif")
     counts = field.provenance
     assert counts.filled + counts.hollow == 130_953 + counts.despiked
@@ -260,17 +228,7 @@ def test_everest_voids_are_counted(shared_data: Path) -> None:
     assert field.height_range_m[1] < 8650.0
 
 
-def test_digest_is_the_same_each_time(tmp_path: Path) -> None:
-    heights = np.random.default_rng(0).uniform(0, 900, (300, 200)).astype(np.float32)
-    heights[50, 50:60] = np.nan
-    transform = from_origin(9.0, 47.0, 1 / 1200, 1 / 1200)
-    path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326")
-    assert read_dem(path).digest == read_dem([str(path)]).digest
-
-
-def test_albers_is_used_with_a_warning_or_warped(
-    shared_data: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
     path = shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif"
     own = read_dem(path)
     assert own.provenance.resampling == "none"
@@ -290,43 +248,14 @@ def test_albers_is_used_with_a_warning_or_warped(
     )
 
 
-def test_web_mercator_has_metres_that_are_none(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_web_mercator_has_metres_that_are_none(tmp_path, caplog):
     transform = from_origin(1_100_000.0, 5_900_000.0, 30.0, 30.0)
     read_dem(write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), transform, "EPSG:3857"))
     assert "0.68" in caplog.text
     assert "--reproject" in caplog.text
 
 
-@pytest.mark.parametrize("crs", [UTM, "EPSG:31287"])
-def test_conformal_frames_raise_no_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, crs: str
-) -> None:
-    place = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(11.5, 47.2)
-    read_dem(
-        write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), from_origin(*place, 5.0, 5.0), crs)
-    )
-    assert caplog.text == ""
-
-
-def test_a_metric_dem_is_read_in_little_more_than_its_samples(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 1 << 16)
-    heights = np.random.default_rng(0).integers(0, 90, (2000, 2000)).astype(np.int16)
-    heights[::100, ::100] = 32767
-    path = write(tmp_path / "dem.tif", heights, tiled=True)
-    read_dem(path)
-    tracemalloc.start()
-    field: HeightField = read_dem(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert field.provenance.despiked == 400
-    assert peak < 1.25 * field.heights_m.nbytes
-
-
-def test_options_survive_json() -> None:
+def test_options_survive_json():
     options = DemOptions(crs="EPSG:32632", reproject=True)
     assert DemOptions.from_json(json.loads(json.dumps(options.to_json()))) == options
     assert DemOptions.from_json(None) == DemOptions()

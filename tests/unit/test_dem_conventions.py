@@ -3,20 +3,18 @@
 import math
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 import xarray
-from dem_files import UTM, AnyArray, write
+from dem_files import UTM, write
 from pyproj import CRS, Geod, Transformer
 from rasterio.transform import from_origin
 from rasterio.warp import Resampling, calculate_default_transform, reproject
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame
-from skyline.terrain.conventions import metres_per
+from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, metres_per, model_of
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
@@ -24,44 +22,23 @@ WGS84 = Geod(ellps="WGS84")
 STEP_DEG = 2e-4
 REACH_DEG = 0.02
 
-PLACES: dict[str, tuple[float, float]] = {
+PLACES = {
     "EPSG:4326": (9.9, 46.8),
-    "OGC:CRS84": (9.9, 46.8),
     "EPSG:4807": (2.9, 45.5),
     "EPSG:4979": (9.9, 46.8),
-    "EPSG:32632": (9.9, 46.8),
     "EPSG:27572": (2.9, 45.5),
-    "EPSG:27563": (2.9, 44.2),
-    "EPSG:27391": (6.5, 60.2),
     "EPSG:31251": (10.6, 47.1),
-    "EPSG:31287": (11.5, 47.2),
-    "EPSG:2065": (14.5, 50.1),
     "EPSG:5513": (14.5, 50.1),
-    "EPSG:5514": (14.5, 50.1),
-    "EPSG:5515": (14.5, 50.1),
     "EPSG:2053": (29.3, -29.5),
-    "EPSG:2048": (19.3, -33.5),
-    "EPSG:29379": (17.1, -22.6),
-    "EPSG:21781": (9.9, 46.8),
     "EPSG:2056": (9.9, 46.8),
     "EPSG:3375": (102.0, 4.5),
-    "EPSG:29873": (116.5, 6.1),
     "EPSG:28992": (5.9, 52.1),
-    "EPSG:27700": (-5.0, 56.8),
-    "EPSG:31370": (5.9, 50.4),
     "EPSG:2193": (170.1, -43.6),
     "EPSG:3031": (120.0, -75.0),
     "EPSG:3413": (-40.0, 72.0),
-    "EPSG:32661": (30.0, 82.0),
-    "EPSG:8433": (113.54, 22.19),
-    "EPSG:21149": (110.4, -7.5),
     "EPSG:3857": (9.9, 46.8),
     "EPSG:2227": (-119.6, 37.7),
     "ESRI:102003": (-119.2, 37.7),
-    "EPSG:4326+5773": (9.9, 46.8),
-    "EPSG:9518": (9.9, 46.8),
-    "EPSG:6349": (-119.2, 37.7),
-    "EPSG:32632+5783": (9.9, 46.8),
     "EPSG:27572+5720": (2.9, 45.5),
     "+proj=tmerc +lat_0=0 +lon_0=9 +k=1 +x_0=0 +y_0=0 +ellps=bessel +units=m +no_defs "
     "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7": (9.9, 48.2),
@@ -73,7 +50,7 @@ PLACES: dict[str, tuple[float, float]] = {
 }
 
 
-def heights_m(lon: AnyArray, lat: AnyArray, place: tuple[float, float]) -> AnyArray:
+def heights_m(lon, lat, place):
     """A cone, and a lower one to its north-east, on a plane that slopes."""
     east, north = (lon - place[0]) * math.cos(math.radians(place[1])), lat - place[1]
     plane = 1000.0 + 5000.0 * east - 3000.0 * north
@@ -82,7 +59,7 @@ def heights_m(lon: AnyArray, lat: AnyArray, place: tuple[float, float]) -> AnyAr
     return plane
 
 
-def warped(path: Path, crs: str, place: tuple[float, float], **profile: Any) -> Path:
+def warped(path, crs, place, **profile):
     """A DEM around a place, warped by GDAL."""
     wide = REACH_DEG / math.cos(math.radians(place[1]))
     rows, cols = round(2 * REACH_DEG / STEP_DEG), round(2 * wide / STEP_DEG)
@@ -99,7 +76,7 @@ def warped(path: Path, crs: str, place: tuple[float, float], **profile: Any) -> 
     return write(path, made, target, crs, GEOTIFF_VERSION="1.1", **profile)
 
 
-def true_azimuth_deg(frame: Frame, east: float, north: float, grid_azimuth_deg: float) -> float:
+def true_azimuth_deg(frame, east, north, grid_azimuth_deg):
     """The azimuth on the ellipsoid of a step on the map, both ways."""
     step = 500.0 * np.exp(1j * math.radians(90.0 - grid_azimuth_deg))
     steps = east + 1j * north + np.array([0.0, step, -step])
@@ -110,7 +87,7 @@ def true_azimuth_deg(frame: Frame, east: float, north: float, grid_azimuth_deg: 
 
 
 @pytest.mark.parametrize("crs", PLACES)
-def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path: Path, crs: str) -> None:
+def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path, crs):
     place = PLACES[crs]
     field = read_dem(warped(tmp_path / "dem.tif", crs, place))
     row, col = np.unravel_index(np.nanargmax(field.heights_m), field.heights_m.shape)
@@ -129,7 +106,7 @@ def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path: Path, crs: s
         assert abs((off + 180.0) % 360.0 - 180.0) < 0.01 + bent
 
 
-def test_a_rotated_pole_is_no_obstacle() -> None:
+def test_a_rotated_pole_is_no_obstacle():
     crs = CRS.from_proj4(
         "+proj=ob_tran +o_proj=longlat +o_lon_p=0 +o_lat_p=39.25 +lon_0=18 +datum=WGS84 +type=crs"
     )
@@ -146,10 +123,8 @@ def test_a_rotated_pole_is_no_obstacle() -> None:
     assert WGS84.inv(*summit, *place)[2] < 1.5 * field.spacing_m
 
 
-@pytest.mark.parametrize("crs", ["EPSG:5513", "EPSG:2053", "EPSG:2065", "EPSG:29379"])
-def test_axes_that_point_south_or_west_are_warped_with_a_line(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, crs: str
-) -> None:
+@pytest.mark.parametrize("crs", ["EPSG:5513", "EPSG:2053"])
+def test_axes_that_point_south_or_west_are_warped_with_a_line(tmp_path, caplog, crs):
     field = read_dem(warped(tmp_path / "dem.tif", crs, PLACES[crs]))
     assert field.provenance.resampling != "none"
     assert "south" in caplog.text
@@ -159,20 +134,17 @@ def test_axes_that_point_south_or_west_are_warped_with_a_line(
 
 US_FOOT_M, FOOT_M = 1200 / 3937, 0.3048
 UNITS = {
-    US_FOOT_M: "US survey foot|Foot_US|ftUS|us-ft|US_survey_foot|US survey feet|ft (US)",
-    FOOT_M: "ft|foot|feet|Feet|FT|Foot_International| foot |feet (NAVD88)",
-    0.3047972654: "Clarke's foot|Foot_Clarke",
-    1.0: "|m|metre|meter|metres|Meters|METERS|[m]|m a.s.l.|masl|metres above sea level|NO|unknown",
-    0.001: "mm|millimetre|Millimeters",
-    0.01: "cm|centimetre|Centimeter",
-    0.1: "dm|decimetre|Decimeters",
-    1000.0: "km|kilometre|Kilometers",
-    1.8288: "fathom|Fathoms|fath",
-    0.9144: "yard|yd",
+    US_FOOT_M: "US survey foot|Foot_US|ftUS|US survey feet|ft (US)",
+    FOOT_M: "ft|FT|Foot_International| foot |feet (NAVD88)",
+    0.3047972654: "Clarke's foot",
+    1.0: "|m|Meters|[m]|m a.s.l.|masl|metres above sea level|unknown",
+    0.1: "dm|decimetre",
+    1000.0: "km|Kilometers",
+    1.8288: "Fathoms",
 }
 
 
-def in_unit(path: Path, unit: str, values: AnyArray, crs: str = UTM, **profile: Any) -> Path:
+def in_unit(path, unit, values, crs=UTM, **profile):
     write(path, values, crs=crs, **profile)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = [unit]
@@ -182,7 +154,7 @@ def in_unit(path: Path, unit: str, values: AnyArray, crs: str = UTM, **profile: 
 @pytest.mark.parametrize(
     ("unit", "metres"), [(unit, metres) for metres in UNITS for unit in UNITS[metres].split("|")]
 )
-def test_heights_are_in_the_unit_of_the_band(tmp_path: Path, unit: str, metres: float) -> None:
+def test_heights_are_in_the_unit_of_the_band(tmp_path, unit, metres):
     values = np.array([[2000.0, 2001.0], [2002.0, 2003.0]], np.float32) / np.float32(metres)
     path = in_unit(tmp_path / "dem.tif", unit, values)
     np.testing.assert_allclose(
@@ -190,11 +162,11 @@ def test_heights_are_in_the_unit_of_the_band(tmp_path: Path, unit: str, metres: 
     )
 
 
-NO_LENGTHS = "degree|kelvin|K|m/s|m2|m²|µm|10 cm|hPa|gpm|%|ü|1|furlong|parsec"
+NO_LENGTHS = "degree|m/s|m²|10 cm|ü|1"
 
 
 @pytest.mark.parametrize("unit", NO_LENGTHS.split("|"))
-def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path: Path, unit: str) -> None:
+def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path, unit):
     path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
     with pytest.raises(InputError) as refused:
         read_dem(path)
@@ -202,7 +174,7 @@ def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path: Path, u
     assert "\n" not in str(refused.value)
 
 
-def test_every_unit_that_epsg_knows_is_known_by_its_name() -> None:
+def test_every_unit_that_epsg_knows_is_known_by_its_name():
     assert metres_per("Indian foot (1937)") == 0.30479841
     assert metres_per("German legal metre") == 1.0000135965
     assert metres_per("British yard (Benoit 1895 B)") == pytest.approx(0.9143992042898)
@@ -213,15 +185,11 @@ def test_every_unit_that_epsg_knows_is_known_by_its_name() -> None:
     [
         ("EPSG:32632+5783", 1.0),
         ("EPSG:32632+6360", US_FOOT_M),
-        ("EPSG:32632+8228", FOOT_M),
-        ("EPSG:32632+5715", -1.0),
         ("EPSG:32632+6358", -US_FOOT_M),
     ],
 )
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
-def test_a_band_without_a_unit_has_that_of_the_vertical_axis(
-    tmp_path: Path, crs: str, metres: float, version: str
-) -> None:
+def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, crs, metres, version):
     values = np.array([[1000.0, 1001.0], [1002.0, 1003.0]], np.float32)
     field = read_dem(write(tmp_path / "dem.tif", values, crs=crs, GEOTIFF_VERSION=version))
     np.testing.assert_allclose(field.heights_m, values * metres, rtol=2e-7)
@@ -232,9 +200,7 @@ def test_a_band_without_a_unit_has_that_of_the_vertical_axis(
     np.testing.assert_allclose(field.heights_m, np.array([[1, 2], [3, 4]]) * metres, rtol=2e-7)
 
 
-def test_units_that_contradict_each_other_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_units_that_contradict_each_other_are_named(tmp_path, caplog):
     path = in_unit(tmp_path / "a.tif", "m", np.full((2, 2), 9, np.int16), "EPSG:32632+6360")
     np.testing.assert_array_equal(read_dem(path).heights_m, 9.0)
     assert "heights are in m by the band and in US survey foot by the vertical axis" in caplog.text
@@ -246,9 +212,7 @@ def test_units_that_contradict_each_other_are_named(
 CALIFORNIA_FEET = from_origin(6_500_000.0, 2_300_000.0, 100.0, 100.0)
 
 
-def test_a_map_in_feet_that_names_no_unit_of_heights(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
     values = np.full((60, 60), 1000.0, np.float32)
     path = write(tmp_path / "dem.tif", values, CALIFORNIA_FEET, "EPSG:2227")
     assert read_dem(path).height_range_m == (1000.0, 1000.0)
@@ -259,7 +223,7 @@ def test_a_map_in_feet_that_names_no_unit_of_heights(
     assert not caplog.records
 
 
-def test_depths_become_negative_heights(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_depths_become_negative_heights(tmp_path, caplog):
     path = write(tmp_path / "dem.tif", np.full((2, 2), 30, np.int16))
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, positive="down")
@@ -271,7 +235,7 @@ def test_depths_become_negative_heights(tmp_path: Path, caplog: pytest.LogCaptur
     np.testing.assert_array_equal(field.heights_m, -30.0)
 
 
-def test_voids_are_known_before_heights_are_converted(tmp_path: Path) -> None:
+def test_voids_are_known_before_heights_are_converted(tmp_path):
     values = np.full((20, 20), 5000, np.int16)
     values[5, 5], values[9, 9], values[12, 12] = -9999, -32768, -1
     path = in_unit(tmp_path / "dem.tif", "US survey foot", values, nodata=-1)
@@ -283,21 +247,7 @@ def test_voids_are_known_before_heights_are_converted(tmp_path: Path) -> None:
     assert (counts.filled, counts.undeclared, counts.despiked) == (3, 2, 0)
 
 
-def test_an_array_has_the_units_of_its_attributes_and_of_its_crs() -> None:
-    at = {"y": 5e6 - 30.0 * np.arange(3), "x": 5e5 + 30.0 * np.arange(3)}
-    array = xarray.DataArray(np.full((3, 3), 1000.0), at, ("y", "x"))
-
-    def read(units: str | None, crs: str) -> float:
-        given = array if units is None else array.assign_attrs(units=units)
-        return HeightField.from_xarray(given, DemOptions(crs=crs)).height_range_m[0]
-
-    assert read("Foot_US", UTM) == pytest.approx(1000.0 * US_FOOT_M)
-    assert read(None, "EPSG:32632+6360") == pytest.approx(1000.0 * US_FOOT_M)
-    with pytest.raises(InputError, match="'kelvin'"):
-        read("kelvin", UTM)
-
-
-def side_by_side(folder: Path, first: tuple[str, str], second: tuple[str, str]) -> list[Path]:
+def side_by_side(folder, first, second):
     """Two tiles that touch, each by its CRS and unit."""
     paths = []
     for number, (crs, unit) in enumerate((first, second)):
@@ -313,16 +263,14 @@ def side_by_side(folder: Path, first: tuple[str, str], second: tuple[str, str]) 
     return paths
 
 
-def test_tiles_of_different_units_make_one_model(tmp_path: Path) -> None:
+def test_tiles_of_different_units_make_one_model(tmp_path):
     field = read_dem(side_by_side(tmp_path, (UTM, "ftUS"), (UTM, "m")))
     assert field.heights_m.shape == (20, 40)
     np.testing.assert_allclose(field.heights_m, 3000.0, rtol=1e-6)
     assert field.provenance.conventions["height_unit"] == "ftUS, by the band; m, by the band"
 
 
-def test_tiles_of_different_vertical_datums_are_named_or_refused(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_tiles_of_different_vertical_datums_are_named_or_refused(tmp_path, caplog):
     read_dem(side_by_side(tmp_path, ("EPSG:32632+5783", "m"), ("EPSG:32632+5773", "m")))
     assert "DHHN92 height" in caplog.text
     assert "EGM96 height" in caplog.text
@@ -341,18 +289,12 @@ LOCAL = 'LOCAL_CS["mine",UNIT["metre",1]]'
     ("crs", "corner", "message"),
     [
         (LOCAL, (0.0, 0.0), "expected a geographic or projected"),
-        ("EPSG:4978", (0.0, 0.0), "expected a geographic or projected"),
         ("EPSG:2985", (3e5, 2e5), "PROJ cannot transform"),
-        ("EPSG:5017", (3e5, 2e5), "PROJ cannot transform"),
         ("EPSG:4326", (500_000.0, 5_200_000.0), "no place in WGS 84"),
-        ("EPSG:4326", (46.8, 109.9), "no place in WGS 84"),
-        ("IAU_2015:30130", (3e5, 2e5), "PROJ cannot transform"),
         (UTM, (1e9, 5e6), "no place in WGS 84 / UTM zone 32N"),
     ],
 )
-def test_places_that_cannot_be_known_are_refused(
-    tmp_path: Path, crs: str, corner: tuple[float, float], message: str
-) -> None:
+def test_places_that_cannot_be_known_are_refused(tmp_path, crs, corner, message):
     path = write(
         tmp_path / "a.tif", np.ones((4, 4), np.int16), from_origin(*corner, 1e-3, 1e-3), crs
     )
@@ -361,20 +303,13 @@ def test_places_that_cannot_be_known_are_refused(
     assert "\n" not in str(refused.value)
 
 
-def with_northings(path: Path) -> Path:
+def with_northings(path):
     """A South African file with negative coordinates, though its CRS counts southward."""
     x, y = Transformer.from_crs("EPSG:4326", "EPSG:2053", always_xy=True).transform(29.3, -29.5)
     return write(path, np.ones((9, 9), np.int16), from_origin(x, -y, 30.0, 30.0), "EPSG:2053")
 
 
-def test_coordinates_of_the_wrong_sign_are_suspected(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    read_dem(with_northings(tmp_path / "a.tif"))
-    assert "29.50° N, 29.30° E, far off the area" in caplog.text
-
-
-def test_the_guide_quotes_the_warnings(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_guide_quotes_the_warnings(tmp_path, caplog):
     ones = np.ones((9, 9), np.int16)
     write(tmp_path / "feet.tif", ones, CALIFORNIA_FEET, "EPSG:2227")
     in_unit(tmp_path / "both.tif", "m", ones, "EPSG:32632+6360")
@@ -394,7 +329,7 @@ def test_the_guide_quotes_the_warnings(tmp_path: Path, caplog: pytest.LogCapture
         assert line in warnings
 
 
-def test_conventions_named_and_assumed_are_kept_in_words(tmp_path: Path) -> None:
+def test_conventions_named_and_assumed_are_kept_in_words(tmp_path):
     path = write(
         tmp_path / "dem.tif", np.ones((9, 9), np.int16), from_origin(6e5, 2.1e6, 30.0, 30.0),
         "EPSG:27572", nodata=-99, tags={"AREA_OR_POINT": "Point"},
@@ -411,3 +346,29 @@ def test_conventions_named_and_assumed_are_kept_in_words(tmp_path: Path) -> None
         "to_wgs84": "Inverse of Lambert zone II + NTF (Paris) to NTF (1) + NTF to WGS 84 (1); "
         "good to 2 m",
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("davos_srtm1_30m.tif", f"{SURFACE}, SRTM"),
+        ("Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif", f"{SURFACE}, Copernicus"),
+        ("N046E009_AVE_DSM.tif", SURFACE),
+        ("USGS_13_n37w119.tif", f"{GROUND}, 3DEP"),
+        ("tirol_dtm_5m.asc", GROUND),
+        ("N46E009_FABDEM_V1-2.tif", f"{GROUND}, FABDEM"),
+        ("N46E009.hgt.gz", UNKNOWN),
+    ],
+)
+def test_a_product_is_known_by_its_name(name, model):
+    assert model_of([name]) == model
+
+
+def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path):
+    tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
+    tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
+    plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))
+    assert model_of([tagged]) == f"{SURFACE}, Copernicus"
+    assert model_of([plain]) == UNKNOWN
+    assert model_of([tagged, plain]) == UNKNOWN
+    assert model_of([]) == UNKNOWN

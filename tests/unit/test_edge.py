@@ -78,15 +78,3 @@ def test_where_the_data_are_holes_along_a_side_the_highest_of_all_counts():
     edge = DataEdge.of(field_of(heights, spacing_m=1000.0), FLAT)
     assert (edge.highest_m[0] == 700.0).all()
     assert edge.highest_m[3, 20:].max() == 100.0
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 1)])
-def test_a_dem_may_be_one_sample_wide(shape):
-    field = field_of(np.full(shape, 900.0))
-    west, south, east, north = field.bounds_m
-    middle = (west + east) / 2.0, (south + north) / 2.0
-    most = DataEdge.of(field, FLAT).elevation_tan(*middle, 0.0, AZIMUTH_RAD)
-    # Nearly all rays leave it at once, which counts as 1 m.
-    away_m = 900.0 / most
-    assert ((away_m >= 1.0) & (away_m <= 100.0)).all()
-    assert np.median(away_m) == 1.0

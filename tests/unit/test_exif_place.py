@@ -1,4 +1,4 @@
-"""Where a photo's EXIF says that it was taken, and what of it is no place."""
+"""The place, altitude and direction in a photo's EXIF, and notes that are left aside."""
 
 import pytest
 from PIL.ExifTags import GPS
@@ -83,32 +83,20 @@ NO_LATITUDE = "the latitude is not given as degrees, minutes and seconds"
     [
         (without(GPS.GPSLatitudeRef), "the latitude does not say whether it is N or S"),
         (without(GPS.GPSLongitudeRef), "the longitude does not say whether it is E or W"),
-        (without(GPS.GPSLatitudeRef, GPS.GPSLongitudeRef), "whether it is N or S"),
-        (SOUTH_WEST | {GPS.GPSLatitudeRef: "\0"}, "whether it is N or S"),
         (SOUTH_WEST | {GPS.GPSLatitudeRef: "W", GPS.GPSLongitudeRef: "S"}, "it is N or S"),
         # A sign is no reference, and with one it says the side twice.
-        (
-            without(GPS.GPSLatitudeRef) | {GPS.GPSLatitude: (-33.0, 30.0, 36.0)},
-            "is outside 0 to 90",
-        ),
         (SOUTH_WEST | {GPS.GPSLatitude: (-33.0, 30.0, 36.0)}, "the latitude is outside 0 to 90"),
         (without(GPS.GPSLongitude), "the longitude is not given as"),
-        (SOUTH_WEST | {GPS.GPSLatitude: (133.0, 0.0, 0.0)}, "the latitude is outside 0 to 90"),
         (SOUTH_WEST | {GPS.GPSLongitude: (180.0, 0.0, 1.0)}, "the longitude is outside 0 to 180"),
-        (SOUTH_WEST | {GPS.GPSLatitude: (3.0, 1830.6, 0.0)}, "the latitude is outside"),
-        (SOUTH_WEST | {GPS.GPSLatitude: (33.0, float("nan"), 0.0)}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSLatitude: (IFDRational(0, 0),) * 3}, NO_LATITUDE),
-        (SOUTH_WEST | {GPS.GPSLatitude: (33.0, 30.0)}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSLatitude: IFDRational(3351, 100)}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSLatitude: "33"}, NO_LATITUDE),
-        (SOUTH_WEST | {GPS.GPSStatus: "V"}, "the receiver had no fix"),
         (SOUTH_WEST | {GPS.GPSStatus: b"V\0"}, "the receiver had no fix"),
         (SOUTH_WEST | {GPS.GPSMapDatum: "Atlantis 1900"}, "its datum 'ATLANTIS 1900' is not known"),
-        (SOUTH_WEST | {GPS.GPSMapDatum: "EPSG:32632"}, "is not known"),
         (SOUTH_WEST | dict.fromkeys((GPS.GPSLatitude, GPS.GPSLongitude), (0.0,) * 3), "are 0, as"),
     ],
 )
-def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
+def test_a_position_that_is_none_is_left_aside_with_the_reason(gps, said):
     noted = place_from_exif(gps | {GPS.GPSHPositioningError: 5.0})
     assert noted == NotedPlace(left_aside=noted.left_aside)
     assert noted.left_aside.startswith(POSITION)
@@ -119,13 +107,11 @@ def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
     ("gps", "said"),
     [
         ({GPS.GPSImgDirection: 655.0}, "GPS direction is left aside: it is not within 0 to 360"),
-        ({GPS.GPSImgDirection: -10.0}, "GPS direction is left aside"),
         ({GPS.GPSImgDirection: IFDRational(0, 0)}, "GPS direction is left aside"),
         (
             {GPS.GPSAltitude: 99_999.0},
             "GPS altitude is left aside: 99999 m is outside -500 to 9000",
         ),
-        ({GPS.GPSAltitude: IFDRational(1, 0)}, "GPS altitude is left aside: it is not a number"),
         (
             {GPS.GPSAltitude: 10.0, GPS.GPSStatus: "V"},
             "altitude is left aside: the receiver had no",
@@ -134,7 +120,7 @@ def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
         ({GPS.GPSAltitude: 10.0, GPS.GPSAltitudeRef: 9}, "whether it is above or below sea level"),
     ],
 )
-def test_other_tags_that_cannot_be_used_are_said(gps, said):
+def test_other_tags_that_cannot_be_used_are_left_aside(gps, said):
     noted = place_from_exif(gps)
     assert noted == NotedPlace(left_aside=noted.left_aside)
     assert said in noted.left_aside
@@ -142,5 +128,5 @@ def test_other_tags_that_cannot_be_used_are_said(gps, said):
     assert beside.lonlat_deg == (-70.25, -33.51)
 
 
-def test_nothing_is_said_of_what_is_not_noted():
+def test_a_photo_without_tags_notes_nothing():
     assert place_from_exif({}) == place_from_exif({GPS.GPSVersionID: b"\2\3\0\0"}) == NotedPlace()

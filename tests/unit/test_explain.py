@@ -40,11 +40,6 @@ def test_nothing_beyond_sight_shows(eye_height_m):
         assert (view.depth_m[1, 32] > 0.97 * share * sight_m) == shows
 
 
-def test_no_sight_range_without_curvature():
-    field = field_of(fractal(8, 8), 30.0)
-    assert sight_range_m(field, 1e4, 0.0) == np.inf
-
-
 def test_share_beyond_sight_is_counted_right():
     field = field_of(fractal(60, 50, seed=2), 2000.0)
     eye = stand_on(field, easting_m=20_000.0, northing_m=-30_000.0)

@@ -37,13 +37,6 @@ def test_polyline_stays_within_its_tolerance(seed, tolerance, gaps):
             assert np.abs(polyline - curve[run]).max() <= tolerance + 1e-9
 
 
-def test_straight_skylines_have_their_ends_only():
-    line = np.linspace(0.0, 1.0, 50)[np.newaxis]
-    table = polyline_vertices(line, 1e-6, 8)
-    np.testing.assert_array_equal(table[0, :2], [0, 49])
-    assert (table[0, 2:] == NO_KEYPOINT).all()
-
-
 def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
     curve = np.zeros((1, 101))
     curve[0, 30], curve[0, 70] = 1.0, 10.0
@@ -52,11 +45,6 @@ def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
     assert 30 not in kept
     whole = polyline_vertices(curve, 0.1, 50)[0]
     assert {29, 30, 31, 69, 70, 71} <= set(whole.tolist())
-
-
-def test_no_data_has_no_keypoints():
-    table = polyline_vertices(np.full((2, 40), np.nan), 1.0, 8)
-    assert (table == NO_KEYPOINT).all()
 
 
 def test_patches_of_closed_curves_are_relative_to_their_keypoint():

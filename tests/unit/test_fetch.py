@@ -6,7 +6,6 @@ import rasterio
 from range_server import Behaviour, serve
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from rasterio.windows import from_bounds
 from scenes import fractal
 
 from skyline import read_dem
@@ -16,6 +15,8 @@ from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
+EAST = "/N46E010.tif"
+VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
 def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
@@ -114,49 +115,24 @@ def test_failures_that_pass_are_retried(template, server, heights, tmp_path):
     expect_heights(fetch(template, tmp_path), heights)
 
 
-@pytest.mark.parametrize("broken", [1, 2, 3, 5])
+@pytest.mark.parametrize("broken", [1, 3])
 def test_bodies_that_break_off_are_read_again(template, server, heights, tmp_path, broken):
     server.truncate = broken
     expect_heights(fetch(template, tmp_path), heights)
 
 
-def break_off(server):
-    server.truncate = 10_000
-
-
-def never_answer(server):
-    server.delay_s = 30.0
-
-
-def fail(server):
-    server.failures = 10_000
-
-
-def refuse(server):
-    server.status["/N46E010.tif"] = 403
-
-
-def shorten(server):
-    server.files["/N46E010.tif"] = server.files["/N46E010.tif"][:40_000]
-
-
-def send_something_else(server):
-    server.files["/N46E010.tif"] = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
-
-
 @pytest.mark.parametrize(
     ("trouble", "message"),
     [
-        (break_off, "breaks off or is damaged"),
-        (never_answer, r"no answer \(.*\), tried 2 times"),
-        (fail, "answers HTTP 500, tried 2 times; give the same command again"),
-        (refuse, "HTTP 403, not tried again; check that the source is open"),
-        (shorten, "breaks off or is damaged"),
-        (send_something_else, "not a GeoTIFF"),
+        ({"truncate": 10_000}, "breaks off or is damaged"),
+        ({"delay_s": 30.0}, r"no answer \(.*\), tried 2 times"),
+        ({"failures": 10_000}, "answers HTTP 500, tried 2 times; give the same command again"),
+        ({"status": {EAST: 403}}, "HTTP 403, not tried again; check that the source is open"),
+        ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
 def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
-    trouble(server)
+    vars(server).update(trouble)
     with pytest.raises(FetchError, match=message) as caught:
         fetch(template, tmp_path, retries=1)
     assert "http://127.0.0.1" in str(caught.value)
@@ -167,8 +143,8 @@ def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, mess
 
 
 def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
-    shorten(server)
-    with pytest.raises(FetchError):
+    server.files[EAST] = server.files[EAST][:40_000]
+    with pytest.raises(FetchError, match="breaks off or is damaged"):
         fetch(template, tmp_path)
     server.files.update(contents)
     done = fetch(template, tmp_path)
@@ -176,23 +152,13 @@ def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, hei
     expect_heights(done, heights)
 
 
-def test_nobody_listens(tmp_path):
-    with pytest.raises(FetchError, match=r"127\.0\.0\.1:1/a\.tif: no answer"):
-        fetch("http://127.0.0.1:1/a.tif", tmp_path, retries=0)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     "template",
     [
         "file:///etc/{lat}.tif",
-        "/vsis3/bucket/{lat}.tif",
         "coprenicus",
-        "http://host/{latitude}.tif",
         "http://host/{lat.__class__}.tif",
-        "http://host/{0}.tif",
         "http://host/{lat.tif",
-        "http://host/{ns:02d}.tif",
     ],
 )
 def test_templates_that_are_refused(template, tmp_path):
@@ -256,7 +222,7 @@ def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, co
     done = fetch(secret, tmp_path)
     assert done.fetched == 2
     assert not any(b"secret" in path.read_bytes() for path in done.files)
-    fail(server)
+    server.failures = 10_000
     with pytest.raises(FetchError) as caught:
         fetch(secret, tmp_path / "again", retries=0)
     assert "secret" not in str(caught.value)
@@ -268,17 +234,3 @@ def test_one_file_over_all(server, heights, tmp_path):
         done = fetch(f"{address}/all.tif", tmp_path)
     assert [path.name for path in done.files] == ["dem.tif"]
     expect_heights(done, heights)
-
-
-def test_real_tiles_come_back_as_they_are(shared_data, server, template, tmp_path):
-    bounds = (9.8, 46.7, 9.9, 46.8)
-    with rasterio.open(shared_data / "davos" / "davos_srtm1_30m.tif") as davos:
-        whole, step = davos.read(1), davos.transform.a
-        server.files["/N46E009.tif"] = geotiff(
-            whole, davos.transform.c + step / 2, davos.transform.f - step / 2, step
-        )
-        (path,) = fetch(template, tmp_path, bounds).files
-        with rasterio.open(path) as file:
-            assert file.width * step == pytest.approx(0.1, abs=1.5 * step)
-            expected = davos.read(1, window=from_bounds(*file.bounds, davos.transform))
-            np.testing.assert_array_equal(file.read(1), expected)

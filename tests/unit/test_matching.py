@@ -1,21 +1,23 @@
-"""Profiles and the two matchers, on terrain whose skylines the oracle gives."""
+"""Profiles and their two matchers against exact skylines and plain loops."""
 
 from functools import partial
 
 import numpy as np
 import pytest
 from query_scenes import equally_trusted
-from scenes import FRAME, field_of, fractal
+from scenes import field_of, fractal
 
 from skyline.build.grid import uniform_grid
 from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
-from skyline.match.profiles import Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays, level
-from skyline.paper.affine import align_curves
-from skyline.paper.chamfer import chamfer_px
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.paper import matcher
+from skyline.paper.affine import plausible, ransac_maps
+from skyline.paper.chamfer import QueryCurve, chamfer_px
 from skyline.paper.matcher import PaperMatcher
-from skyline.store.keypoints import polyline_keypoints
+from skyline.paper.shortlist import Shortlist
+from skyline.store.keypoints import NO_KEYPOINT, polyline_keypoints, polyline_vertices
 from skyline_bench.truth import oracle
 
 LEVEL = Attitudes(pitch_deg=(0.0,))
@@ -74,29 +76,6 @@ def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
     assert np.mean(error > 0.02) < 0.02
 
 
-def test_a_location_with_one_heading_is_unknown_in_the_others(viewpoints):
-    views = oracle.skyline(TERRAIN, viewpoints[:1], 64)[1:2]
-    profile = Profiles.from_views([(views, polyline_keypoints(views, 1.0))], 256)
-    known = np.isfinite(profile.y[0])
-    azimuth_deg = np.arange(256) * 360.0 / 256
-    np.testing.assert_array_equal(known, (azimuth_deg >= 45.0) & (azimuth_deg < 135.0))
-
-
-def test_levelling_undoes_pitch_and_roll():
-    pitch, roll = np.radians(7.0), np.radians(-4.0)
-    azimuth, y = np.radians([-20.0, 0.0, 25.0]), np.array([0.1, -0.05, 0.3])
-    right, up, forward = np.sin(azimuth), y, np.cos(azimuth)
-    forward, up = (
-        forward * np.cos(pitch) + up * np.sin(pitch),
-        up * np.cos(pitch) - forward * np.sin(pitch),
-    )
-    u, v = right / forward, up / forward
-    u, v = u * np.cos(roll) - v * np.sin(roll), u * np.sin(roll) + v * np.cos(roll)
-    found_azimuth, found_y = level(u, v, 7.0, -4.0)
-    np.testing.assert_allclose(found_azimuth, azimuth, atol=1e-12)
-    np.testing.assert_allclose(found_y, y, atol=1e-12)
-
-
 @pytest.mark.parametrize("prepared", MATCHERS)
 def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepared):
     matcher = prepared(profiles)
@@ -117,7 +96,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
     assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
 
 
-def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
+def test_the_assumed_pitch_that_fits_is_found(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
     best = CorrelationMatcher(profiles).rank(query, 1).poses
     assert best.pitch_deg[0] == -5.0
@@ -140,15 +119,6 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
         assert 1.0 - fits.score[location] == pytest.approx(best, abs=1e-4)
 
 
-def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
-    query = query_at(viewpoints, 15, 20.0)
-    for prepared in MATCHERS:
-        first, again = (prepared(profiles).rank(query, 8).candidates(FRAME) for _ in range(2))
-        assert first == again
-        assert [c.score for c in first] == sorted(c.score for c in first)
-        assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
-
-
 def test_chamfer_distance_is_the_mean_of_nearest_points():
     generator = np.random.default_rng(4)
     a, b = generator.normal(size=(2, 5, 9)).astype(np.float32) * 3.0
@@ -161,51 +131,14 @@ def test_chamfer_distance_is_the_mean_of_nearest_points():
         assert found[row] == pytest.approx(expected, rel=1e-4)
 
 
-def test_alignment_recovers_a_small_affine_map():
-    bins = 2048
-    bin_px = 2.0 * np.pi * 320.0 / bins
-    turn = np.arange(bins) * 2.0 * np.pi / bins
-    stored = (40.0 * np.sin(3.0 * turn) + 15.0 * np.sin(11.0 * turn + 1.0)).astype(np.float32)
-    true = np.array([[1.03, 0.0, 25.0], [0.01, 0.97, -3.0]])
-    x = np.linspace(-150.0, 150.0, 200)
-    y = np.zeros(200)
-    for _ in range(60):
-        landed = true[0, 0] * x + true[0, 1] * y + true[0, 2]
-        height = np.interp(landed / bin_px + bins // 2, np.arange(bins), stored)
-        y = (height - true[1, 0] * x - true[1, 2]) / true[1, 1]
-    start = np.array([[[1.0, 0.0, 22.0], [0.0, 1.0, -1.0]]])
-    points = np.stack([x, y], axis=1)
-    found = align_curves(start, points, np.ones(200), stored[np.newaxis], bin_px)[0]
-    moved = points @ found[:, :2].T + found[:, 2]
-    height = np.interp(moved[:, 0] / bin_px + bins // 2, np.arange(bins), stored)
-    assert np.sqrt(np.mean((moved[:, 1] - height) ** 2)) < 0.05
-    before = points + start[0, :, 2]
-    height = np.interp(before[:, 0] / bin_px + bins // 2, np.arange(bins), stored)
-    assert np.sqrt(np.mean((before[:, 1] - height) ** 2)) > 1.0
-
-
-def flat_query():
-    u = np.linspace(-0.5, 0.5, 200)
-    return equally_trusted(u, np.zeros(200), 60.0)
-
-
-def test_degenerate_queries_and_stores_have_an_answer(profiles):
+def test_degenerate_queries_have_an_answer(profiles):
     for prepared in MATCHERS:
         for query in (
-            flat_query(),
+            equally_trusted(np.linspace(-0.5, 0.5, 200), np.zeros(200), 60.0),
             equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
             assert np.isfinite(prepared(profiles).rank(query, 3).poses.score).all()
-        unknown = Profiles(
-            profiles.easting_m[:2],
-            profiles.northing_m[:2],
-            profiles.eye_elevation_m[:2],
-            np.full((2, profiles.bins), np.nan, dtype=np.float32),
-            np.zeros(0, dtype=np.intp),
-            np.zeros(3, dtype=np.intp),
-        )
-        assert prepared(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
 
 
 def test_queries_and_stores_of_nothing_are_refused():
@@ -213,3 +146,150 @@ def test_queries_and_stores_of_nothing_are_refused():
         QueryRays(np.zeros(3), np.zeros(3), np.zeros(3), 60.0)
     with pytest.raises(InputError, match="holds no views"):
         Profiles.from_views([])
+
+
+BINS = 1024
+OFFSETS = np.arange(-10, 11) * 2
+
+
+def profiles_of(y):
+    """Return profiles with the curves y (L, B) and the keypoints these have."""
+    table = polyline_vertices(y, 2.0 * TANGENT_PER_PX, 64)
+    row, slot = np.nonzero(table != NO_KEYPOINT)
+    start = np.searchsorted(row, np.arange(len(y) + 1))
+    place = np.arange(len(y), dtype=np.float64)
+    return Profiles(place, place, 0.0 * place, y, table[row, slot].astype(np.intp), start)
+
+
+def random_profiles(seed, count):
+    generator = np.random.default_rng(seed)
+    turn = np.arange(BINS) * 2.0 * np.pi / BINS
+    waves = np.arange(1, 60)
+    size = generator.normal(size=(count, 59)) * 0.15 / waves
+    phase = generator.uniform(0.0, 2.0 * np.pi, (count, 59))
+    y = (size[:, np.newaxis] * np.sin(waves * turn[:, np.newaxis] + phase[:, np.newaxis])).sum(2)
+    return profiles_of(y.astype(np.float32))
+
+
+def query_of(profiles, location, axis_bin, seed=0):
+    """Return 60 degrees of a profile, level, with noise."""
+    azimuth = np.arange(-BINS // 12, BINS // 12 + 1) * 2.0 * np.pi / BINS
+    y = profiles.y[location, (axis_bin + np.arange(-BINS // 12, BINS // 12 + 1)) % BINS]
+    y = y + np.random.default_rng(seed).normal(0.0, 0.001, y.shape)
+    u, v = np.tan(azimuth), y / np.cos(azimuth)
+    return equally_trusted(u, v, 60.0)
+
+
+def assumed(query, attitudes):
+    curves = QueryCurves.of(query, attitudes, BINS)
+    return [QueryCurve.of(curves, row) for row in range(len(curves.y))]
+
+
+def voted_turn(shifts):
+    """Return the mean of the shifts in the fullest of 128 windows of 8 + 8 bins."""
+    width, best, turn = BINS // 128, 0, 0.0
+    for left in range(128):
+        inside = [(s - left * width) % BINS for s in shifts]
+        inside = [s for s in inside if s < 2 * width]
+        if len(inside) > best:
+            best, turn = len(inside), left * width + np.mean(inside)
+    return round(turn)
+
+
+def plain_distance_px(profiles, location, query):
+    """Return `Shortlist.distances_px` of one location at one attitude, step by step."""
+    y = profiles.y[location].astype(np.float64) / TANGENT_PER_PX
+    begin, end = profiles.keypoint_start[location : location + 2]
+    stored_bins = profiles.keypoint_bin[begin:end]
+    shifts = []
+    for patch, bin_ in zip(query.patches, query.bins, strict=True):
+        known = np.isfinite(patch)
+        if known.sum() < 15:
+            continue
+        compared = known & (np.arange(len(patch)) % 2 == 0)
+        off = [np.sum((y[(k + OFFSETS) % BINS] - y[k] - patch)[compared] ** 2) for k in stored_bins]
+        shifts.append(stored_bins[int(np.argmin(off))] - bin_)
+    turn = voted_turn(shifts)
+    run = query.point_bins // 4
+    weight = np.array([query.weight[run == r].sum() for r in range(BINS // 4)])
+    seen = np.flatnonzero(weight)
+    x, q = (
+        np.array([np.average(v[run == r], weights=query.weight[run == r]) for r in seen])
+        for v in query.points_px.T
+    )
+    filled = np.pad(np.interp(np.arange(seen[0], seen[-1] + 1), seen, q), 1, "edge")
+    slope = (filled[2:] - filled[:-2])[seen - seen[0]]
+    azimuth = x * TANGENT_PER_PX
+    curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope], axis=1)
+    root = np.sqrt(weight[seen])
+    thin = y.reshape(-1, 4).mean(axis=1)
+    least = np.inf
+    for step in range(-4, 5):
+        off = thin[(seen + (turn + 2) // 4 + step) % (BINS // 4)] - q
+        fitted = curves @ np.linalg.lstsq(curves * root[:, np.newaxis], off * root)[0]
+        least = min(least, np.sqrt(np.average((off - fitted) ** 2, weights=weight[seen])))
+    return least
+
+
+def test_shortlist_equals_a_plain_loop():
+    profiles = random_profiles(1, 10)
+    queries = assumed(query_of(profiles, 6, 300), Attitudes((-4.0, 0.0)))
+    found = Shortlist(profiles).distances_px(queries)
+    expected = np.array([[plain_distance_px(profiles, k, q) for q in queries] for k in range(10)])
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.02)
+    assert found.argmin() // 2 == 6
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_listed_poses_are_scored_as_without_a_shortlist(seed, monkeypatch):
+    profiles = random_profiles(10 + seed, 30)
+    query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
+    level = Attitudes((0.0,))
+    every = PaperMatcher(profiles, level).fit(query)
+    monkeypatch.setattr(matcher, "_POSES", 8)
+    listed = PaperMatcher(profiles, level).fit(query)
+    chosen = np.isfinite(listed.score)
+    assert 1 <= chosen.sum() <= 8
+    np.testing.assert_allclose(listed.score[chosen], every.score[chosen], rtol=1e-6)
+    assert listed.score.argmin() == every.score.argmin() == 3 * seed
+
+
+def correspondences(seed, sets=20, points=30):
+    """Return points, where affine maps put them, 40 % of them wrong, and which are used."""
+    generator = np.random.default_rng(seed)
+    source = generator.uniform(-150.0, 150.0, (points, 2)) * [1.0, 0.3]
+    maps = np.eye(2, 3) + generator.normal(0.0, 0.04, (sets, 2, 3)) * [1.0, 1.0, 500.0]
+    target = source @ maps[:, :, :2].swapaxes(1, 2) + maps[:, np.newaxis, :, 2]
+    wrong = generator.random((sets, points)) < 0.4
+    target[wrong] += generator.uniform(-80.0, 80.0, (wrong.sum(), 2))
+    used = generator.random((sets, points)) < 0.8
+    target[~used] = np.nan
+    return source, target, used, maps
+
+
+def test_ransac_recovers_maps_among_wrong_correspondences():
+    source, target, used, true = correspondences(6)
+    right = plausible(true)
+    assert right.sum() > 10
+    found = ransac_maps(source, target, used)
+    moved = source @ np.swapaxes(found[right, :, :2], 1, 2) + found[right, np.newaxis, :, 2]
+    expected = source @ np.swapaxes(true[right, :, :2], 1, 2) + true[right, np.newaxis, :, 2]
+    assert np.abs(moved - expected).max() < 1.0
+
+
+def test_ransac_gives_a_set_the_same_map_whatever_is_beside_it():
+    source, target, used, _ = correspondences(7)
+    together = ransac_maps(source, target, used)
+    alone = [ransac_maps(source, target[k : k + 1], used[k : k + 1])[0] for k in range(20)]
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_plausible_maps_are_those_of_singular_values_and_turn():
+    maps = np.eye(2, 3) + np.random.default_rng(9).normal(0.0, 0.3, (500, 2, 3))
+    scales = np.linalg.svd(maps[:, :, :2], compute_uv=False)
+    turn_deg = np.degrees(np.arctan2(maps[:, 1, 0], maps[:, 0, 0]))
+    expected = np.linalg.det(maps[:, :, :2]) > 0.0
+    expected &= (scales[:, 0] <= 1.25) & (scales[:, 1] >= 0.8) & (np.abs(turn_deg) <= 15.0)
+    assert 10 < expected.sum() < 400
+    np.testing.assert_array_equal(plausible(maps), expected)
+    assert not plausible(np.full((1, 2, 3), np.nan))[0]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import fractal
 
 from skyline.terrain.mesh import EMPTY, LEAF_STRIPS, SLABS, level_count, slab_levels
 
@@ -64,23 +63,3 @@ def test_a_ray_that_enters_at_the_end_of_a_band_is_bounded(slope):
         assert 0 <= block < level.maxima.shape[2]
         assert level.maxima[int(slope > 0.0), 0, block, -1] >= (50.0 if slope > 0.0 else 70.0)
         slab = strips
-
-
-def test_bounds_are_tight_for_a_leaf():
-    """A spike raises the bounds of the rays that pass it, and of few others."""
-    heights = np.zeros((64, 64), dtype=np.float32)
-    heights[32, 32] = 100.0
-    level = next(slab_levels(heights, np.linspace(-1.0, 1.0, 17), level_count(63)))
-    raised = (level.maxima > 50.0).mean()
-    assert 0.0 < raised < 0.02
-
-
-def test_marks_and_heights_give_the_same_tree():
-    rough = fractal(50, 70, seed=4)
-    marks = (rough > 100.0).astype(np.uint8)
-    heights = np.where(marks, np.float32(1.0), EMPTY)
-    slopes = np.linspace(-1.0, 1.0, 9)
-    for marked, high in zip(
-        slab_levels(marks, slopes, 2), slab_levels(heights, slopes, 2), strict=True
-    ):
-        np.testing.assert_array_equal(marked.maxima > 0, high.maxima > EMPTY)

@@ -1,12 +1,10 @@
 """The extractor on drawn photos with known skylines, on hopeless ones, and on a real one."""
 
-from io import BytesIO
 from math import radians, tan
 
 import numpy as np
 import pytest
 from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky, texture
-from PIL import Image
 
 from skyline.errors import InputError
 from skyline.photo.extract import Content, content_of, extract_skyline, shortest_path
@@ -46,20 +44,8 @@ def test_skyline_of_drawn_photos(kind, record_property):
     assert p90 < FAINT_P90.get(kind, WHOLE_PIXEL_P90)
     assert np.mean(error_px > 3.0) < GROSS.get(kind, PLAIN_GROSS)
     assert np.mean(trusted[visible]) > TRUSTED.get(kind, PLAIN_TRUSTED)
-    # What hides the mountains is masked, but for its rims.
+    # Things before the mountains are masked, but for their rims.
     assert np.sum(trusted & ~visible) <= 0.015 * trusted.size
-
-
-@pytest.mark.parametrize("quality", [50, 75])
-def test_jpeg_blocks_are_not_the_skyline(quality):
-    scene = make_scene("clouds", 100)
-    buffer = BytesIO()
-    Image.fromarray(scene.image).save(buffer, "JPEG", quality=quality)
-    query = extract_skyline(np.asarray(Image.open(buffer)))
-    error_px = np.abs(query.row_px - scene.row_px)[query.trusted]
-    assert query.trusted.mean() > PLAIN_TRUSTED
-    assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
-    assert np.mean(error_px > 3.0) < PLAIN_GROSS
 
 
 def test_ground_up_to_the_top_edge_is_masked():
@@ -99,21 +85,6 @@ def test_sky_of_any_light(light):
     assert np.mean(error_px > 3.0) < 0.05
 
 
-def test_confidence_goes_with_trust():
-    query = extract_skyline(make_scene("haze", 100).image)
-    assert (query.confidence[query.trusted] > 0.0).all()
-    assert (query.confidence[~query.trusted] == 0.0).all()
-    clear = extract_skyline(make_scene("clear", 100).image)
-    assert np.median(clear.confidence) > np.median(query.confidence[query.trusted])
-
-
-def test_same_photo_gives_the_same_skyline():
-    image = make_scene("clouds", 102, 480, 320).image
-    once, again = extract_skyline(image), extract_skyline(image.copy())
-    np.testing.assert_array_equal(once.row_px, again.row_px)
-    np.testing.assert_array_equal(once.confidence, again.confidence)
-
-
 def test_mirrored_photo_gives_the_mirrored_skyline():
     image = make_scene("layers", 103, 480, 320).image
     query, mirrored = extract_skyline(image), extract_skyline(image[:, ::-1].copy())
@@ -122,7 +93,7 @@ def test_mirrored_photo_gives_the_mirrored_skyline():
     assert np.percentile(np.abs(query.row_px - mirrored.row_px[::-1])[both], 95) < 0.5
 
 
-@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900), (1500, 1000)])
+@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900)])
 def test_other_shapes(width, height):
     scene = make_scene("clear", 104, width, height)
     query = extract_skyline(scene.image)
@@ -131,7 +102,7 @@ def test_other_shapes(width, height):
     assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
 
 
-def hopeless(kind: str) -> np.ndarray:
+def hopeless(kind):
     rng = np.random.default_rng(5)
     shape = (320, 480)
     noise = 2.0 * rng.standard_normal((*shape, 3))
@@ -147,7 +118,7 @@ def hopeless(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["uniform", "white", "blue sky", "clouds", "noise", "ground"])
-def test_no_skyline_is_said_not_guessed(kind):
+def test_a_photo_without_a_skyline_is_refused(kind):
     with pytest.raises(InputError, match=r"no skyline found.*draw it as a trace .* or a mask"):
         extract_skyline(hopeless(kind))
 

@@ -1,7 +1,6 @@
 """Image files: formats, damage, size, orientation and field of view."""
 
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,15 +31,11 @@ def as_grey(scene):
 VARIANTS = {
     "photo.jpg": lambda scene: Image.fromarray(scene.image),
     "photo.png": lambda scene: Image.fromarray(scene.image),
-    "photo.webp": lambda scene: Image.fromarray(scene.image),
-    "photo.tif": lambda scene: Image.fromarray(scene.image),
     "no_suffix": lambda scene: Image.fromarray(scene.image),
     "grey.jpg": lambda scene: Image.fromarray(as_grey(scene)),
-    "deep.png": lambda scene: Image.fromarray(as_grey(scene).astype(np.uint16) * 257),
     "twelve_bits.tif": lambda scene: Image.fromarray(as_grey(scene).astype(np.uint16) * 16),
     "float.tif": lambda scene: Image.fromarray(as_grey(scene).astype(np.float32) / 255),
     "cmyk.jpg": lambda scene: Image.fromarray(scene.image).convert("CMYK"),
-    "cmyk.tif": lambda scene: Image.fromarray(scene.image).convert("CMYK"),
     "palette.gif": lambda scene: Image.fromarray(scene.image).quantize(256),
     "alpha.png": lambda scene: Image.fromarray(scene.image).convert("RGBA"),
 }
@@ -81,8 +76,10 @@ CONTAINERS = {
 }
 
 
-@pytest.mark.parametrize("container", CONTAINERS)
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize(
+    ("container", "orientation"),
+    [("jpg", turn) for turn in range(1, 9)] + [(container, 6) for container in CONTAINERS],
+)
 @pytest.mark.parametrize("upright", [(320, 240), (240, 320)])
 def test_a_turned_photo_is_the_same_in_every_container(
     tmp_path, scene, container, orientation, upright
@@ -125,16 +122,16 @@ def test_given_fov_wins_over_exif(tmp_path, scene):
     assert read_query(tmp_path / "photo.jpg", 40.0).fov_deg == 40.0
 
 
-# What cannot be read
+# Files that cannot be read
 
 
-def jpeg(scene) -> bytes:
+def jpeg(scene):
     buffer = BytesIO()
     Image.fromarray(scene.image).save(buffer, "JPEG")
     return buffer.getvalue()
 
 
-def refused(path: Path, message: str) -> None:
+def refused(path, message):
     with pytest.raises(InputError, match=message) as caught:
         read_query(path)
     assert str(path) in str(caught.value)
@@ -154,13 +151,6 @@ def test_truncated_and_corrupt_jpeg(tmp_path, scene, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_truncated_png(tmp_path, scene):
-    buffer = BytesIO()
-    Image.fromarray(scene.image).save(buffer, "PNG")
-    (tmp_path / "half.png").write_bytes(buffer.getvalue()[:20_000])
-    refused(tmp_path / "half.png", "cut short")
-
-
 def test_not_an_image(tmp_path):
     (tmp_path / "text.jpg").write_text("not a photo")
     refused(tmp_path / "text.jpg", "not an image that can be read; expected JPEG")
@@ -174,7 +164,7 @@ def test_missing_file(tmp_path):
         read_query(tmp_path / "absent.jpg")
 
 
-@pytest.mark.parametrize("name", ["moving.gif", "moving.webp", "moving.png"])
+@pytest.mark.parametrize("name", ["moving.gif", "moving.png"])
 def test_of_an_animation_the_first_picture_is_taken(tmp_path, scene, name):
     other = Image.new("RGB", (320, 240), "black")
     first = Image.fromarray(scene.image)
@@ -182,19 +172,10 @@ def test_of_an_animation_the_first_picture_is_taken(tmp_path, scene, name):
     assert close_to(read_query(tmp_path / name), scene)
 
 
-def test_png_with_a_wrong_checksum(tmp_path, scene):
-    buffer = BytesIO()
-    Image.fromarray(scene.image).save(buffer, "PNG")
-    damaged = bytearray(buffer.getvalue())
-    damaged[damaged.index(b"IDAT") + 4000] ^= 1
-    (tmp_path / "wrong.png").write_bytes(damaged)
-    refused(tmp_path / "wrong.png", "cannot be decoded")
-
-
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif", "gif"])
 def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
     rng = np.random.default_rng(7)
-    said: list[str] = []
+    messages: list[str] = []
     path = tmp_path / f"photo.{suffix}"
     Image.fromarray(make_scene("clear", 3, 48, 36).image).save(path)
     whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
@@ -209,9 +190,9 @@ def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
         try:
             assert read_query(path).trusted.any()
         except InputError as error:
-            said.append(str(error))
-    assert said
-    assert all("\n" not in line and str(path) in line for line in said)
+            messages.append(str(error))
+    assert messages
+    assert all("\n" not in line and str(path) in line for line in messages)
     assert capfd.readouterr().err == ""
 
 
@@ -224,7 +205,7 @@ def test_heic_says_to_convert_it(tmp_path):
     )
 
 
-@pytest.mark.parametrize("side", [1, 8, 31])
+@pytest.mark.parametrize("side", [1, 31])
 def test_too_small(tmp_path, side):
     Image.fromarray(np.full((side, side, 3), (90, 120, 200), np.uint8)).save(tmp_path / "tiny.png")
     refused(tmp_path / "tiny.png", "px")
@@ -234,23 +215,6 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     for width, height in ((12_000, 10_000), (20_000, 10_000)):
         Image.new("1", (width, height)).save(tmp_path / "huge.png")
         refused(tmp_path / "huge.png", "megapixels; expected at most 100")
-
-
-def test_jpeg_of_200_megapixels_is_reduced(tmp_path):
-    mask = Image.new("L", (20_000, 10_000), 255)
-    mask.paste(0, (0, 4_000, 20_000, 10_000))
-    mask.save(tmp_path / "huge.jpg")
-    image, query = extract_photo(tmp_path / "huge.jpg")
-    assert image.shape == (5_000, 10_000, 3)
-    assert_allclose(query.row_px, 1999.5, atol=0.1)
-
-
-def test_pillow_keeps_its_own_limit():
-    before = Image.MAX_IMAGE_PIXELS
-    with pytest.raises(MissingFileError):
-        read_query("absent.jpg")
-    assert before is not None
-    assert before == Image.MAX_IMAGE_PIXELS
 
 
 def test_large_jpeg_is_reduced_while_decoding(tmp_path):
@@ -264,7 +228,7 @@ def test_large_jpeg_is_reduced_while_decoding(tmp_path):
 
 
 @pytest.mark.parametrize(("given", "warned"), [({}, True), ({"fov_deg": 90.0}, False)])
-def test_a_panorama_that_nobody_calls_one_is_doubted(tmp_path, caplog, given, warned):
+def test_a_wide_photo_without_a_projection_is_warned_of(tmp_path, caplog, given, warned):
     wide = make_scene("clear", 3, 640, 200)
     Image.fromarray(wide.image).save(tmp_path / "wide.png")
     read_query(tmp_path / "wide.png", **given)

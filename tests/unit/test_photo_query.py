@@ -1,8 +1,6 @@
 """Query skylines: geometry, fields of view, traces and masks."""
 
 import re
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from skyline.errors import InputError, MissingFileError
-from skyline.photo.lens import Lens
+from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query, write_overlay
 from skyline.photo.trace import read_trace, write_trace
@@ -31,19 +28,13 @@ def test_image_plane_of_the_corners():
     assert_allclose(v, [0.25, 0.0, -0.25], atol=1e-15)
 
 
-def test_given_fov_overrides_the_own_one():
-    query = query_of([3.0, 4.0], fov_deg=90.0)
-    assert_allclose(query.image_plane(60.0)[0], query.with_fov(60.0).image_plane()[0])
-    assert query.image_plane(60.0)[0][1] < query.image_plane()[0][1]
-
-
 def test_visible_deg_is_the_fov_where_everything_is_seen_and_less_where_masked():
     assert query_of(np.zeros(7), fov_deg=63.0).visible_deg() == pytest.approx(63.0)
     half = query_of(np.r_[np.zeros(4), np.full(4, np.nan)], fov_deg=80.0)
     assert half.visible_deg() == pytest.approx(40.0)
 
 
-@pytest.mark.parametrize("fov_deg", [0.0, 0.99, 179.1, 200.0, -60.0, np.nan, np.inf])
+@pytest.mark.parametrize("fov_deg", [0.99, 179.1, np.nan])
 def test_impossible_fov_is_refused_everywhere(fov_deg, tmp_path):
     query = query_of([1.0, 2.0])
     for attempt in (query.with_fov, query.image_plane, query.visible_deg):
@@ -57,15 +48,6 @@ def test_impossible_fov_is_refused_everywhere(fov_deg, tmp_path):
 def test_unknown_fov_asks_for_it():
     with pytest.raises(InputError, match="fov-deg"):
         query_of([1.0]).image_plane()
-
-
-def test_arrays_are_private_and_frozen():
-    rows = np.zeros(3)
-    query = query_of(rows)
-    rows[0] = 9.0
-    assert query.row_px[0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        query.row_px[0] = 1.0
 
 
 def test_confidence_without_a_row_is_refused():
@@ -93,16 +75,7 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
     assert path.read_text().startswith(f"# width={len(rows)} height=100\ncolumn_px,row_px\n")
 
 
-def test_a_trace_keeps_what_is_known_of_the_camera_to_the_last_digit(tmp_path):
-    lens = Lens(58.71550708558255, 5.123456789)
-    query = replace(query_of([1.0, 2.0]), fov_deg=lens.fov_deg, lens=lens, eye_height_m=12.3456789)
-    write_trace(query, tmp_path / "trace.csv")
-    back = read_trace(tmp_path / "trace.csv")
-    assert (back.fov_deg, back.eye_height_m) == (query.fov_deg, query.eye_height_m)
-    assert back.lens.sd_deg == pytest.approx(lens.sd_deg, rel=1e-15)
-
-
-def trace_file(folder: Path, points: str, size: str = "# width=100 height=50") -> Path:
+def trace_file(folder, points, size="# width=100 height=50"):
     path = folder / "trace.csv"
     path.write_text(f"{size}\ncolumn_px,row_px\n{points}", encoding="utf-8")
     return path
@@ -129,10 +102,7 @@ def test_break_parts_two_near_points(tmp_path):
         ("3,10\n3,11\n", "two rows for column 3"),
         ("3,ten\n", "line 3: 'ten' is not a number"),
         ("100,1\n", "column 100 is outside"),
-        ("nan,1\n", "column nan is outside"),
         ("3,50\n", "row 50 is outside"),
-        ("3,inf\n", "row inf is outside"),
-        ("", "draws no column"),
         ("3,nan\n", "draws no column"),
     ],
 )
@@ -145,26 +115,17 @@ def test_bad_points_are_named(tmp_path, points, message):
     "content",
     [
         b"",
-        b"column_px,row_px\n1,2\n",
         b"# width=4\ncolumn_px,row_px\n",
         b"\xff\xfe\x00",
-        b"\x00" * 9,
-        b"# width=4 height=4\n",
         b"# width=4 height=4\nx,y\n1,2\n",
-        b"# width=0 height=4\ncolumn_px,row_px\n",
         b"# width=99999999999 height=4\ncolumn_px,row_px\n1,2\n",
     ],
 )
-def test_what_is_not_a_trace_is_refused(tmp_path, content):
+def test_a_file_that_is_no_trace_is_refused(tmp_path, content):
     path = tmp_path / "trace.csv"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"trace\.csv"):
         read_query(path)
-
-
-def test_missing_trace(tmp_path):
-    with pytest.raises(MissingFileError, match="does not exist"):
-        read_query(tmp_path / "trace.csv")
 
 
 def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
@@ -182,7 +143,7 @@ def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
 # Masks
 
 
-def saved(folder: Path, image: np.ndarray, name: str = "mask.png") -> Path:
+def saved(folder, image, name="mask.png"):
     Image.fromarray(image).save(folder / name)
     return folder / name
 
@@ -200,7 +161,7 @@ def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
 
 
-@pytest.mark.parametrize("mode", ["1", "L", "RGB", "RGBA", "P", "LA", "I;16"])
+@pytest.mark.parametrize("mode", ["1", "RGBA", "P", "I;16"])
 def test_mask_in_any_mode(tmp_path, mode):
     grey = np.zeros((30, 20), np.uint8)
     grey[:12] = 255
@@ -220,12 +181,6 @@ def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):
     query = read_query(saved(tmp_path, mask))
     # Halfway between two levels differs from the area by at most 1/8 (at a share of 1/4).
     assert np.abs(query.row_px - border).max() < 0.13
-
-
-def test_mask_as_jpeg(tmp_path):
-    mask = np.full((64, 64), 255, np.uint8)
-    mask[24:] = 0
-    assert_allclose(read_query(saved(tmp_path, mask, "mask.jpg")).row_px, 23.5, atol=0.1)
 
 
 @pytest.mark.parametrize("level", [0, 255])
@@ -248,19 +203,13 @@ def test_overlay_draws_trusted_columns_only(tmp_path):
     assert not photo.any()
 
 
-def test_overlay_of_another_photo_is_refused(tmp_path):
-    with pytest.raises(InputError, match="2 x 100 px, the photo has 3 x 4"):
-        write_overlay(np.zeros((4, 3, 3), np.uint8), query_of([1.0, 2.0]), tmp_path / "o.png")
-    assert not list(tmp_path.iterdir())
-
-
 def noting(tmp_path, notes):
     path = tmp_path / "noting.csv"
     path.write_text(f"# width=100 height=80{notes}\ncolumn_px,row_px\n0,30\n9,31\n")
     return path
 
 
-def test_a_trace_notes_what_is_known_of_its_camera(tmp_path):
+def test_a_trace_notes_its_camera(tmp_path):
     for notes in (" fov_deg=60 fov_slack=0.1 eye_height_m=12", "\n# fov_deg=60 fov_slack=0.1\n"
                   "# drawn by hand eye_height_m=12"):  # fmt: skip
         query = read_query(noting(tmp_path, notes))

@@ -6,12 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from skyline.errors import InputError
-from skyline.skylines import Horizons, bin_azimuths_rad, check_bins
+from skyline.skylines import Horizons
 from skyline.store.places import BINS, DISTANCE_BINS, RISES, Places, decode_rises, encode_rises
-
-STEP = np.diff(np.sort(RISES))
-"""From each rise to the next."""
 
 
 def horizons(y, distance_m=1000.0):
@@ -89,10 +85,3 @@ def test_places_are_indexed_taken_and_joined():
     (only,) = places.blocks()
     assert only is places
     assert (places.tolerance_m == 40.0).all()
-
-
-def test_bins_lie_between_the_seams_of_the_headings():
-    azimuth_deg = np.degrees(bin_azimuths_rad(BINS))
-    assert np.abs((azimuth_deg - 45.0) % 90.0).min() > 0.4
-    with pytest.raises(InputError, match="multiple of 8"):
-        check_bins(100)

@@ -18,14 +18,9 @@ INTERNAL = {
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 
 
-def test_importing_skyline_loads_nothing_heavy():
-    code = f"import sys, skyline; print(sorted(set({HEAVY}) & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_the_command_line_loads_nothing_heavy_before_a_command():
-    code = f"import sys, skyline.cli; print(sorted(set({HEAVY}) & set(sys.modules)))"
+@pytest.mark.parametrize("module", ["skyline", "skyline.cli"])
+def test_importing_loads_nothing_heavy(module):
+    code = f"import sys, {module}; print(sorted(set({HEAVY}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
 
@@ -86,7 +81,7 @@ def functions_of(thing):
 
 
 @pytest.mark.parametrize("name", skyline.__all__)
-def test_what_it_takes_and_gives_is_public_too(name):
+def test_types_of_parameters_and_results_are_public_too(name):
     known = {"DemOptions": skyline.DemOptions, "MatchResult": skyline.MatchResult}
     for function in functions_of(getattr(skyline, name)):
         for hint in typing.get_type_hints(function, localns=known).values():

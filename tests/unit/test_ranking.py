@@ -6,10 +6,10 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
-from scenes import at_m, candidate_at
+from query_scenes import poses
+from scenes import candidate_at
 
 from skyline.geodesy import Frame
-from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
 
 FRAMES = {
     name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")
@@ -47,41 +47,6 @@ def test_places_and_headings_go_to_degrees_and_back(name, east_m, north_m, grid_
     assert abs((went - found.heading_deg + 180.0) % 360.0 - 180.0) < 0.5
 
 
-def test_the_same_place_in_two_frames_is_one_candidate():
-    lon, lat, heading_deg = 10.2, 46.8, 100.0
-    found = []
-    for name in ("EPSG:32632", "EPSG:2056"):
-        place = FRAMES[name].from_lonlat(lon, lat)
-        grid = heading_deg - float(FRAMES[name].convergence_deg(**at_m(place)))
-        found.append(candidate_at(*place, grid, frame=FRAMES[name]))
-    for one in found:
-        # Swiss coordinates are of another datum, whose north differs by an arc-second or two.
-        assert (one.lon, one.lat) == pytest.approx((lon, lat), abs=1e-7)
-        assert one.heading_deg == pytest.approx(heading_deg, abs=2e-3)
-
-
-def test_a_ranking_is_its_poses_in_order():
-    frame = FRAMES["EPSG:32632"]
-    columns = np.arange(27.0).reshape(9, 3)
-    columns[:2] += np.array([[6e5], [5.2e6]])
-    covariance_m2 = np.arange(12.0).reshape(3, 2, 2)
-    poses, confidence, shares = Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), np.full(3, 0.5)
-    refined = RefinedPoses(poses, covariance_m2, *[shares] * 7)
-    ranking = Ranking(poses, confidence, confidence, refined)
-    found = ranking.candidates(frame)
-    assert [one.confidence for one in found] == [0.3, 0.2, 0.1]
-    assert [one.score for one in found] == [24.0, 25.0, 26.0]
-    assert [one.eye_elevation_m for one in found] == [6.0, 7.0, 8.0]
-    assert found[1].covariance_m2 == ((4.0, 5.0), (6.0, 7.0))
-    assert all(one.refined for one in found)
-    assert all(one.residual_deg == one.terrain_share == one.beyond_share == 0.5 for one in found)
-    plain = Ranking(ranking.poses).candidates(frame)
-    bare = dataclasses.replace(found[0], confidence=None, confidence_1km=None, refined=False)
-    names = ("covariance_m2", "residual_deg", "terrain_share", "beyond_share")
-    assert plain[0] == dataclasses.replace(bare, **dict.fromkeys(names))
-    assert Ranking(ranking.poses[:0]).candidates(frame) == ()
-
-
 @given(sd_m=st.floats(0.1, 500.0), seed=st.integers(0, 100))
 def test_68_of_100_draws_about_a_pose_lie_within_its_radius(sd_m, seed):
     covariance_m2 = ((sd_m**2, 0.0), (0.0, sd_m**2))
@@ -96,38 +61,20 @@ def test_a_candidate_of_unknown_spread_has_no_radius():
     assert candidate_at(0.0, 0.0, 0.0).radius_m is None
 
 
-def _hypotheses(easting_m: list[float], heading_deg: list[float], score: list[float]) -> Hypotheses:
-    zero = np.zeros(len(score))
-    return Hypotheses(
-        np.array(easting_m),
-        zero,
-        zero,
-        np.array(heading_deg),
-        zero,
-        zero,
-        zero + 60.0,
-        zero,
-        np.array(score),
+def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
+    some = poses(
+        4,
+        easting_m=[0.0, 10.0, 500.0, 505.0],
+        heading_deg=[0.0, 90.0, 0.0, 0.0],
+        score=[2.0, 1.0, 3.0, 3.0],
     )
-
-
-def test_the_best_of_a_place_stands_for_it() -> None:
-    some = _hypotheses([0.0, 10.0, 500.0, 505.0], [0.0, 90.0, 0.0, 0.0], [2.0, 1.0, 3.0, 3.0])
     assert some.suppress_non_maxima(9, separation_m=100.0).tolist() == [1, 2]
-
-
-def test_one_place_may_be_seen_in_two_ways() -> None:
-    some = _hypotheses([0.0, 0.0, 0.0], [359.0, 2.0, 90.0], [1.0, 2.0, 3.0])
-    assert some.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
-
-
-def test_poses_that_fit_nowhere_are_left_out_and_the_count_is_kept() -> None:
-    some = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
-    assert some.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
-    assert some.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
-
-
-def test_parts_are_joined_in_order() -> None:
-    one, two = _hypotheses([1.0], [0.0], [5.0]), _hypotheses([2.0], [0.0], [4.0])
-    assert Hypotheses.concatenate([one, two]).easting_m.tolist() == [1.0, 2.0]
-    assert Hypotheses.concatenate([one, two])[1:].score.tolist() == [4.0]
+    turned = poses(
+        3, easting_m=[0.0, 0.0, 0.0], heading_deg=[359.0, 2.0, 90.0], score=[1.0, 2.0, 3.0]
+    )
+    assert turned.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
+    lost = poses(
+        3, easting_m=[0.0, 500.0, 900.0], heading_deg=[0.0, 0.0, 0.0], score=[np.inf, 1.0, 2.0]
+    )
+    assert lost.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
+    assert lost.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]

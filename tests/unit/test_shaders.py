@@ -1,7 +1,5 @@
 """Finding shaders, defining macros, and the place in the file that a driver's error means."""
 
-from pathlib import Path
-
 import moderngl
 import pytest
 
@@ -14,25 +12,25 @@ VERTEX = "#version 330 core\nvoid main() { gl_Position = vec4(0.0); }\n"
 class RefusingDriver:
     """Refuses every program with a log of the given words, as moderngl hands it on."""
 
-    def __init__(self, stage: str, words: str) -> None:
+    def __init__(self, stage, words):
         self.log = f"GLSL Compiler failed\n\n{stage}\n{'=' * len(stage)}\n{words}\n"
 
-    def program(self, **_: str) -> None:
+    def program(self, **_):
         raise moderngl.Error(self.log)
 
-    def compute_shader(self, _: str) -> None:
+    def compute_shader(self, _):
         raise moderngl.Error(self.log)
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A shader folder that stands before the repository's."""
     monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path / "second"))
     (tmp_path / "point.vert").write_text(VERTEX)
     return tmp_path
 
 
-def test_a_missing_shader_names_both_folders(folder: Path) -> None:
+def test_a_missing_shader_names_both_folders(folder):
     with pytest.raises(MissingFileError) as caught:
         shaders.load_shader("none.vert")
     message = str(caught.value)
@@ -40,7 +38,7 @@ def test_a_missing_shader_names_both_folders(folder: Path) -> None:
     assert f"neither {folder} nor {folder / 'second'}" in message
 
 
-def test_macros_stand_after_the_version_and_lines_are_counted_on(folder: Path) -> None:
+def test_macros_stand_after_the_version_and_lines_are_counted_on(folder):
     (folder / "a.comp").write_text("// Heading.\n#version 430\nend\n")
     assert shaders.load_shader("a.comp", {"ONE": "1", "BARE": ""}).splitlines() == [
         *("// Heading.", "#version 430", "#define ONE 1", "#define BARE ", "#line 3", "end"),
@@ -56,18 +54,18 @@ def test_macros_stand_after_the_version_and_lines_are_counted_on(folder: Path) -
     ],
     ids=["mesa", "nvidia", "amd"],
 )
-def test_messages_of_each_driver_name_file_and_line(folder: Path, words: str) -> None:
+def test_messages_of_each_driver_name_file_and_line(folder, words):
     (folder / "a.frag").write_text("#version 330 core\nbad\n")
     driver = RefusingDriver("fragment_shader", words)
     with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:2\b.*bad"):
         shaders.compile_program(driver, "point.vert", "a.frag")
 
 
-def test_a_message_without_a_stage_names_all_shaders(folder: Path) -> None:
+def test_a_message_without_a_stage_names_all_shaders(folder):
     (folder / "a.frag").write_text(VERTEX)
 
     class Linker:
-        def program(self, **_: str) -> None:
+        def program(self, **_):
             raise moderngl.Error("GLSL Linker failed\n\nProgram\n=======\nerror: out of wits\n")
 
     with pytest.raises(SkylineError, match=r"point\.vert \+ a\.frag do not link.*out of wits") as e:

@@ -83,12 +83,11 @@ RAMP = np.linspace(1.0, 0.0, 64)[np.newaxis, np.newaxis, :, np.newaxis] * np.one
         (np.ones(4), "expected one input"),
         (np.full((1, 1, 8, 8), np.nan), "not finite"),
         (np.ones((1, 1, 64, 64)), "sees no sky above ground"),
-        (np.zeros((1, 1, 64, 64)), "sees no sky above ground"),
         (RAMP, "sees no sky above ground"),  # sure of no row
         (RuntimeError("bad shape\nmore"), r"failed \(bad shape\)"),
     ],
 )
-def test_what_breaks_the_contract_is_said(output, message):
+def test_output_that_breaks_the_contract_is_refused(output, message):
     with pytest.raises(InputError, match=message) as caught:
         model_skyline(make_scene("clear", 3, 64, 64).image, Constant(output=output))
     assert "\n" not in str(caught.value)
@@ -102,33 +101,3 @@ def test_absent_runtime_says_what_to_install(tmp_path, monkeypatch):
         read_query(tmp_path / "photo.png", sky_model=tmp_path / "sky.onnx")
     with pytest.raises(MissingFileError, match=r"absent\.onnx does not exist"):
         load_sky_model(tmp_path / "absent.onnx")
-
-
-def test_real_runtime(tmp_path):
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
-    onnx = pytest.importorskip("onnx", reason="onnx, which makes the test's model, is missing")
-    make, floats = onnx.helper, onnx.TensorProto.FLOAT
-    # Sky = sigmoid of 40 (blue - red) - 3: a convolution of one pixel.
-    weight = np.array([-40.0, 0.0, 40.0], np.float32).reshape(1, 3, 1, 1)
-    graph = make.make_graph(
-        [
-            make.make_node("Conv", ["photo", "weight", "bias"], ["logit"]),
-            make.make_node("Sigmoid", ["logit"], ["sky"]),
-        ],
-        "sky",
-        [make.make_tensor_value_info("photo", floats, [1, 3, "h", "w"])],
-        [make.make_tensor_value_info("sky", floats, [1, 1, "h", "w"])],
-        [
-            onnx.numpy_helper.from_array(weight, "weight"),
-            onnx.numpy_helper.from_array(np.array([-3.0], np.float32), "bias"),
-        ],
-    )
-    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 13)], ir_version=8)
-    onnx.save(model, tmp_path / "sky.onnx")
-    scene = make_scene("clear", 3, 640, 480)
-    Image.fromarray(scene.image).save(tmp_path / "photo.png")
-    query = read_query(tmp_path / "photo.png", 60.0, sky_model=tmp_path / "sky.onnx")
-    assert np.median(np.abs(query.row_px - scene.row_px)[query.trusted]) < 0.5
-    (tmp_path / "broken.onnx").write_bytes(b"no model")
-    with pytest.raises(InputError, match="not a model that can be run"):
-        load_sky_model(tmp_path / "broken.onnx")

@@ -92,17 +92,6 @@ def test_a_wide_lens_finds_its_distortion():
     assert found.score[0] < straight.score[0]
 
 
-def test_a_panorama_finds_its_heading_horizon_and_width():
-    true = swept(hills, *SWEPT)
-    query = true.with_fov(1.02 * true.fov_deg).about(5.0)
-    start = poses(heading_deg=SWEPT[0] - 2.0, fov_deg=query.fov_deg)
-    found = settled(start, panorama_of(hills), query)
-    assert found.heading_deg[0] == pytest.approx(SWEPT[0], abs=0.02)
-    assert found.pitch_deg[0] == pytest.approx(SWEPT[1], abs=0.02)
-    assert found.roll_deg[0] == pytest.approx(0.0, abs=0.05)
-    assert found.fov_deg[0] == pytest.approx(SWEPT[2], abs=0.1)
-
-
 def test_attitude_and_field_of_view_are_recovered():
     query = _query(assumed_fov_deg=62.0, fov_range_deg=(56.0, 64.0))
     found = settled(poses(heading_deg=348.0, fov_deg=62.0), panorama_of(hills), query)
@@ -160,17 +149,6 @@ def test_noise_makes_no_lens_narrower(relief, noise):
     assert np.mean(found) == pytest.approx(60.0, abs=0.02 + 3.0 * np.std(found) / np.sqrt(6.0))
 
 
-@pytest.mark.parametrize("fov_sd_deg", [3.0, 50.0])
-def test_errors_that_are_not_there_make_no_lens_wider(fov_sd_deg):
-    def low_hills(azimuth_rad):
-        return 0.15 + 0.15 * (hills(azimuth_rad) - 0.15)
-
-    query = rays_of(*seen(low_hills, **TRUTH), 60.0, 60.0, (30.0, 90.0))
-    start = poses(heading_deg=350.0, fov_deg=60.0)
-    found = settled(start, panorama_of(low_hills), replace(query, fov_sd_deg=fov_sd_deg))
-    assert found.fov_deg[0] == pytest.approx(60.0, abs=0.3)
-
-
 @pytest.mark.parametrize("sd_deg", [0.2, 50.0])
 def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
     level_hills = panorama_of(lambda a: 0.3 * hills(a))
@@ -196,12 +174,6 @@ def test_an_eye_s_height_is_drawn_to_the_usual_one_as_its_probability_falls():
     assert (np.diff(EYE.cost(height_m)) > 0.0).all()
 
 
-def test_a_known_field_of_view_stays():
-    found = settled(poses(heading_deg=349.0, fov_deg=40.0), panorama_of(hills), _query())
-    assert found.fov_deg[0] == pytest.approx(60.0, abs=1e-9)
-    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
-
-
 def test_the_right_skyline_costs_least_and_order_does_not_matter():
     headings = np.array([349.0, 80.0, 200.0, 351.0])
     found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), _query())
@@ -210,16 +182,6 @@ def test_the_right_skyline_costs_least_and_order_does_not_matter():
     other = settled(poses(4, heading_deg=headings[order]), panorama_of(hills, 4), _query())
     np.testing.assert_allclose(other.score, found.score[order], rtol=1e-9)
     np.testing.assert_allclose(other.heading_deg, found.heading_deg[order], rtol=1e-9)
-
-
-def test_trees_in_front_do_not_pull():
-    u, v = seen(hills, **TRUTH)
-    hidden = (np.floor(np.arange(len(u)) / 40.0) % 3 == 0) | (u > 0.45)
-    v = np.where(hidden, v + np.radians(4.0) + 0.02 * np.sin(30.0 * u), v)
-    assert hidden.mean() > 0.35
-    found = settled(poses(heading_deg=349.0), panorama_of(hills), rays_of(u, v, 60.0))
-    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.05)
-    assert found.pitch_deg[0] == pytest.approx(2.0, abs=0.05)
 
 
 def test_unknown_columns_are_left_out_but_not_free():
@@ -231,14 +193,7 @@ def test_unknown_columns_are_left_out_but_not_free():
     assert found.score[0] > known.score[0] + 50.0
 
 
-def test_a_skyline_that_is_nowhere_known_has_no_fit():
-    nothing = np.full((2, 1, BINS), np.nan)
-    found = settled(poses(heading_deg=10.0), nothing, _query())
-    assert found.score[0] == np.inf
-    assert found.heading_deg[0] == pytest.approx(10.0)
-
-
-@pytest.mark.parametrize("columns", [1, 2, 15])
+@pytest.mark.parametrize("columns", [2, 15])
 def test_too_few_columns_have_no_fit(columns):
     query = _query()
     few = np.linspace(0, len(query.u) - 1, columns).astype(int)
@@ -256,18 +211,6 @@ def test_a_level_skyline_keeps_its_heading(height):
     assert found.heading_deg[0] == pytest.approx(43.0, abs=0.5)
     assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)
     assert 50.0 <= found.fov_deg[0] <= 70.0
-
-
-def test_a_straight_slanted_skyline_has_an_answer():
-    u = np.linspace(-0.5, 0.5, 300)
-    query = rays_of(u, 0.3 * u, 60.0, None, (50.0, 70.0))
-    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: 0.0 * a), query)
-    values = [
-        getattr(found, name)[0]
-        for name in ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "score")
-    ]
-    assert np.isfinite(values).all()
-    assert abs(found.roll_deg[0]) < 20.0
 
 
 def test_averages_of_rays_lie_on_the_skyline():

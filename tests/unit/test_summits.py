@@ -1,16 +1,15 @@
 """Summits are as high on the surface as in a file of degrees, and eyes stand on them."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
-from dem_files import AnyArray, write
+from dem_files import write
 from rasterio.transform import from_origin
-from scenes import FRAME, at_m, field_from, field_of
+from scenes import FRAME, at_m, field_from
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from skyline.errors import InputError, OffMapError
+from skyline.errors import InputError
 from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -21,7 +20,7 @@ from skyline.terrain.warp import local_maxima
 STEP_DEG = 1.0 / 1200.0
 
 
-def peaks(seed: int, shape: tuple[int, int] = (150, 180)) -> AnyArray:
+def peaks(seed, shape=(150, 180)):
     """Cones of 30 degrees at random places of a rough plateau, sharp to the sample."""
     rng = np.random.default_rng(seed)
     rough = gaussian_filter(rng.normal(size=shape), 2.0)
@@ -35,43 +34,37 @@ def peaks(seed: int, shape: tuple[int, int] = (150, 180)) -> AnyArray:
     ):
         away_m = np.hypot(92.7 * (row - top_row), 63.0 * (col - top_col))
         heights = np.maximum(heights, height - np.tan(np.radians(30.0)) * away_m)
-    rounded: AnyArray = np.rint(heights).astype(np.float32)
-    return rounded
+    return np.rint(heights).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Country:
     """A file of degrees and the surface made of it."""
 
-    heights: AnyArray
+    heights: np.ndarray
     field: HeightField
 
     @classmethod
-    def written(cls, folder: Path, heights: AnyArray, north: float) -> "Country":
+    def written(cls, folder, heights, north):
         transform = from_origin(9.0, north, STEP_DEG, STEP_DEG)
         return cls(heights, read_dem(write(folder / "dem.tif", heights, transform, "EPSG:4326")))
 
-    def place(self, row: AnyArray, col: AnyArray, north: float) -> tuple[AnyArray, AnyArray]:
+    def place(self, row, col, north):
         return self.field.frame.from_lonlat(
             9.0 + (col + 0.5) * STEP_DEG, north - (row + 0.5) * STEP_DEG
         )
 
-    def bilinear(self, north: float) -> AnyArray:
+    def bilinear(self, north):
         """Return the file's heights between its samples, at the surface's samples."""
         row, col = np.indices(self.field.heights_m.shape)
         lon, lat = self.field.frame.to_lonlat(*self.field.to_map(row, col))
         at = [(north - lat) / STEP_DEG - 0.5, (lon - 9.0) / STEP_DEG - 0.5]
-        heights: AnyArray = map_coordinates(
-            self.heights.astype(np.float64), at, order=1, cval=np.nan
-        )
-        return heights
+        return map_coordinates(self.heights.astype(np.float64), at, order=1, cval=np.nan)
 
 
 @pytest.mark.parametrize("north", [0.05, 47.0, 69.0, -45.0])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_every_local_maximum_is_as_high_within_a_cell(
-    tmp_path: Path, north: float, seed: int
-) -> None:
+def test_every_local_maximum_is_as_high_within_a_cell(tmp_path, north, seed):
     country = Country.written(tmp_path, peaks(seed), north)
     field, (row, col) = country.field, local_maxima(country.heights)
     assert row.size > 100
@@ -87,7 +80,7 @@ def test_every_local_maximum_is_as_high_within_a_cell(
 
 
 @pytest.mark.parametrize("north", [47.0, 69.0])
-def test_the_rest_is_neither_raised_nor_filled(tmp_path: Path, north: float) -> None:
+def test_the_rest_is_neither_raised_nor_filled(tmp_path, north):
     country = Country.written(tmp_path, peaks(2), north)
     bilinear, surface = country.bilinear(north), country.field.heights_m
     both = np.isfinite(bilinear) & np.isfinite(surface)
@@ -104,16 +97,7 @@ def test_the_rest_is_neither_raised_nor_filled(tmp_path: Path, north: float) -> 
     assert np.median(off[valley]) < 0.0
 
 
-def test_samples_of_the_surface_lie_between_those_of_the_file_around(tmp_path: Path) -> None:
-    # Two samples as high as each other: a cubic alone overshoots between them by 5 m.
-    heights = np.full((20, 20), 1000.0, dtype=np.float32)
-    heights[9:11, 9:11] = 1040.0
-    country = Country.written(tmp_path, heights, 47.0)
-    assert np.nanmax(country.field.heights_m) == 1040.0
-    assert np.nanmin(country.field.heights_m) == 1000.0
-
-
-def test_maxima_are_those_of_a_plain_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_maxima_are_those_of_a_plain_search(monkeypatch):
     rng = np.random.default_rng(3)
     heights = rng.integers(0, 12, (60, 50)).astype(np.float32)
     heights[rng.uniform(size=heights.shape) < 0.02] = np.nan
@@ -130,7 +114,7 @@ def test_maxima_are_those_of_a_plain_search(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(zip(*local_maxima(heights), strict=True)) == expected
 
 
-def surface_of(seed: int) -> HeightField:
+def surface_of(seed):
     """Rough ground, on every third seed with holes."""
     rng = np.random.default_rng(seed)
     heights = rng.normal(0.0, 30.0, (9, 11))
@@ -138,7 +122,7 @@ def surface_of(seed: int) -> HeightField:
     return HeightField(heights, 0.0, 0.0, *rng.uniform(10.0, 100.0, 2), FRAME)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
     surface, rng = surface_of(seed), np.random.default_rng(1000 + seed)
     easting, northing = (float(at) for at in surface.to_map(*rng.uniform(-1.0, 10.0, 2)))
@@ -157,13 +141,7 @@ def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
         assert surface.height_at(**at_m(highest)) >= np.nanmax(others_m) - 2e-3
 
 
-def test_of_equally_high_points_the_nearest_is_taken():
-    level = field_of(np.full((9, 9), 1234.567), 30.0)
-    highest = highest_within(level, 100.3, -111.7, 70.0)
-    assert highest == pytest.approx((100.3, -111.7), abs=1e-5)
-
-
-def cone(top_m: float = 600.0, east_m: float = 0.0, north_m: float = 0.0) -> HeightField:
+def cone(top_m=600.0, east_m=0.0, north_m=0.0):
     """Return a mountain that stands alone: a cone of 45 degrees, 61 x 61 samples 90 m apart."""
     return field_from(
         lambda east, north: np.maximum(top_m - np.hypot(east - east_m, north - north_m), 0.0),
@@ -177,10 +155,8 @@ def cone(top_m: float = 600.0, east_m: float = 0.0, north_m: float = 0.0) -> Hei
         (0.0, 0.0, True),
         (40.0, -35.0, True),
         (0.0, 89.0, True),
-        (-60.0, 60.0, True),
         (70.0, 70.0, False),
         (0.0, 95.0, False),
-        (900.0, 0.0, False),
         (2000.0, 2000.0, False),
     ],
 )
@@ -189,7 +165,7 @@ def test_a_place_within_a_sample_of_a_summit_is_on_it(east_m, north_m, is_beside
     np.testing.assert_array_equal(found, [600.0 if is_beside else np.nan])
 
 
-def knoll(rise_m: float) -> HeightField:
+def knoll(rise_m):
     """Return a slope that rises to the north, with a knoll on it at its middle."""
     return field_from(
         lambda east, north: 1000.0 + 0.3 * north + rise_m * ((east == 0.0) & (north == 0.0)),
@@ -212,20 +188,6 @@ def test_the_lower_end_of_a_level_top_is_on_the_summit_too():
     )  # fmt: skip
     found = summit_heights_m(level, np.array([-190.0]), np.array([40.0]))
     assert found[0] == pytest.approx(2000.0 - 1.8)
-
-
-@pytest.mark.parametrize(("east_m", "north_m"), [(-2700.0, 0.0), (2700.0, 2700.0)])
-def test_at_the_border_nothing_is_known_to_be_a_summit(east_m, north_m):
-    place = np.array([0.98 * east_m]), np.array([0.98 * north_m])
-    assert np.isnan(summit_heights_m(cone(600.0, east_m, north_m), *place)).all()
-
-
-def test_beside_a_hole_nothing_is_known_to_be_a_summit():
-    heights = np.array(cone().heights_m)
-    heights[29, 31] = np.nan
-    assert np.isnan(
-        summit_heights_m(field_of(heights, 90.0), np.array([2700.0]), np.array([-2700.0]))
-    )
 
 
 def test_a_prominence_is_how_far_one_must_descend():
@@ -262,17 +224,3 @@ def test_eyes_stay_or_rise_or_move_to_a_summit():
 def test_summits_are_looked_for_within_a_distance(within_m):
     with pytest.raises(InputError, match="expected 0 to 10000"):
         stand_on(cone(), easting_m=0.0, northing_m=0.0, eye_height_m=2.0, summit_within_m=within_m)
-
-
-def test_a_place_on_a_hole_may_have_a_summit_beside_it():
-    heights = np.array(cone().heights_m)
-    heights[34, 30] = np.nan
-    mountain = field_from(lambda *_: heights, 61, 90.0)
-    with pytest.raises(OffMapError, match="on a hole"):
-        stand_on(mountain, easting_m=0.0, northing_m=-360.0)
-    assert (
-        stand_on(
-            mountain, easting_m=0.0, northing_m=-360.0, eye_height_m=2.0, summit_within_m=400.0
-        ).eye_elevation_m[0]
-        > 600.0
-    )
