@@ -24,7 +24,7 @@ MATCHERS: Mapping[str, str] = MappingProxyType(
         "correlation": "skyline.match.correlation:CorrelationMatcher",
     }
 )
-"""The module and the class of each matcher: ours, the paper's, the plain baseline. A class is
+"""The module and the class of each matcher: Skyline's own, the paper's, a baseline. A class is
 imported when it is first used, so that a matcher may lie in a layer above this one."""
 
 MIN_VISIBLE_DEG = 14.0
