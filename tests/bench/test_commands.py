@@ -13,8 +13,7 @@ from scenes import field_of, fractal
 from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import cli, page, paper
-from skyline_bench.measuring import record as records
-from skyline_bench.measuring.record import machine, write_record
+from skyline_bench.measuring.record import write_record
 from skyline_bench.truth import stability
 
 
@@ -153,21 +152,3 @@ def test_a_record_names_the_machine_and_says_nothing_that_json_cannot(tmp_path):
     }  # fmt: skip
     assert all(written["machine"].values())
     assert written["machine"]["skyline"] == __version__
-
-
-def test_a_record_that_cannot_be_written_leaves_the_old_one(tmp_path):
-    path = tmp_path / "record.json"
-    write_record(path, "stability", [])
-    before = path.read_bytes()
-    with pytest.raises(TypeError, match="JSON"):
-        write_record(path, "stability", [{"error_px": object()}])
-    assert path.read_bytes() == before
-    assert [each.name for each in tmp_path.iterdir()] == ["record.json"]
-
-
-def test_a_machine_without_opengl_is_described(monkeypatch):
-    def none():
-        raise records.ContextError("no OpenGL")
-
-    monkeypatch.setattr(records, "acquire_context", none)
-    assert (machine()["renderer"], machine()["driver"]) == ("none", "none")

@@ -12,7 +12,6 @@ from skyline.match.query_rays import level
 from skyline.photo.query import QuerySkyline
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.kinds import perturbed, resampled
-from skyline_bench.queries.occluders import random_occluders, random_runs
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
@@ -64,31 +63,12 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
         assert np.quantile(error, 0.95) < 0.02
 
 
-def test_eyes_stand_on_the_surface_inside_the_area(terrain):
-    around_the_hole = (1400.0, -1900.0, 1900.0, -1400.0)
-    queries = make_queries(terrain, around_the_hole, 40, seed=1, config=PLAIN)
-    for truth in (query.truth for query in queries):
-        assert 1400.0 <= truth.easting_m <= 1900.0
-        assert -1900.0 <= truth.northing_m <= -1400.0
-        ground_m = terrain.height_at(easting_m=truth.easting_m, northing_m=truth.northing_m)
-        assert truth.eye_elevation_m == pytest.approx(ground_m + 2.0)
-
-
 def test_a_seed_decides_and_the_count_does_not(terrain):
     few, many = (make_queries(terrain, AREA, count, seed=3, config=PLAIN) for count in (2, 70))
     other = make_queries(terrain, AREA, 2, seed=4, config=PLAIN)
     assert found_rows(few).tobytes() == found_rows(many[:2]).tobytes()
     assert [query.truth for query in few] == [query.truth for query in many[:2]]
     assert few[0].truth != other[0].truth
-
-
-def test_poses_do_not_depend_on_the_rest(terrain):
-    plain = make_queries(terrain, AREA, 6, seed=3, config=PLAIN)
-    hidden = make_queries(
-        terrain, AREA, 6, seed=3, config=replace(PLAIN, occluded_share=(0.3, 0.3), noise_deg=(0, 0))
-    )
-    assert [query.truth for query in plain] == [query.truth for query in hidden]
-    assert [query.given_fov_deg for query in plain] == [query.given_fov_deg for query in hidden]
 
 
 def test_errors_are_as_large_as_asked(terrain):
@@ -99,19 +79,6 @@ def test_errors_are_as_large_as_asked(terrain):
     # Half of the variance is shared by neighbouring columns.
     neighbours = np.nanmean(error_deg[:-1] * error_deg[1:]) / np.nanmean(error_deg**2)
     assert neighbours == pytest.approx(0.5, abs=0.06)
-
-
-def test_masks_and_given_fields_of_view(terrain):
-    queries = make_queries(terrain, AREA, 40, seed=6, config=PLAIN)
-    for query in queries:
-        off = query.given_fov_deg / query.truth.fov_deg - 1.0
-        assert abs(off) <= PLAIN.fov_error == pytest.approx(np.sqrt(3.0) * query.fov_slack)
-        masked = ~query.skyline.trusted & np.isfinite(query.row_px)
-        assert masked.sum() <= 32
-        assert np.isfinite(query.distance_m) == np.isfinite(query.row_px).any()
-    ratio = np.array([query.given_fov_deg / query.truth.fov_deg for query in queries])
-    assert 0.95 <= ratio.min() < 0.97
-    assert 1.03 < ratio.max() <= 1.05
 
 
 def test_occluders_are_masked_or_left_in(terrain):
@@ -169,17 +136,6 @@ def test_levelling_the_image_gives_the_skyline_back(heading_deg, pitch_deg, roll
     assert np.abs(apart).max() < 0.021
 
 
-def test_rays_of_the_skylines_pixels_point_at_it():
-    camera = Camera(130.0, -4.0, 6.0, 70.0, 64, 80)
-    row_px, _ = camera.skyline(AZIMUTH_DEG, hills(AZIMUTH_DEG))
-    rays, column = camera.rays(), np.arange(64)
-    above, below = np.floor(row_px).astype(int), np.ceil(row_px).astype(int)
-    for row, sign in ((above, 1.0), (below, -1.0)):
-        east, up, north = rays[row, column].T
-        over = up / np.hypot(east, north) - hills(np.degrees(np.arctan2(east, north)))
-        assert (sign * over > -1e-6).all()
-
-
 def test_a_camera_turned_clockwise_sees_the_horizon_rise_to_the_right():
     row_px, _ = Camera(0.0, roll_deg=5.0).skyline(AZIMUTH_DEG, np.zeros_like(AZIMUTH_DEG))
     np.testing.assert_allclose(np.diff(row_px), -np.tan(np.radians(5.0)), atol=1e-3)
@@ -200,38 +156,6 @@ def test_the_upper_of_two_branches_is_the_skyline():
 
 
 # --- what stands before the mountains -------------------------------------------------------------
-
-
-WIDTH = 500
-
-
-@pytest.mark.parametrize(("share", "count"), [(0.0, 3), (0.1, 2), (0.35, 5), (0.9, 4)])
-def test_runs_hold_the_share_and_do_not_overlap(share, count):
-    for seed in range(20):
-        runs = random_runs(np.random.default_rng(seed), WIDTH, share, count)
-        hidden = np.zeros(WIDTH, dtype=int)
-        for start, stop in runs:
-            hidden[start:stop] += 1
-        assert len(runs) == (count if share else 0)
-        assert hidden.max() <= 1
-        assert hidden.sum() == round(share * WIDTH)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
-def test_occluders_rise_above_the_skyline(share):
-    skyline = 300.0 + 20.0 * np.sin(np.arange(WIDTH) / 30.0)
-    kinds = set()
-    for seed in range(20):
-        occluders = random_occluders(np.random.default_rng(seed), skyline, share)
-        kinds |= {occluder.kind for occluder in occluders}
-        covered = np.zeros(WIDTH, dtype=int)
-        for occluder in occluders:
-            columns = slice(*occluder.columns)
-            covered[columns] += 1
-            assert (occluder.row_px < skyline[columns]).all()
-        assert covered.max(initial=0) <= 1
-        assert covered.sum() == round(share * WIDTH)
-    assert kinds == ({"tree", "building", "person"} if share else set())
 
 
 # --- other elevation models -----------------------------------------------------------------------

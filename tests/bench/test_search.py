@@ -11,12 +11,10 @@ from skyline import JointResult, MatchResult
 from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
-from skyline.store import open_store
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.search.specs import StoreSpec, claimed_loss, middle_deg
 from skyline_bench.search.summary import against_uniform, groups, summarize
-from skyline_bench.search.trials import Area, Trial, trial_of
+from skyline_bench.search.trials import Trial, trial_of
 
 # --- commands, each run small ---------------------------------------------------------------
 
@@ -174,48 +172,11 @@ def test_bad_options_are_one_line_and_write_nothing(
 # --- stores and areas -----------------------------------------------------------------------
 
 
-PLAIN = field_of(np.zeros((300, 300), dtype=np.float32), 30.0, north_m=9000.0)
-
-
-def test_a_store_is_built_once_and_covers_its_area(tmp_path):
-    terrain = field_of(fractal(60, 60, relief_m=400.0, seed=6), 30.0, north_m=1800.0)
-    spec, bounds_deg = StoreSpec(spacing_m=300.0), middle_deg(terrain, (900.0, 900.0))
-    first, again = (spec.build(terrain, tmp_path, bounds_deg) for _ in range(2))
-    assert first == again
-    assert first.rows == first.renderings / 4
-    assert min(first.build_s, first.build_cpu_s) > 0.0
-    assert first.area_m(terrain) == pytest.approx(map_bounds(terrain, bounds_deg))
-    with open_store(first.path) as store:
-        places = store.places().take(np.arange(first.rows))
-    twice = type(places).concatenate([places, places])
-    assert claimed_loss(twice) == pytest.approx(claimed_loss(places))
-
-
 AREA_M = (1000.0, 1000.0, 7000.0, 7000.0)
 
 
 def truth_at(easting_m, northing_m, heading_deg=0.0):
     return Truth(easting_m, northing_m, 1000.0, heading_deg, 0.0, 0.0, 60.0)
-
-
-def test_squares_and_circles_hold_the_place_anywhere():
-    generator = np.random.default_rng(3)
-    square, circle = Area("4 km2", 4.0, side_m=2000.0), Area("2 km", 12.6, radius_m=2000.0)
-    west, off_m = [], []
-    for seed in range(50):
-        place = generator.uniform(AREA_M[:2], AREA_M[2:])
-        box = map_bounds(PLAIN, square.about(truth_at(*place), AREA_M, PLAIN, seed).bounds_deg)
-        low, high = np.array(box).reshape(2, 2)
-        np.testing.assert_allclose(high - low, 2000.0, rtol=0.02)
-        assert ((low <= place + 1.0) & (place <= high + 1.0)).all()
-        assert ((low >= np.array(AREA_M[:2]) - 30.0) & (high <= np.array(AREA_M[2:]) + 30.0)).all()
-        west.append((place - low)[0] / 2000.0)
-        lon, lat, radius_km = circle.about(truth_at(*place), AREA_M, PLAIN, seed).near
-        off_m.append(np.hypot(*(place - np.array(PLAIN.frame.from_lonlat(lon, lat)))))
-        assert radius_km == 2.0
-    assert min(west) < 0.2
-    assert max(west) > 0.8
-    assert 1500.0 < max(off_m) <= 2002.0
 
 
 # --- trials and what they come to -----------------------------------------------------------

@@ -10,9 +10,6 @@ from scenes import FRAME, at_m, field_of, fractal
 
 from skyline import Curvature, HeightField, horizon, stand_on
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline_bench.measuring.timing import (
-    central_viewpoints,
-)
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import compare
@@ -143,19 +140,3 @@ def test_a_column_without_a_value_is_missing_and_cannot_hide_behind_a_flag(truth
 
 
 # --- fair times -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [1, 2, 9, 16, 100])
-def test_viewpoints_are_a_square_in_the_middle(count):
-    terrain = field_of(fractal(200, 160), 30.0, west_m=5e5 + 7.0, north_m=5e6 + 3.0)
-    viewpoints = central_viewpoints(terrain, count, 100.0)
-    assert len(viewpoints) == count
-    west, south, east, north = terrain.bounds_m
-    side = np.ceil(np.sqrt(count))
-    for place, middle in [
-        (viewpoints.easting_m, (west + east) / 2.0),
-        (viewpoints.northing_m, (south + north) / 2.0),
-    ]:
-        assert (place % 100.0 == 0.0).all()
-        assert np.ptp(place) <= (side - 1.0) * 100.0
-        assert abs((place.min() + place.max()) / 2.0 - middle) <= 100.0

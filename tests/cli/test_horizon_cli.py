@@ -10,7 +10,6 @@ from commands import assert_refused, csv_of
 from scenes import fractal, write_dem
 
 from skyline import horizon, read_dem
-from skyline.cli import console
 
 AT = "10.3224,46.7484"
 
@@ -53,17 +52,6 @@ def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places):
     assert rows[720]["lon"] == places[1].split(",")[0]
 
 
-def test_a_long_run_prints_a_line(run, dem, places, tmp_path, monkeypatch):
-    monkeypatch.setattr(console, "_SLOW_S", 0.0)
-    target = tmp_path / "panorama.png"
-    assert run("panorama", dem, "--at", places[0], "-o", target).err == (
-        f"drawing {target} takes a while ...\n"
-    )
-    for command in (("horizon",), ("sun", "--date", "2026-06-21")):
-        done = run(*command, dem, "--at", places[0])
-        assert done.err.startswith("rendering takes a while ...\n")
-
-
 def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
     canopy = write_dem(tmp_path / "canopy.tif", np.full((120, 140), 20.0, np.float32))
     common = ("horizon", dem, "--at", places[0])
@@ -77,9 +65,10 @@ def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
     (written,) = json.loads(target.read_text())["places"]
     both = np.array([written["elevation_deg"], written["surface_deg"]])
     assert (both[1] >= both[0]).all()
-    assert_refused(
-        run(*common, "--surface", canopy, "-o", tmp_path / "horizon.txt"), "leave --surface out"
-    )
+    text = tmp_path / "horizon.txt"
+    assert_refused(run(*common, "--surface", canopy, "-o", text), "leave --surface out")
+    done = run(*common, "--at", places[1], "-o", text)
+    assert_refused(done, "would hold 2 horizons, but .txt holds one")
 
 
 def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
@@ -103,11 +92,10 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
     np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
 
 
-@pytest.mark.parametrize(("suffix", "begins"), [(".png", b"\x89PNG"), (".svg", b"<?xml")])
-def test_a_plot_is_drawn(run, dem, places, tmp_path, suffix, begins):
-    target = tmp_path / f"horizon{suffix}"
+def test_a_plot_is_drawn(run, dem, places, tmp_path):
+    target = tmp_path / "horizon.png"
     assert run("horizon", dem, "--at", places[0], "-o", target).code == 0
-    assert target.read_bytes().startswith(begins)
+    assert target.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
@@ -119,13 +107,10 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
     ("arguments", "expected"),
     [
         (("--at", "7.0,46.8"), "viewpoint 0 (lon 7.00000, lat 46.80000;"),
-        (("--at", "46.8"), "expected LON,LAT in degrees"),
         (("--at", "9.8,95"), "expected LON,LAT in degrees"),
-        (("--at", "46.7484,10.3224"), "longitude and latitude seem to be swapped: give 10.3224,46"),
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
         (("--at", AT, "--summit-within", "-5"), "expected 0 to 10000"),
         ((), "give places as --at LON,LAT or as --points"),
-        (("--at", AT, "--points", "points.csv"), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected a name that ends in .csv"),
         (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
         (("--at", AT, "--eye-height", "-3"), "below the ground"),
@@ -148,8 +133,7 @@ def mountain(tmp_path_factory):
     return dem, [f"{a:.5f},{b:.5f}" for a, b in zip(lon, lat, strict=True)]
 
 
-@pytest.mark.parametrize("command", [("horizon",), ("sun", "--date", "2026-06-21"),
-                                     ("panorama", "-o", "panorama.png")])  # fmt: skip
+@pytest.mark.parametrize("command", [("horizon",), ("panorama", "-o", "panorama.png")])
 def test_a_message_names_the_point_that_was_taken(run, mountain, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     dem, (beside, summit) = mountain
@@ -186,13 +170,6 @@ def test_a_place_on_a_hole_is_one_line(run, dem, tmp_path):
         done = run(command[0], dem, "--at", f"{lon:.6f},{lat:.6f}", *command[1:])
         assert_refused(done, "is on a hole of the DEM")
     assert not list(tmp_path.iterdir())
-
-
-def test_files_for_one_place_refuse_two_and_leave_nothing(run, dem, places, tmp_path):
-    target = tmp_path / "horizon.txt"
-    done = run("horizon", dem, "--at", places[0], "--at", places[1], "-o", target)
-    assert_refused(done, "would hold 2 horizons, but .txt holds one")
-    assert not target.exists()
 
 
 def test_the_sun_comes_and_goes(run, dem, places):

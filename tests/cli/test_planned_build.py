@@ -1,12 +1,10 @@
 """Builds whose viewpoints a planner chooses, the whole way."""
 
-import json
-
 import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.errors import InputError, StoreMismatchError
+from skyline.errors import StoreMismatchError
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
@@ -85,19 +83,6 @@ def test_seeds_decide_and_nothing_else(valley, tmp_path):
     assert a == b != c
 
 
-def test_command_line(dem, run, tmp_path):
-    done = run(
-        *("render", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--grid", 1000),
-        *("--candidate-spacing", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
-        *("--map", tmp_path / "map.png"),
-    )
-    assert done.code == 0, done.err
-    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    assert "verified by rendering" in done.out
-    facts = json.loads(run("info", tmp_path / "s.h5", "--json").out)
-    assert facts["config"]["planner"] == "lpov"
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -113,10 +98,3 @@ def test_bad_plans_are_refused(dem, run, tmp_path, options, message):
     assert done.code == 2
     assert message in done.err
     assert not (tmp_path / "s.h5").exists()
-
-
-def test_an_area_wholly_in_holes_is_refused(tmp_path):
-    heights = np.full((50, 50), np.nan, dtype=np.float32)
-    heights[0, :2] = heights[1, :2] = 5.0
-    with pytest.raises(InputError, match="can be stood on"):
-        build_planned(field_of(heights, 40.0), tmp_path / "s.h5", planned("lpov"), config=NARROW)

@@ -15,11 +15,9 @@ import pytest
 
 from skyline.errors import ContextError, InputError
 from skyline.render import context as context_module
-from skyline.render import shaders
 from skyline.render.context import (
     acquire_context,
     describe_context,
-    is_software,
     release_context,
 )
 from skyline.render.osmesa import OSMESA_LIBRARIES
@@ -98,17 +96,6 @@ def test_one_context_is_shared_and_draws() -> None:
     assert draw(second.ctx, 1.0) == (255, 255, 0, 255)
 
 
-def test_acquiring_takes_the_thread_back_from_another_context() -> None:
-    shared = acquire_context()
-    texture = shared.ctx.texture((1, 1), 4, bytes([9, 8, 7, 6]))
-    (_, make), *_ = context_module._devices(shared.backend)
-    stranger = make()
-    acquire_context()
-    assert texture.read() == bytes([9, 8, 7, 6])
-    stranger.release()
-    assert texture.read() == bytes([9, 8, 7, 6])
-
-
 def test_a_released_context_is_made_anew() -> None:
     before = acquire_context()
     release_context()
@@ -124,23 +111,6 @@ def test_the_description_has_all_attempts_and_the_reason() -> None:
     assert described["renderer"] == acquire_context().ctx.info["GL_RENDERER"]
     assert described["reason"]
     assert str(described["renderer"]) in described["tried"][-1]
-
-
-@pytest.mark.parametrize(
-    ("renderer", "software"),
-    [
-        ("llvmpipe (LLVM 15.0.6, 256 bits)", True),
-        ("softpipe", True),
-        ("SWR (LLVM 11.0.1, 256 bits)", True),
-        ("Software Rasterizer", True),
-        ("ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (LLVM 10.0.0)))", True),
-        ("NVIDIA H200/PCIe/SSE2", False),
-        ("AMD Radeon RX 6700 XT (radeonsi, navi22, LLVM 15.0.6, DRM 3.49)", False),
-        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
-    ],
-)
-def test_software_renderers_differ_from_gpus_by_name(renderer: str, software: bool) -> None:
-    assert is_software(renderer) is software
 
 
 def test_another_thread_is_refused() -> None:
@@ -328,22 +298,3 @@ def test_a_gpu_is_preferred_among_devices(
     assert (best and best.device) == chosen
     assert StandIn.current == (chosen or "")
     assert [native.name for native in made if not native.released] == [chosen] * bool(chosen)
-
-
-def test_an_error_of_the_driver_has_the_line_of_the_shader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
-    (tmp_path / "point.vert").write_text(
-        "#version 330 core\nvoid main() { gl_Position = vec4(0); }\n"
-    )
-    fragment = tmp_path / "a.frag"
-    fragment.write_text(
-        "// Heading.\n#version 330 core\nout vec4 colour;\n"
-        "void main() {\n    colour = vec4(SIZE) + wrong;\n}\n"
-    )
-    ctx = acquire_context().ctx
-    with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:5\b"):
-        shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"})
-    fragment.write_text(fragment.read_text().replace(" + wrong", ""))
-    assert shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"}).glo > 0

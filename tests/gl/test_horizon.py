@@ -6,7 +6,6 @@ from scenes import field_of, fractal
 
 from skyline.errors import ContextError, InputError
 from skyline.render import march, windows
-from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
@@ -59,9 +58,9 @@ def test_single_headings(rough):
     assert_same(some, every[4 * np.arange(len(eyes)) + headings])
 
 
-@pytest.mark.parametrize("tolerance_px", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize("tolerance_px", [0.1, 5.0])
 def test_falls_short_by_no_more_than_the_tolerance(tolerance_px):
-    for seed in range(6):
+    for seed in range(3):
         field = field_of(fractal(120, 120, relief_m=200.0 * (1 + seed), seed=seed), 30.0)
         place = np.random.default_rng(seed)
         eyes = stand_on(
@@ -72,17 +71,6 @@ def test_falls_short_by_no_more_than_the_tolerance(tolerance_px):
         short = (truth.elevation_tan - views.elevation_tan) * 160.0
         assert short.min() > -EXACT_PX
         assert short.max() <= tolerance_px + EXACT_PX
-
-
-def test_depth_path_agrees_to_its_quantization(rough):
-    field, eyes = rough
-    with DepthRenderer(field, 160) as renderer:
-        quantized = renderer.render(eyes)
-    exact = render(field, eyes)
-    plain = (exact.flags == 0) & (quantized.flags == 0)
-    difference = (quantized.elevation_tan - exact.elevation_tan)[plain] * 80.0
-    assert plain.mean() > 0.5
-    assert np.abs(difference).max() < QUANTIZATION_PX + EXACT_PX
 
 
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
@@ -101,19 +89,6 @@ def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     monkeypatch.setattr(ColumnRenderer, "_reserve", lambda self, rows: full(self, 9))
     with pytest.raises(ContextError, match="cannot hold one view"):
         render(field, eyes)
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"tolerance_px": -0.1}, "tolerance is -0.1"),
-        ({"tolerance_px": np.nan}, "tolerance is nan"),
-        ({"width": 0}, "width is 0"),
-    ],
-)
-def test_bad_input_is_refused(rough, options, expected):
-    with pytest.raises(InputError, match=expected):
-        HorizonRenderer(rough[0], **options)
 
 
 def test_samples_much_longer_than_wide_are_refused():

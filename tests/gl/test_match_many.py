@@ -8,7 +8,6 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import remote_runner
-from skyline.errors import InputError, SkylineError
 from skyline.match import batch
 from skyline.match.batch import match_many
 from skyline.match.matchers import FULL
@@ -53,15 +52,6 @@ def traces(tmp_path_factory, terrain):
 def small_parts(monkeypatch):
     """Screen a block at a time."""
     monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
-
-
-def run_here(work, items, _names):
-    """Run jobs one after another in this process."""
-    for index, item in enumerate(items):
-        try:
-            yield index, work(item)
-        except SkylineError as error:
-            yield index, error
 
 
 def queries_of(paths, narrowing=None):
@@ -113,31 +103,3 @@ def test_two_workers_find_what_one_process_finds(
         # Equal floats, not near ones.
         assert one.candidates == other.candidates
         np.testing.assert_array_equal(one.query.row_px, other.query.row_px)
-
-
-def test_parts_here_find_what_the_whole_finds(store, traces, small_parts):
-    config = replace(BOLD, refine=False)
-    wanted = alone(store, traces, config=config)
-    found = list(match_many(run_here, asked(store, config), queries_of(traces)))
-    assert [one.candidates for one in found] == [one.candidates for one in wanted]
-
-
-def test_an_unreadable_query_has_an_error_in_its_place(store, traces, tmp_path, small_parts):
-    text = tmp_path / "text.jpg"
-    text.write_text("no photo")
-    config = replace(BOLD, refine=False)
-    queries = [traces[0], text, traces[1]]
-    found = list(match_many(run_here, asked(store, config), queries_of(queries)))
-    assert isinstance(found[1], InputError)
-    wanted = alone(store, traces, config=config)
-    assert [found[0].candidates, found[2].candidates] == [one.candidates for one in wanted]
-
-
-def test_a_search_narrowed_to_nothing_is_an_error_for_each_query(store, traces, small_parts):
-    nowhere = Narrowing(elevation_m=(8000.0, 9000.0))
-    config = replace(BOLD, refine=False)
-    found = list(match_many(run_here, asked(store, config), queries_of(traces, nowhere)))
-    assert len(found) == len(traces)
-    for one in found:
-        assert isinstance(one, InputError)
-        assert "lies within what the search is narrowed to" in str(one)

@@ -61,7 +61,7 @@ def test_ridges_are_where_the_terrain_drops_out_of_sight(two_walls):
     assert not there[between].any()
 
 
-@pytest.mark.parametrize("share", [(0.33, 0.6), (0.5, 0.5), (0.7, 0.2)])
+@pytest.mark.parametrize("share", [(0.33, 0.6), (0.7, 0.2)])
 def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     field, _ = mountains
     place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
@@ -123,7 +123,7 @@ def view_from(field, row, col, peaks, **config):
     return panorama_view(TerrainBlocks.of(field), (lon, lat), peaks, config)
 
 
-PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
+PLACES = [(0.5, 0.5), (0.55, 0.8)]
 
 
 @pytest.mark.parametrize("share", PLACES)

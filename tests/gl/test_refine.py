@@ -1,12 +1,11 @@
 """Refinement by rendering, on small terrain where the truth is known."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from query_scenes import photographed, poses, rays_of
-from scenes import at_m, field_of, fractal
+from scenes import field_of, fractal
 
 from skyline.match.profiles import joined_views
 from skyline.match.ranking import Hypotheses
@@ -36,16 +35,6 @@ class _Scene:
 
     def ground_m(self, easting_m, northing_m):
         return self.field.height_at(easting_m=easting_m, northing_m=northing_m)
-
-
-@dataclass(frozen=True)
-class _Island(_Scene):
-    """A scene whose ground is known in part."""
-
-    known_m: Callable[[np.ndarray, np.ndarray], np.ndarray] = np.add
-
-    def ground_m(self, easting_m, northing_m):
-        return self.known_m(easting_m, northing_m)
 
 
 @pytest.fixture(scope="module")
@@ -147,14 +136,6 @@ def test_neither_order_nor_far_places_matter(scene, rays):
     assert one.margin[0] > 0.0
 
 
-def test_the_shortlist_is_the_best_by_score(scene, rays):
-    some = _around(2, off_m=20.0)
-    far = replace(some, easting_m=some.easting_m - 3000.0, score=some.score - 10.0)
-    refinement = Refinement(rays_of(*rays, 60.0), scene, replace(SHORT, shortlist=2))
-    found = refinement.run(Hypotheses.concatenate([some, far])).hypotheses
-    assert (_off_m(found) > 1000.0).all()
-
-
 def test_the_derivatives_predict_the_next_rendering(scene):
     step_m = np.array([1.5, -1.0])
     place = np.stack([PLACE, PLACE + step_m])
@@ -185,25 +166,6 @@ def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     assert _off_m(Refinement(query, scene, SHORT).run(both).hypotheses)[0] < 5.0
 
 
-def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
-    def ground_m(easting_m, northing_m):
-        off_m = np.hypot(easting_m - PLACE[0], northing_m - PLACE[1])
-        return np.where(off_m < 20.0, scene.ground_m(easting_m, northing_m), np.nan)
-
-    island = _Island(scene.field, scene.renderer, known_m=ground_m)
-    query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
-    found = Refinement(query, island, SHORT).run(_around(2, 10.0))
-    assert _off_m(found.hypotheses)[0] < 3.0
-    outside = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
-    assert len(Refinement(query, island, replace(SHORT, rounds=1)).run(outside)) == 0
-
-
-def test_no_hypotheses_have_no_poses(scene, rays):
-    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(poses(0))
-    assert len(found) == 0
-    assert found.covariance_m2.shape == (0, 2, 2)
-
-
 def test_no_pose_leaves_the_map(scene, rays):
     west, south, _, north = scene.field.bounds_m
     edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
@@ -222,44 +184,6 @@ def test_a_featureless_skyline_tells_no_place(scene):
     deviation_m = np.sqrt(np.linalg.eigvalsh(found.covariance_m2).max(axis=1))
     assert len(deviation_m) > 0
     assert (deviation_m > 100.0).all()
-
-
-def _seen_from(scene, place_m, heading_deg):
-    with HorizonRenderer(scene.field, 1280) as renderer:
-        views = renderer.render(stand_on(scene.field, **at_m(place_m)))
-    tangent = np.tan(np.radians(views.elevation_deg()))
-    u, v = photographed(
-        np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), heading_deg, 1.0, -1.0, 60.0
-    )
-    return rays_of(u, v, 60.0, 61.5, (57.0, 63.0))
-
-
-def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
-    other = PLACE + np.array([900.0, 700.0])
-    views = [(PLACE, 160.0), (PLACE, 290.0), (other, 40.0)]
-    queries = [_seen_from(scene, *one) for one in views]
-    found = [
-        replace(_around(), heading_deg=heading_deg + 2.0 * (-1.0) ** np.arange(6))
-        for _, heading_deg in views
-    ]
-    own = poses(easting_m=other[0], northing_m=other[1], heading_deg=40.0, score=-1e6)
-    alone = [
-        Refinement(query, scene, SHORT).run(some)
-        for some, query in zip(found, queries, strict=True)
-    ]
-    alone[2] = Refinement(queries[2], scene, SHORT).run(own)
-    together = JointRefinement([Refinement(one, scene, SHORT) for one in queries], SHORT)
-    joint, agrees = together.run(found, [one.hypotheses[:1] for one in alone])
-    assert agrees[:, 0].tolist() == [True, True, False]
-    assert (np.diff(joint[0].hypotheses.score) >= 0.0).all()
-    for one, (_, heading_deg) in zip(joint[:2], views, strict=False):
-        assert _off_m(one.hypotheses)[0] < 2.0
-        assert one.hypotheses.heading_deg[0] == pytest.approx(heading_deg, abs=0.05)
-        assert np.linalg.eigvalsh(one.covariance_m2[0]).min() > 0.0
-    # The stranger alone would stand at its own place, and it is a rival of the others'.
-    np.testing.assert_array_equal(joint[2].margin, joint[0].margin)
-    assert _off_m(alone[2].hypotheses)[0] > 1000.0
-    assert 0.0 < joint[0].margin[0] < np.inf
 
 
 def test_near_poses_that_fit_as_well_widen_each_other():

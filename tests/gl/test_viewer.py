@@ -12,7 +12,6 @@ from scenes import at_m
 
 from skyline import (
     InputError,
-    MatchConfig,
     Matcher,
     Narrowing,
     OffMapError,
@@ -97,7 +96,7 @@ def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
 
 
 @pytest.mark.parametrize(("heading_deg", "pitch_deg", "roll_deg", "fov_deg"), [
-    (140.0, 0.0, 0.0, 60.0), (181.0, 6.0, -4.0, 95.0), (359.5, -8.0, 10.0, 30.0),
+    (181.0, 6.0, -4.0, 95.0), (359.5, -8.0, 10.0, 30.0),
 ])  # fmt: skip
 def test_a_sight_is_what_four_fine_views_show(
     matcher, query, heading_deg, pitch_deg, roll_deg, fov_deg
@@ -170,7 +169,7 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
 
 
 @pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [
-    (0.0, 0.0, 90.0), (0.0, 0.0, 180.0), (300.0, -300.0, 120.0), (1000.0, -600.0, 45.0),
+    (0.0, 0.0, 180.0), (1000.0, -600.0, 45.0),
 ])  # fmt: skip
 def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query, east_m, north_m, turn_deg):
     with Viewer(matcher) as viewer:
@@ -190,13 +189,6 @@ def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query, east_m, 
     said = f"{found.residual_deg:.2f} degrees apart (rms) over {100 * found.terrain_share:.0f} %"
     assert said in fit.refusal
     assert "0.80 is needed" in fit.refusal
-
-
-def test_where_a_fit_fails_is_what_a_match_needs_of_confidence(store, query):
-    with Matcher(store, config=MatchConfig(min_confidence=0.0)) as bold, Viewer(bold) as viewer:
-        start = true_pose(viewer, bold.frame)
-        away = replace(start, heading_deg=start.heading_deg + 180.0)
-        assert bold.fit(query, away).refusal is None
 
 
 def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, query):

@@ -5,9 +5,7 @@ import math
 import re
 import xml.etree.ElementTree as Xml
 import zipfile
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from pages import SIZES, Page, serving
@@ -24,7 +22,6 @@ from skyline import (
     read_dem,
     read_photo,
     read_trace,
-    web,
     write_located,
 )
 
@@ -534,27 +531,3 @@ def test_a_store_across_the_antimeridian_is_one_map(chromium, tmp_path):
         page.drag(".camera", -120, 0)
         assert 179.9 < page.state("state.pose")["lon"] <= 180.0
         assert page.alerts() == []
-
-
-_CONFUSED = {
-    "deutan": ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
-    "protan": ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),
-    "tritan": ((1.256, -0.077, -0.179), (-0.078, 0.931, 0.148), (0.005, 0.691, 0.304)),
-}
-"""What linear red, green and blue look like (Machado, Oliveira, Fernandes 2009, severity 1)."""
-
-
-@pytest.mark.parametrize("kind", _CONFUSED)
-def test_the_lines_are_told_apart_by_the_colour_blind(kind):
-    layers = (Path(web.__file__).parent / "page" / "layers.js").read_text()
-    names = dict(re.findall(r'(FOUND|RENDERED) = "#(\w{6})"', layers))
-    found, rendered = ([int(names[n][k : k + 2], 16) for k in (0, 2, 4)] for n in names)
-    near, far = [155, 231, 255], [255, 77, 0]
-    assert f"[{near[0]}, {near[1]}, {near[2]}]" in layers
-    assert f"[{far[0]}, {far[1]}, {far[2]}]" in layers
-    for one, other in ((found, rendered), (near, far)):
-        linear = (np.array([one, other]) / 255.0) ** 2.2
-        seen = np.clip(linear @ np.array(_CONFUSED[kind]).T, 0.0, 1.0) ** (1.0 / 2.2)
-        lab = cv2.cvtColor(seen.astype(np.float32)[np.newaxis], cv2.COLOR_RGB2LAB)[0]
-        # 10 is a difference at a glance.
-        assert np.linalg.norm(lab[0] - lab[1]) > 25.0

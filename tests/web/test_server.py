@@ -10,18 +10,11 @@ import zlib
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pages import PATIENCE_S, POSE, TINY, live, look, ready, told
-from scenes import candidate_at
 from websockets.exceptions import InvalidStatus
 
-from skyline import Matcher, Viewer
-from skyline.terrain.summits import summit_heights_m
-from skyline.web.engine import Engine
-from skyline.web.requests import pose_of
 from skyline.web.server import Guard
-from skyline.web.session import candidate_json
 
 
 @pytest.mark.parametrize(
@@ -343,31 +336,3 @@ def test_what_was_judged_with_another_skyline_is_not_saved_as_judged(served, pho
     assert save({}, "trace")[0] == 200
     served.ask("POST", f"{of_photo}/skyline", b'{"strokes": []}')
     assert save({"rank": 0})[0] == 200
-
-
-def test_what_is_removed_leaves_no_file(served, photo):
-    _, of_photo = ready(served, photo)
-    assert served.ask("DELETE", of_photo)[0] == 200
-    assert served.ask("GET", f"{of_photo}/picture")[0] == 404
-
-
-def test_a_candidate_beside_a_summit_is_shown_as_it_was_found(store):
-    with Matcher(store) as matcher, Viewer(matcher) as viewer:
-        # Without its thread, since this one renders in other tests.
-        engine = object.__new__(Engine)
-        engine.matcher = matcher
-        terrain = matcher.terrain
-        row, col = np.indices(terrain.heights_m.shape)[:, 20:-20, 20:-20].reshape(2, -1) + 0.4
-        place = terrain.to_map(row, col)
-        surface_m = terrain.height_at(easting_m=place[0], northing_m=place[1])
-        beside = np.nanargmax(summit_heights_m(terrain, *place) - surface_m)
-        easting, northing = (float(at[beside]) for at in place)
-        ground_m = float(surface_m[beside])
-        for above_m in (0.0, 0.3, 40.0):
-            found = candidate_at(
-                easting, northing, eye_elevation_m=ground_m + above_m, frame=matcher.frame
-            )
-            shown = candidate_json(found, engine)
-            assert shown["eyeHeight"] < above_m
-            pose = pose_of(shown, viewer)
-            assert pose.eye_elevation_m == pytest.approx(found.eye_elevation_m, abs=1e-6)
