@@ -41,6 +41,10 @@ class Search:
     against_uniform: bool = False  # Whether adaptive stores are compared with uniform ones
 
 
+_THRESHOLDS_PX = (12.0, 6.0, 3.0)
+"""Of the paper's planner: from few renderings to many."""
+
+
 def _grids(holds: str = PLACES, spacings_m: Sequence[float] = _GRIDS_M) -> list[StoreSpec]:
     return [StoreSpec(holds, metres) for metres in spacings_m]
 
@@ -50,10 +54,12 @@ def _planned(*losses: float) -> list[StoreSpec]:
 
 
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
+    """Return the paper's plans: of all thresholds where only strategies are named, or none."""
+    usual_px = _THRESHOLDS_PX if strategies else ()
     return [
         StoreSpec(RENDERINGS, plan=PlanConfig(name, threshold_px=pixels, seed=seed))
         for name in strategies or ("lpov",)
-        for pixels in sorted(thresholds_px or (), reverse=True)
+        for pixels in sorted(thresholds_px or usual_px, reverse=True)
     ]
 
 
@@ -79,7 +85,7 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
             Comparison(
                 (
                     *_grids(RENDERINGS),
-                    *_plans(None, [12.0, 6.0, 3.0]),
+                    *_plans(["lpov"], None),
                     *_grids(),
                     *_planned(0.35, 0.27, 0.2),
                 ),
