@@ -499,7 +499,7 @@ def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str
         return ""
     return (
         f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
-        "given: check that"
+        "expected: check that"
     )
 
 

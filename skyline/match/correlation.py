@@ -20,19 +20,13 @@ overlaps the profile (W below a share of the query's weight), or where either cu
 overlap. The score is 1 - ncc, in [0, 2].
 """
 
-from typing import Self
-
 import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.match.matchers import Ranker
-from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.match.ranking import Ranking
-from skyline.match.scene import OpenedStore
-from skyline.match.screening import Alike
+from skyline.match.matchers import ProfileRanker
+from skyline.match.profiles import TANGENT_PER_PX, Fits
+from skyline.match.query_rays import QueryCurves, QueryRays
 
 _CHUNK = 8
 """Locations at a time; keeps the arrays of the transforms in the cache."""
@@ -43,35 +37,17 @@ _FLAT_PX = 0.1
 _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 
-class CorrelationMatcher(Ranker):
+class CorrelationMatcher(ProfileRanker):
     """The plain baseline: the greatest normalized correlation wins.
 
     The transforms of profiles are computed anew for each query: they are few beside those that a
     query needs, and would take several times the memory of the profiles.
     """
 
-    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
-        self.profiles, self._attitudes = profiles, attitudes or Attitudes()
-
-    @classmethod
-    def open(cls, store: OpenedStore) -> Self:
-        """See `Ranker.open`."""
-        return cls(store.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """See `Ranker.rank`."""
-        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
-
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
-        curves = QueryCurves.of(query, self._attitudes, profiles.bins)
+        curves = QueryCurves.of(query, self.attitudes, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
         peak, attitude, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from typing import ClassVar, Self, cast
 
 from skyline.errors import InputError, named
-from skyline.match.prior import Prior
-from skyline.match.query_rays import QueryRays
+from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.profiles import Fits, Profiles
+from skyline.match.query_rays import Attitudes, QueryRays
 from skyline.match.ranking import Hypotheses, Ranking
 from skyline.match.scene import OpenedStore
 from skyline.match.screening import Alike
@@ -147,6 +148,37 @@ class Ranker(ABC):
 
     def release(self) -> None:  # noqa: B027  (most matchers hold nothing)
         """Free the matcher's GPU memory, if it holds any."""
+
+
+class ProfileRanker(Ranker):
+    """Base class of matchers of renderings, which fit one pose at every location."""
+
+    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
+        """``attitudes`` are the assumed pitches and rolls; pitches of -10 to 10 by default."""
+        self.profiles, self.attitudes = profiles, attitudes or Attitudes()
+
+    @classmethod
+    def open(cls, store: OpenedStore) -> Self:
+        """See `Ranker.open`."""
+        return cls(store.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        prior: Prior = NOTHING_KNOWN,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """See `Ranker.rank`."""
+        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
+
+    @abstractmethod
+    def fit(self, query: QueryRays) -> Fits:
+        """Return the best pose at each location of `profiles`; lower scores are better.
+
+        `skyline.match.query_rays.QueryCurves` levels the query at the assumed attitudes and puts it
+        on the profiles' bins. The score is infinite at a location where nothing fits.
+        """
 
 
 def matcher_class(name: str) -> type[Ranker]:

@@ -12,18 +12,13 @@ chooses the pairs of a location and an attitude that go through them.
 
 from dataclasses import replace
 from functools import reduce
-from typing import Self
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
-from skyline.match.matchers import Ranker
-from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.matchers import ProfileRanker
 from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.match.ranking import Ranking
-from skyline.match.scene import OpenedStore
-from skyline.match.screening import Alike
 from skyline.paper.affine import align_curves, plausible, ransac_maps
 from skyline.paper.chamfer import (
     MIN_OVERLAP,
@@ -48,7 +43,7 @@ _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
-class PaperMatcher(Ranker):
+class PaperMatcher(ProfileRanker):
     """The paper's matcher over whole 360 degree profiles.
 
     Parameters
@@ -59,31 +54,15 @@ class PaperMatcher(Ranker):
     """
 
     def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
-        self.profiles = profiles
-        self._attitudes = attitudes or Attitudes()
+        super().__init__(profiles, attitudes)
         self._shortlist = Shortlist(profiles)
-
-    @classmethod
-    def open(cls, store: OpenedStore) -> Self:
-        """See `Ranker.open`."""
-        return cls(store.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """See `Ranker.rank`."""
-        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score in px, infinite where nothing fits.
 
         A location that is not on the shortlist has no fit.
         """
-        curves = QueryCurves.of(query, self._attitudes, self.profiles.bins)
+        curves = QueryCurves.of(query, self.attitudes, self.profiles.bins)
         assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
         fits = Fits.none(len(self.profiles))
         for one, listed in zip(assumed, self._listed(assumed), strict=True):

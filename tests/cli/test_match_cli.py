@@ -13,6 +13,10 @@ from PIL import Image
 from scenes import write_dem
 
 from skyline.cli import console
+from skyline.match.matchers import MATCHERS, matcher_class
+from skyline.store.format import RENDERINGS
+
+OF_RENDERINGS = [name for name in MATCHERS if matcher_class(name).searches == RENDERINGS]
 
 
 def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
@@ -49,7 +53,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert "confidence" in record["refusal"]
 
 
-@pytest.mark.parametrize("matcher", ["paper", "correlation"])
+@pytest.mark.parametrize("matcher", OF_RENDERINGS)
 def test_match_finds_the_stored_place_of_a_photo(run, store, renderings, photo, matcher):
     found = run("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher, "--json")
     answer = json.loads(found.out)["answer"]

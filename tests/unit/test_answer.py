@@ -40,7 +40,7 @@ def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg):
     assert why.startswith(
         "the best place has confidence 0.10, within 1 km 0.10; 0.80 is needed; it"
     )
-    assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was given" in why
+    assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was expected" in why
 
 
 def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
