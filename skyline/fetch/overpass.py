@@ -11,13 +11,12 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, RequestError, repeated
+from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.rasters import shown
 
 _MOST_BYTES = 1 << 26
-_PASSING = (429, 500, 502, 503, 504)
 
 
 def fetch_peaks(
@@ -83,7 +82,7 @@ def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
     try:
         return _post(server, query, timeout_s)
     except HTTPError as error:
-        reason, may_pass = f"the server answers HTTP {error.code}", error.code in _PASSING
+        reason, may_pass = f"the server answers HTTP {error.code}", error.code in PASSING
     except URLError as error:
         reason = f"no answer ({error.reason})"
     except (OSError, http.client.HTTPException) as error:
