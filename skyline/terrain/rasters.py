@@ -41,17 +41,17 @@ degrees are not exact."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
-# This cache is enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
-_GDAL_CACHE_BYTES = 64 << 20
-_COMPOUND = {"GTIFF_REPORT_COMPD_CS": "YES"}
-"""Without this option GDAL leaves out the vertical part of a GeoTIFF's CRS."""
-_ON_NETWORKS = {
+_SETTINGS = {
+    # Enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
+    "GDAL_CACHEMAX": 64 << 20,
+    # Otherwise GDAL leaves out the vertical part of a GeoTIFF's CRS.
+    "GTIFF_REPORT_COMPD_CS": "YES",
     "GDAL_HTTP_CONNECTTIMEOUT": "30",
+    # Reading fails if less than 1 kB a second arrives for 30 seconds.
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
-"""Options for servers: reading fails if less than 1 kB a second arrives for 30 seconds."""
 _NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 """Without this option GDAL asks a server for a dozen other files in the DEM's folder."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
@@ -150,9 +150,9 @@ def shown(text: str) -> str:
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
     """Open a raster; a failure while it is open becomes one error of one line."""
-    settings = _COMPOUND | _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
+    settings = _SETTINGS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), ExitStack() as held:
+        with rasterio.Env(**settings), ExitStack() as held:
             yield _dataset(source, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))

@@ -174,10 +174,14 @@ def full_turn(crs: CRS) -> float | None:
 
 def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid, and the row and column on it of each tile's first sample."""
-    first = tiles[0]
+    first, turn = tiles[0], full_turn(tiles[0].crs)
     offsets = []
     for tile in tiles:
-        grid = _nearest_turn(tile, first)
+        grid = tile.grid
+        if turn is not None:
+            # Whole turns bring W180 east of E179.
+            turns = round((first.grid.centre[0] - grid.centre[0]) / turn)
+            grid = replace(grid, west=grid.west + turns * turn)
         _check_fits(tile, grid, first)
         row = (first.grid.north - grid.north) / first.grid.step_north
         col = (grid.west - first.grid.west) / first.grid.step_east
@@ -198,15 +202,6 @@ def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
             "fewer or adjacent tiles, or a coarser DEM"
         )
     return grid, [(row - top, col - left) for row, col in offsets]
-
-
-def _nearest_turn(tile: Tile, first: Tile) -> Grid:
-    """Return the tile's grid moved by whole turns next to the first's: W180 is east of E179."""
-    turn = full_turn(tile.crs)
-    if turn is None:
-        return tile.grid
-    turns = round((first.grid.centre[0] - tile.grid.centre[0]) / turn)
-    return replace(tile.grid, west=tile.grid.west + turns * turn)
 
 
 def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
