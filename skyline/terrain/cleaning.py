@@ -1,7 +1,10 @@
 """Voids, fill and spikes: repair of a DEM's samples before anything is rendered from them.
 
-A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place and
-strip by strip: a field of hundreds of millions of samples costs little more than itself.
+A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place on
+heights (rows, cols), float32 and C-contiguous. They work strip by strip, so that a field of
+hundreds of millions of samples costs little more than itself; only for fill, which is rare, its
+places are labelled over the whole field. ``spacing_m`` is the coarser of the two sample spacings,
+metres on the ground.
 
 While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
 declare, and +inf a sample that no file covers, which is never a neighbour and never filled.
@@ -79,14 +82,7 @@ def strips(grid: Any) -> Iterator[slice]:
 def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, int, int, int]:
     """Void fill, remove spikes and fill small voids, in place, as `skyline.read_dem` does.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        Marked as above; afterwards NaN marks every hole.
-    source : str
-        The name of the DEM in errors and warnings.
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
+    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
 
     Returns
     -------
@@ -121,7 +117,7 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
 
 
 def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, list[float]]:
-    """Turn voids that a file does not declare into declared ones, in place.
+    """Turn voids that a file does not declare into declared ones.
 
     These are all samples marked -inf (a customary void value that the file does not name), and
     every connected place of one value, `MIN_FILL_SAMPLES` or more of them, with walls on `WALLED`
@@ -129,18 +125,7 @@ def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, lis
     (`remove_spikes`), at most three samples from the rim. Samples between the rim and the highest
     wall are voids as well.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
-
-    Returns
-    -------
-    count : int
-        Samples that became voids.
-    values_m : list of float
-        The constants found.
+    Returns the number of samples that became voids, and the constants found.
     """
     count = 0
     for rows in strips(heights_m):
@@ -158,7 +143,7 @@ def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, lis
 
 
 def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
-    """Turn spikes, upward and downward, into voids, in place; return their number of samples.
+    """Turn spikes, upward and downward, into voids; return their number of samples.
 
     A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
     at most `MAX_SPIKE_SAMPLES` samples that
@@ -170,12 +155,7 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
       neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
       ground keeps its ruggedness.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        NaN and +inf samples are no neighbours.
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
+    NaN and +inf samples are no neighbours.
     """
     count = 0
     for rows in strips(heights_m):
@@ -193,16 +173,11 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
 
 
 def fill_voids(heights_m: Float32Array) -> int:
-    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples, in place; return the count.
+    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples; return the count.
 
     The filling solves Laplace's equation with the rim as its boundary (the shape of a soap film):
     smooth, and never higher or lower than the rim, so that no skyline is invented. Samples are
     connected by their sides, not by corners. At the border of the data the film ends level.
-
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        NaN marks voids, +inf samples that no file covers.
     """
     voids = _small_voids(heights_m)
     if voids.size == 0:
