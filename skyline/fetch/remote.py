@@ -1,6 +1,5 @@
 """Requests to servers, repeated where that may help; the error of a failed one is one line."""
 
-import logging
 import re
 import time
 from collections.abc import Callable
@@ -99,13 +98,7 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
         except RasterioError as error:
             raise _failure(url, error) from error
 
-    log = logging.getLogger("rasterio")
-    level = log.level
-    log.setLevel(logging.CRITICAL)  # The error replaces GDAL's own lines.
-    try:
-        return repeated(url, read, retries)
-    finally:
-        log.setLevel(level)
+    return repeated(url, read, retries)
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
