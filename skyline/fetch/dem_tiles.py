@@ -102,11 +102,10 @@ def fetch_dem(
     source : str
         A name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand for the
         whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
-        hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. An address
-        without any of these fields is one file over all.
+        hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``.
     folder : str or Path
-        The folder, which is made if it does not exist. Files are named by their tile
-        (``N46E009.tif``), one file over all is ``dem.tif``.
+        The folder, which is made if it does not exist. Files are named by their tile:
+        ``N46E009.tif``.
     retries : int
         Greatest number of repetitions of a failed request.
     timeout_s : int
@@ -124,7 +123,7 @@ def fetch_dem(
     """
     template = SOURCES.get(source, source)
     _check_template(template)
-    corners = tile_corners(template, bounds_deg)
+    corners = tile_corners(bounds_deg)
     folder = Path(folder)
     for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
@@ -135,7 +134,7 @@ def fetch_dem(
     for corner in corners:
         # As SRTM names tiles.
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
-        path = folder / f"{name if _FIELD.search(template) else 'dem'}.tif"
+        path = folder / f"{name}.tif"
         try:
             cut = _plan(address(template, *corner), path, bounds_deg, retries, timeout_s)
         except AbsentError as error:
@@ -173,25 +172,24 @@ def _check_template(template: str) -> None:
         parts = urlsplit(address(template, 0, 0))
         usable = parts.scheme in ("http", "https") and bool(parts.hostname)
         usable &= not set(parts.geturl()) & {"{", "}"}
+        usable &= {"lat", "lon"} <= {name for name, _ in _FIELD.findall(template)}
     except ValueError:
         usable = False
     if not usable:
         raise InputError(
             f"source is {template!r}; expected {', '.join(SOURCES)}, or an http or https "
-            "address with no other fields than {lat}, {lon}, {ns}, {ew}, e.g. "
-            "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
+            "address with the fields {lat} and {lon}, and no others than {ns} and {ew} beside "
+            "them, e.g. https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
         )
 
 
-def tile_corners(template: str, bounds_deg: Bounds) -> list[tuple[int, int]]:
+def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     """Return latitude and longitude of the south-west corners of the tiles within bounds.
 
     They are whole degrees, from the south-west, row by row. Raises `InputError` for bounds that
     are not numbers in order, or that need more than `MAX_TILES`.
     """
     west, south, east, north = check_bounds(bounds_deg)
-    if not _FIELD.search(template):
-        return [(math.floor(south), math.floor(west))]
     lats = range(math.floor(south), math.ceil(north))
     lons = range(math.floor(west), math.ceil(west + width_deg(bounds_deg)))
     count = len(lats) * len(lons)
