@@ -321,7 +321,10 @@ def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
     around = np.arange(-_REACH, _REACH + 2)
     for view_m in (heights_m, heights_m.T):
         for rows in strips(view_m):
-            strip = np.pad(view_m[rows], ((0, 0), (_REACH, _REACH)), constant_values=np.nan)
+            with np.errstate(invalid="ignore"):
+                steep = (np.abs(np.diff(view_m[rows], axis=1)) > threshold_m).any(axis=1)
+            strip = view_m[rows][steep]
+            strip = np.pad(strip, ((0, 0), (_REACH, _REACH)), constant_values=np.nan)
             strip[np.isinf(strip)] = np.nan
             row, col = np.nonzero(np.abs(np.diff(strip, axis=1)) > threshold_m)
             near = strip[row[:, np.newaxis], col[:, np.newaxis] + around]
@@ -335,17 +338,20 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
     """Turn the fill of one value into voids; return the number of its samples."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
-    place, count = label(heights_m == np.float32(value))
+    has_value = heights_m == np.float32(value)
+    place, count = label(has_value)
     # Turned and flipped are views of one array, so that the four sides of places are treated alike.
     is_large = np.bincount(place.ravel()) >= MIN_FILL_SAMPLES
     removed = np.zeros(heights_m.shape, dtype=np.bool_)
     for turned in (np.asarray, np.transpose):
         sides = []
         for flipped in (np.asarray, np.fliplr):
-            field_m, places = flipped(turned(heights_m)), flipped(turned(place))
-            row, col = np.nonzero((places[:, :-1] > 0) & (places[:, 1:] == 0))
+            field_m, inside, places, view = (
+                flipped(turned(grid)) for grid in (heights_m, has_value, place, removed)
+            )
+            row, col = np.nonzero(inside[:, :-1] & ~inside[:, 1:])
             wall = _walls(field_m, row, col, value, threshold_m)
-            sides.append((flipped(turned(removed)), places[row, col], row, col, wall))
+            sides.append((view, places[row, col], row, col, wall))
         of_rim = np.concatenate([of for _, of, *_ in sides])
         has_wall = np.concatenate([wall > 0 for *_, wall in sides])
         rim = np.bincount(of_rim, minlength=count + 1)
