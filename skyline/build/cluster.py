@@ -24,8 +24,6 @@ RETRIES = 2
 another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
 _CONNECT_S = 10
-_NAMED = 5
-"""Failed jobs that an error names."""
 
 # A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
@@ -49,11 +47,12 @@ class Runner:
 
     def __call__(
         self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-    ) -> Iterator[tuple[int, R | Exception]]:
+    ) -> Iterator[R | SkylineError]:
         """Run ``work`` on every item; ``names`` are distinct names of the items.
 
-        Yields the index of each item as it is done, in any order, with the result of the work or
-        the exception that its last attempt raised.
+        Yields results in the items' order, each as soon as those before it are done. A job that
+        failed at its last attempt yields its error, as a `BuildError` unless it is a
+        `SkylineError`.
         """
         run, submit = uuid4().hex[:8], self._client.submit
         with warnings.catch_warnings():
@@ -63,10 +62,8 @@ class Runner:
                 submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
                 for name, item in zip(names, items, strict=True)
             ]
-        place = {future.key: index for index, future in enumerate(futures)}
         # When the client leaves, the scheduler forgets the jobs that were not waited for.
-        for future in _distributed().as_completed(futures):
-            yield place[future.key], _outcome(future)
+        yield from map(_outcome, futures)
 
 
 def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
@@ -151,75 +148,15 @@ def _do_alone(work: Callable[[T], R], item: T) -> R:
 
 
 def _outcome(future: Any) -> Any:
+    """Wait for a job; return its result or its error."""
     try:
         error = future.exception()
     except CancelledError:
         return BuildError("lost with the scheduler")
     if error is None:
         return future.result()
+    if isinstance(error, SkylineError):
+        return error
     if type(error).__name__ == "KilledWorker":
         return BuildError("its worker died at every attempt: out of memory, or a fault of OpenGL")
-    return error if isinstance(error, Exception) else BuildError(repr(error))
-
-
-def collect(
-    outcomes: Iterator[tuple[int, R | Exception]],
-    names: Sequence[str],
-    finished: Callable[[], None],
-) -> list[R]:
-    """Return all results in the items' order; ``finished`` is called after each.
-
-    Raises
-    ------
-    SkylineError
-        All jobs failed with this same error.
-    BuildError
-        Some jobs failed; the first few are named with their reasons.
-    """
-    results: dict[int, R] = {}
-    failures: dict[int, Exception] = {}
-    for index, outcome in outcomes:
-        if isinstance(outcome, Exception):
-            failures[index] = outcome
-            _log.warning("%s failed: %s", names[index], _line(outcome))
-        else:
-            results[index] = outcome
-            finished()
-    if failures:
-        raise _failure(failures, names)
-    return [results[index] for index in range(len(names))]
-
-
-def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
-    """Yield results in the items' order, each as soon as those before it are done.
-
-    A job that failed yields its error, as a `BuildError` unless it is a `SkylineError`.
-    """
-    waiting: dict[int, R | Exception] = {}
-    due = 0
-    for index, outcome in outcomes:
-        waiting[index] = outcome
-        while due in waiting:
-            result = waiting.pop(due)
-            if isinstance(result, Exception) and not isinstance(result, SkylineError):
-                result = BuildError(f"a worker failed: {_line(result)}")
-            yield result
-            due += 1
-
-
-def _failure(failures: dict[int, Exception], names: Sequence[str]) -> SkylineError:
-    first = next(iter(failures.values()))
-    alike = len({_line(failure) for failure in failures.values()}) == 1
-    if alike and len(failures) == len(names) and isinstance(first, SkylineError):
-        return first
-    named = [f"{names[index]} ({_line(failures[index])})" for index in sorted(failures)[:_NAMED]]
-    more = f" and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
-    return BuildError(
-        f"{len(failures)} of {len(names)} failed: {'; '.join(named)}{more}. The others are kept: "
-        "mend the cause and give the same command, which continues with the rest"
-    )
-
-
-def _line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if isinstance(error, SkylineError) else f"{type(error).__name__}: {text}"
+    return BuildError(f"a worker failed: {type(error).__name__}: {' '.join(str(error).split())}")
