@@ -27,11 +27,9 @@ from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
-from skyline.store.stored_dem import read_dem_of
 from skyline.store.write import check_folder, partial_beside
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
 
 _NAMED = 5
 """Failed parts that an error names."""
@@ -254,7 +252,7 @@ class _Job:
 
     def _terrain(self) -> HeightField:
         try:
-            return read_dem_of(self.header)
+            return self.header.read_dem()
         except StoreMismatchError as error:
             raise StoreMismatchError(
                 f"{error}; workers need the same files and the same releases of skyline and its "

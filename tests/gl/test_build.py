@@ -16,9 +16,8 @@ from scenes import field_of, fractal, write_dem
 from skyline import RenderConfig, Viewpoints, read_dem, render_to_store, stand_on
 from skyline.build import cluster, parts, plans
 from skyline.build.cluster import remote_runner
-from skyline.build.grid import uniform_grid
 from skyline.build.parts import build_places, build_store
-from skyline.build.plans import PlacePlan, RenderingPlan
+from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer

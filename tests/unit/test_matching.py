@@ -7,7 +7,7 @@ import pytest
 from query_scenes import equally_trusted
 from scenes import field_of, fractal
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
