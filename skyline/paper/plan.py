@@ -20,14 +20,13 @@ from skyline.build.plans import lattice_m, map_bounds, rendering_columns, render
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, named
 from skyline.geodesy import Bounds, Rectangle
-from skyline.paper.coverage import Candidates, Coverage
 from skyline.paper.reprojection import (
     displacements_m,
     moved,
     skyline_points_m,
     tolerance_errors_px,
 )
-from skyline.paper.strategies import STRATEGIES, Problem
+from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
