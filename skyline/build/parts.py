@@ -27,7 +27,7 @@ from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
-from skyline.store.write import check_folder, partial_beside
+from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -172,8 +172,10 @@ def build_store(
             with merged_rows(parts, folder) as (joint, columns, order):
                 rows = len(order)
                 if rows:
-                    write_store(path, joint, columns, order, partial_beside(folder / path.name))
-        except SkylineError:
+                    # A build that is killed here leaves its files to `_remove`.
+                    write_store(folder / path.name, joint, columns, order)
+                    (folder / path.name).replace(path)
+        except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists():
                 raise
@@ -306,8 +308,8 @@ def _on_workers(
 
 def _remove(folder: Path) -> None:
     """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
-    for pattern in ("*-of-*.h5", ".*.partial"):
-        for file in folder.glob(pattern):
-            file.unlink(missing_ok=True)
+    merged = folder / folder.stem
+    for file in (*folder.glob("*-of-*.h5"), *folder.glob(".*.partial"), merged):
+        file.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

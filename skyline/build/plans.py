@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.build.spacing import AdaptivePlanner, blocks_of, check_loss, price_of
+from skyline.build.spacing import AdaptivePlanner, blocks_of, price_of
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
 from skyline.render.horizon import HorizonRenderer, RenderConfig
@@ -95,7 +95,10 @@ class PlacePlan:
         area = map_bounds(terrain, self.bounds_deg)
         if self.spacing_m is not None:
             return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
-        check_loss(self.loss)
+        if not 0.0 < self.loss < 1.0:
+            raise InputError(
+                f"loss is {self.loss}; expected a share between 0 and 1, for example 0.2"
+            )
         return blocks_of(area)
 
     def opened(self, terrain: HeightField) -> PartRenderer:

@@ -51,7 +51,6 @@ def write_store(
     header: StoreHeader,
     columns: Columns,
     order: NDArray[np.intp] | None = None,
-    partial: Path | None = None,
 ) -> None:
     """Write a store of some rows; the same rows, order and header give the same bytes.
 
@@ -63,8 +62,6 @@ def write_store(
         The rows, as `skyline.store.format.columns_of` returns them.
     order : (N,) intp, optional
         The rows to write, in this order; by default all.
-    partial : Path, optional
-        Name of the temporary file; by default one beside the store.
 
     Raises
     ------
@@ -75,7 +72,7 @@ def write_store(
     """
     path = Path(path).resolve()
     check_folder(path)
-    partial = partial or partial_beside(path)
+    partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
     with explained(path, "it cannot be written", "check the folder's rights and space"):
@@ -99,11 +96,6 @@ def write_store(
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
-
-
-def partial_beside(path: Path) -> Path:
-    """Return a temporary name that no other process uses."""
-    return path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
 
 
 def check_folder(path: Path) -> None:
