@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -66,30 +66,28 @@ class Runner:
         yield from map(_outcome, futures)
 
 
-def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
-    """Return the context of a `Runner`: on N new processes, or on the cluster at an address.
+@contextmanager
+def runner_of(workers: str | None) -> Iterator[Runner | None]:
+    """Yield a `Runner` on so many new processes, or on the cluster at an address; None for None.
 
-    Without either, the context of None. Raises as `local_runner` and `remote_runner`.
+    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
+
+    Raises `InputError` for fewer than one worker, where nothing answers at the address, or where
+    dask is not installed.
     """
     if workers is None:
-        return nullcontext()
-    is_number = workers.removeprefix("-").isdecimal()
-    return local_runner(int(workers)) if is_number else remote_runner(workers)
-
-
-@contextmanager
-def local_runner(workers: int) -> Iterator[Runner]:
-    """Start worker processes on this machine for the block; yields a `Runner`.
-
-    Raises `InputError` for fewer than one worker, or where dask is not installed.
-    """
-    with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
-        yield Runner(client)
+        yield None
+    elif workers.removeprefix("-").isdecimal():
+        with local_cluster(int(workers)) as cluster, _distributed().Client(cluster) as client:
+            yield Runner(client)
+    else:
+        with _connected(workers) as client:
+            yield Runner(client)
 
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """Start worker processes for the block; yields dask's cluster. Raises as `local_runner`."""
+    """Start worker processes for the block; yields dask's cluster; raises as `runner_of`."""
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     threads = max((os.cpu_count() or 1) // workers, 1)
@@ -114,26 +112,18 @@ def local_cluster(workers: int) -> Iterator[Any]:
             cluster.close()
 
 
-@contextmanager
-def remote_runner(address: str) -> Iterator[Runner]:
-    """Connect to a scheduler for the block; yields a `Runner`.
-
-    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
-
-    Raises `InputError` where nothing answers at the address, or dask is not installed.
-    """
-    distributed = _distributed()
+def _connected(address: str) -> Any:
+    """Return a dask client of the scheduler at an address."""
     try:
-        client = distributed.Client(address, timeout=_CONNECT_S)
+        client = _distributed().Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(
             f"no dask scheduler answers at {address!r} ({' '.join(str(error).split())}); start "
             "one with `dask scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
         ) from error
-    with client:
-        if not client.scheduler_info()["workers"]:
-            _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
-        yield Runner(client)
+    if not client.scheduler_info()["workers"]:
+        _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
+    return client
 
 
 def _distributed() -> Any:
