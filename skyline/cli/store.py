@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from skyline.cli.console import AsJson, print_line
 from skyline.errors import InputError, printable
-from skyline.report.geopackage import write_geopackage
+from skyline.report.exports import write_geopackage
 from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
 
 _DAMAGED = 2
