@@ -22,7 +22,6 @@ from skyline.report.figures import save_figure, unnamed_in_words
 from skyline.report.peaks import Sighting
 from skyline.report.relief_tiles import DARKEST, TINTS
 from skyline.report.shapes import Ellipse, view_wedge_m
-from skyline.report.surroundings import Surroundings
 from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -102,27 +101,26 @@ class Area:
         }
 
 
-def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
-    """Return the area around all candidates, or around the store's viewpoints if there are none."""
-    places: Sequence[Candidate | Viewpoints] = candidates or [surroundings.viewpoints]
+def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> Area:
+    """Return the area around places, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
-    area = Area.around(easting, northing, 2.0 * _LEAST_SIDE_M)
-    return area.within(surroundings.terrain)
+    return Area.around(easting, northing, 2.0 * _LEAST_SIDE_M).within(terrain)
 
 
-def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
+def detail_area(candidate: Candidate, terrain: HeightField | None) -> Area:
     """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    area = Area.around([candidate.easting_m], [candidate.northing_m], side_m)
-    return area.within(surroundings.terrain)
+    return Area.around([candidate.easting_m], [candidate.northing_m], side_m).within(terrain)
 
 
 def draw_match_map(
     candidates: Sequence[Candidate],
-    surroundings: Surroundings,
     area: Area,
+    frame: Frame,
+    viewpoints: Viewpoints,
+    terrain: HeightField | None,
     sightings: Sequence[Sighting] = (),
 ) -> Figure:
     """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
@@ -131,6 +129,12 @@ def draw_match_map(
     ----------
     candidates : sequence of Candidate
         The first is drawn over the others, in another colour.
+    frame : Frame
+        Frame of the area and of everything drawn in it.
+    viewpoints : Viewpoints
+        The store's viewpoints, drawn as dots.
+    terrain : HeightField or None
+        None leaves the map without relief.
     sightings : sequence of Sighting
         Peaks visible from the first candidate.
     """
@@ -138,15 +142,15 @@ def draw_match_map(
         figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
     )
     axis = figure.subplots()
-    draw_relief(axis, surroundings.terrain, area)
-    shown = _draw_viewpoints(axis, surroundings.viewpoints, area)
+    draw_relief(axis, terrain, area)
+    shown = _draw_viewpoints(axis, viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
     peaks = [peak for peak in sightings if area.holds(peak.easting_m, peak.northing_m)]
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
-    draw_bearings(axis, surroundings.frame, area)
+    draw_bearings(axis, frame, area)
     title = f"{shown} viewpoints of the store (dots)"
     title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS), "; ")
     axis.set_title(title, fontsize=9, loc="left")
