@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LightSource, LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float32Array
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
 from skyline.report.figures import save_figure, unnamed_in_words
 from skyline.report.peaks import Sighting
-from skyline.report.relief_tiles import DARKEST, TINTS
+from skyline.report.relief_tiles import relief, tint_range_m
 from skyline.report.shapes import Ellipse, view_wedge_m
 from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
@@ -39,7 +39,6 @@ _INK_SHARE = 0.35
 """Share of the picture that all points together cover."""
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
 _MOST_SAMPLES = 900
-_TINT = LinearSegmentedColormap.from_list("height", TINTS).with_extremes(bad="#e8eef5")
 _NO_TERRAIN = "#eef0ee"
 _EDGE_POINTS = 65
 
@@ -260,22 +259,14 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
         axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
         return
     heights, extent, step = crop
-    low, high = np.nanpercentile(heights, [0.5, 99.5])
-    tint = Normalize(low, max(high, low + 1.0))
-    shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(
-        np.nan_to_num(heights, nan=low),
-        dx=terrain.spacing_east_m * step,
-        dy=terrain.spacing_north_m * step,
-    )
-    light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
-    rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
-    picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
+    pixel_m = terrain.spacing_east_m * step, terrain.spacing_north_m * step
+    picture = relief(np.pad(heights, 1, "edge"), *pixel_m, tint_range_m(heights))
     axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
 
 
 def _crop(
     terrain: HeightField, area: Area
-) -> tuple[Float64Array, tuple[float, float, float, float], int] | None:
+) -> tuple[Float32Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, their extent (west, east, south, north) and their step."""
     top, left = (
         math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.west_m, northing_m=area.north_m)
@@ -287,7 +278,7 @@ def _crop(
     cols = slice(max(left, 0), min(right, terrain.cols))
     longest = max(rows.stop - rows.start, cols.stop - cols.start)
     step = max(1, math.ceil(longest / _MOST_SAMPLES))
-    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float64)
+    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float32)
     if min(heights.shape, default=0) < 2 or np.isnan(heights).all():
         return None
     # A sample is the middle of its pixel.
