@@ -39,7 +39,6 @@ _LEAST_FOV_DEG = 5.0
 _SURFACE_STEP_DEG = 0.1
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
-_SAMPLES_A_STEP = 1.0
 _RINGS_SAMPLES = (300.0, 1000.0, math.inf)
 """Outer radii of rings around the eye; terrain seen in one ring hides terrain of the next."""
 _HIDDEN_DEG = HIDDEN_DEG + 0.05
@@ -385,7 +384,7 @@ class _Look:
 def _steps_m(blocks: TerrainBlocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
     """Return distances from underfoot to the farthest corner of the terrain."""
     reach_m = float(np.hypot(*blocks.around_m(*place)).max()) + blocks.radius_m
-    step_m = _SAMPLES_A_STEP * blocks.spacing_m
+    step_m = blocks.spacing_m
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
     near = np.arange(UNDERFOOT_SAMPLES * blocks.spacing_m, turn_m, step_m)
     wider = math.ceil(math.log(reach_m / turn_m) / pixel_rad) + 1

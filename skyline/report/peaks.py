@@ -237,12 +237,42 @@ def visible_peaks(
 
     Peaks off the terrain are left out, since the terrain that may hide them is unknown.
     """
-    return [
-        sighting
-        for index in range(len(peaks))
-        if (sighting := _sight(terrain, eye, peaks, index, curvature)) is not None
-        and not _is_hidden(terrain, eye, sighting, curvature)
-    ]
+    seen = []
+    for index, name in enumerate(peaks.names):
+        summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
+        if summit is None:
+            continue
+        easting_m, northing_m, surface_m = summit
+        east_m = easting_m - float(eye.easting_m[0])
+        north_m = northing_m - float(eye.northing_m[0])
+        distance_m = math.hypot(east_m, north_m)
+        if distance_m <= 2.0 * SUMMIT_RADIUS_M:
+            continue  # The eye stands on this peak.
+        azimuth_rad = math.atan2(east_m, north_m)
+        up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
+        (highest_deg,) = highest_between_deg(
+            terrain,
+            eye,
+            curvature,
+            np.array([azimuth_rad]),
+            np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
+            np.array([distance_m - SUMMIT_RADIUS_M]),
+        )
+        if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
+            continue
+        height_m = peaks.height_m[index]
+        seen.append(
+            Sighting(
+                label=name if math.isnan(height_m) else f"{name} {height_m:.0f} m",
+                easting_m=easting_m,
+                northing_m=northing_m,
+                surface_m=surface_m,
+                azimuth_deg=math.degrees(azimuth_rad) % 360.0,
+                elevation_tan=up_m / distance_m,
+                distance_m=distance_m,
+            )
+        )
+    return seen
 
 
 def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
@@ -258,31 +288,6 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) ->
         return -prominent_m, -sighting.surface_m
 
     return sorted(sightings, key=rank)
-
-
-def _sight(
-    terrain: HeightField, eye: Viewpoints, peaks: Peaks, index: int, curvature: Curvature
-) -> Sighting | None:
-    """Return a peak as seen by an eye, hidden or not; None off the terrain, or at the eye."""
-    summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
-    if summit is None:
-        return None
-    easting, northing, surface = summit
-    east, north = easting - float(eye.easting_m[0]), northing - float(eye.northing_m[0])
-    distance = math.hypot(east, north)
-    if distance <= 2.0 * SUMMIT_RADIUS_M:
-        return None  # The eye stands on this peak.
-    up = surface - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance))
-    height = peaks.height_m[index]
-    return Sighting(
-        peaks.names[index] + ("" if math.isnan(height) else f" {height:.0f} m"),
-        easting,
-        northing,
-        surface,
-        math.degrees(math.atan2(east, north)) % 360.0,
-        up / distance,
-        distance,
-    )
 
 
 def _summit(
@@ -303,21 +308,6 @@ def _summit(
     at_row, at_col = np.unravel_index(np.nanargmax(near), near.shape)
     east, north = terrain.to_map(top + at_row, left + at_col)
     return float(east), float(north), float(near[at_row, at_col])
-
-
-def _is_hidden(
-    terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
-) -> bool:
-    """Return whether terrain on the line to a peak stands above it by more than the tolerance."""
-    highest_deg = highest_between_deg(
-        terrain,
-        eye,
-        curvature,
-        np.radians([sighting.azimuth_deg]),
-        np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
-        np.array([sighting.distance_m - SUMMIT_RADIUS_M]),
-    )
-    return float(highest_deg[0]) - math.degrees(math.atan(sighting.elevation_tan)) > HIDDEN_DEG
 
 
 def highest_between_deg(
