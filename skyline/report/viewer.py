@@ -6,7 +6,7 @@ azimuths in degrees, elevations the tangent of the elevation angle: up over hori
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -19,7 +19,6 @@ from skyline.geodesy import in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
 from skyline.match.query_rays import level, project
-from skyline.match.ranking import Hypotheses, Ranking
 from skyline.match.scene import RenderedScene, terrain_at_hand
 from skyline.photo.projection import distorted
 from skyline.photo.query import QuerySkyline
@@ -197,21 +196,23 @@ class Viewer:
             The place is off the map or on a hole, or the eye is below the ground.
         """
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
-        place = ground.easting_m, ground.northing_m
-        eye = at_elevation(self.terrain, *place, ground.eye_elevation_m + eye_height_m)
-        easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
-        convergence_deg = float(self.frame.convergence_deg(easting_m=easting, northing_m=northing))
-        pose = Hypotheses.of_pose(
-            easting,
-            northing,
-            float(eye.eye_elevation_m[0]),
-            (heading_deg - convergence_deg) % 360.0,
-            pitch_deg,
-            roll_deg,
-            fov_deg,
-            0.0,
+        eye_m = ground.eye_elevation_m + eye_height_m
+        eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
+        easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])
+        convergence_deg = self.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+        return Candidate(
+            lon=lon,
+            lat=lat,
+            heading_deg=heading_deg % 360.0,
+            pitch_deg=pitch_deg,
+            roll_deg=roll_deg,
+            fov_deg=fov_deg,
+            easting_m=easting_m,
+            northing_m=northing_m,
+            eye_elevation_m=float(eye_m[0]),
+            convergence_deg=float(convergence_deg),
+            score=math.nan,
         )
-        return replace(Ranking(pose).candidates(self.frame)[0], rank=None, score=math.nan)
 
     def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
         """Return the skyline rendered at a pose, in pixels of the query's photo.
