@@ -126,7 +126,7 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
         axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
-        shapes.append(("ellipse95", _polygon(ellipse.outline_m(), frame), axes))
+        shapes.append(("ellipse95", _polygon(ellipse.outline_m, frame), axes))
     return [
         {
             "type": "Feature",

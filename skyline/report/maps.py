@@ -176,9 +176,9 @@ def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: f
     axis.add_patch(wedge)
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
-        outline = ellipse.outline_m()
-        axis.plot(*outline.T, color="white", linewidth=3.0, zorder=order + 0.1)
-        axis.plot(*outline.T, color=colour, linewidth=1.4, zorder=order + 0.2)
+        outline = ellipse.outline_m.T
+        axis.plot(*outline, color="white", linewidth=3.0, zorder=order + 0.1)
+        axis.plot(*outline, color=colour, linewidth=1.4, zorder=order + 0.2)
     axis.annotate(
         "×" if candidate.rank is None else str(candidate.rank),
         (candidate.easting_m, candidate.northing_m),
