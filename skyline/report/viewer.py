@@ -39,8 +39,9 @@ _AROUND = 0.52
 widths: just beyond the picture."""
 _WIDTH = 1024
 """Columns of a rendered 90 degree view: more than a screen shows of it."""
-_MARGIN_DEG = 8.0
-"""A view is rendered if the photo comes this near to it: a camera may be tilted."""
+_MARGIN_DEG = 20.0
+"""A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
+is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
 
 
 def pixels_of(
