@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
-from skyline.errors import InputError, OffMapError
+from skyline.errors import MissingFileError, OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate
@@ -69,7 +69,7 @@ def report_matches(
         photos = (read_picture(one.name) if one.name else None for one in results)
     try:
         viewer = Viewer(matcher, peaks)
-    except InputError:
+    except MissingFileError:
         viewer = None
     try:
         sections = [

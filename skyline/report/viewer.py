@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, OffMapError
+from skyline.errors import MissingFileError, OffMapError
 from skyline.geodesy import in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
@@ -150,7 +150,7 @@ class Viewer:
 
     Raises
     ------
-    InputError
+    MissingFileError
         The matcher has no elevation model, and the store's is not at hand.
     ContextError
         No OpenGL context can be created.
@@ -159,7 +159,9 @@ class Viewer:
     def __init__(self, matcher: Matcher, peaks: Peaks | None = None) -> None:
         terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief and no view")
         if terrain is None:
-            raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
+            raise MissingFileError(
+                "the store's DEM is not at hand, so that nothing can be rendered; give it"
+            )
         self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
         self.curvature = curvature_of(matcher.header)
         config = RenderConfig(width=_WIDTH, curvature=self.curvature)

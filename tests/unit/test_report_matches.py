@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 
 from skyline.build.grid import uniform_grid
-from skyline.errors import InputError
+from skyline.errors import MissingFileError
 from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
@@ -48,7 +48,7 @@ class OracleViewer(Viewer):
 
     def __init__(self, matcher, peaks=None):
         if matcher.terrain is None:
-            raise InputError("no terrain")
+            raise MissingFileError("no terrain")
         self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
         self.curvature = Curvature()
 
