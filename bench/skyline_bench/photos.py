@@ -146,11 +146,11 @@ def _section(measured: Measured, viewer: Viewer | None) -> str:
     shown_figures = {name: shown(value) for name, value in measured.figures.items()}
     parts = [table(("", ""), [[k, str(v)] for k, v in shown_figures.items() if v != "-"])]
     if measured.query is not None:
-        panorama = None
+        sight = None
         if viewer is not None and measured.best is not None:
-            panorama = viewer.panorama(measured.best)
+            sight = viewer.look(measured.best, measured.query)
         photo = read_picture(measured.photograph.photo)
-        drawn, _ = draw_overlay(measured.query, photo, measured.best, panorama)
+        drawn, _ = draw_overlay(measured.query, photo, measured.best, sight)
         parts.insert(0, figures([picture(drawn, "Found, and rendered at the best candidate.")]))
     return section(measured.photograph.name, parts)
 
