@@ -24,8 +24,8 @@ from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
+from .render.context import RenderThread
 from .render.horizon import RenderConfig, render_views
-from .render.thread import RenderThread
 from .report.exports import export_matches
 from .report.labelled_panorama import save_panorama
 from .report.landscape import PanoramaConfig

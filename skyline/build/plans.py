@@ -10,9 +10,13 @@ import numpy as np
 from skyline.build.grid import map_bounds, uniform_grid
 from skyline.build.spacing import AdaptivePlanner, blocks_of, check_loss, price_of
 from skyline.geodesy import Bounds, Curvature
-from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.render.horizon import (
+    DEFAULT_TOLERANCE_DEG,
+    HorizonRenderer,
+    PanoramaRenderer,
+    RenderConfig,
+)
 from skyline.render.march import ColumnRenderer
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns

@@ -31,7 +31,7 @@ from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
-from skyline.render.thread import RenderThread
+from skyline.render.context import RenderThread
 from skyline.store import open_store
 from skyline.terrain.surface import Dem
 from skyline.terrain.viewpoints import Viewpoints

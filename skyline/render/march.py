@@ -5,7 +5,6 @@ each column's ray over a tree of upper bounds and evaluates only what can still 
 only v, depth and flags of W columns a view come back.
 """
 
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,8 +24,6 @@ from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-_log = logging.getLogger(__name__)
 
 MAX_SPACING_RATIO = 64.0
 
@@ -93,7 +90,7 @@ class ColumnRenderer:
         self._context = acquire_context()
         self._ctx = self._context.ctx
         self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
-        self._max_views = _MAX_RESULT_BYTES // (12 * self.width)
+        self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
         self._programs: dict[frozenset[tuple[str, str]], moderngl.ComputeShader] = {}
         aims = np.stack([*split_float(u), tolerance.astype(np.float32)], axis=-1)
         self._aims = self._ctx.texture((len(u), 1), 3, aims, dtype="f4", alignment=1)
@@ -122,32 +119,15 @@ class ColumnRenderer:
     def _batches(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Iterator[tuple[slice, Results]]:
-        """Render in batches that fit the GPU; where one does not, in halves of it.
+        """Render in batches whose results fit the GPU.
 
         ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view. Yields
         the slice of the views in each batch and their skylines; at least one batch, which may be
         empty. Skylines without data are flagged.
         """
-        stop = -1
-        while stop < len(viewpoints):
-            start = max(stop, 0)
+        for start in range(0, max(len(viewpoints), 1), self._max_views):
             part = slice(start, min(start + self._max_views, len(viewpoints)))
-            try:
-                rows = self._batch(viewpoints[part], heading[part], turn_rad[part])
-            except moderngl.Error as error:
-                if self._max_views == 1:
-                    raise ContextError(
-                        f"the GPU cannot hold one view of {self.width} columns over "
-                        f"{self.field.cols} x {self.field.rows} samples ({error}); free its memory "
-                        "or choose a smaller width"
-                    ) from error
-                self._max_views //= 2
-                _log.warning(
-                    "out of GPU memory (%s); going on with %d views a batch", error, self._max_views
-                )
-            else:
-                yield part, rows
-                stop = part.stop
+            yield part, self._batch(viewpoints[part], heading[part], turn_rad[part])
 
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
@@ -178,7 +158,13 @@ class ColumnRenderer:
         self._results = ()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
         size = max(4 * rows * self.width, 4)
-        self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
+        try:
+            self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
+        except moderngl.Error as error:
+            raise ContextError(
+                f"the GPU has no room for skylines of {rows} x {self.width} columns ({error}); "
+                "free its memory, or choose a smaller width"
+            ) from error
 
     def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
         """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""

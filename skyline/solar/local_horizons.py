@@ -17,7 +17,7 @@ from skyline.arrays import Float32Array, Float64Array, Progress, Rows
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, library
 from skyline.geodesy import Curvature
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import Dem, read_surface
