@@ -18,8 +18,7 @@ from .match.matchers import MatchConfig
 from .match.prior import Narrowing
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.exif import NotedPlace
-from .photo.lens import Lens
+from .photo.exif import Lens, NotedPlace
 from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query

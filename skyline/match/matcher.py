@@ -27,7 +27,7 @@ from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Hypotheses
 from skyline.match.scene import OpenedStore, given_terrain
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
