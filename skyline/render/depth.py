@@ -41,19 +41,9 @@ QUANTIZATION_PX = 0.5 + 2.0 / 256.0
 class DepthRenderer:
     """Renders depth images and skylines of one height field.
 
-    Parameters
-    ----------
-    width : int
-        Columns and rows W of a depth image.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-
-    Raises
-    ------
-    InputError
-        The width is out of range, or the field is larger than one texture of this OpenGL.
-    ContextError
-        No OpenGL context can be made.
+    ``width`` is the number W of columns and of rows of a depth image. Raises `InputError` if it is
+    out of range or the field is larger than one texture of this OpenGL, and `ContextError` if no
+    OpenGL context can be made.
     """
 
     def __init__(
@@ -147,9 +137,9 @@ class DepthRenderer:
         count = len(HEADINGS) * len(viewpoints)
         read = self._rows_target.read((0, 0, self.width, count), components=3, dtype="f4")
         pixels = np.frombuffer(read, dtype=np.float32).reshape(count, self.width, 3)
-        row = pixels[..., 2]
-        seen = row >= 0.0
-        outside = ~seen | (row == self.width - 1)
+        covered_row = pixels[..., 2]
+        seen = covered_row >= 0.0
+        outside = ~seen | (covered_row == self.width - 1)
         eyes, headings = in_four_views(viewpoints)
         return Views(
             eyes.easting_m,
@@ -158,7 +148,7 @@ class DepthRenderer:
             headings,
             np.where(seen, pixels[..., 0], np.float32(np.nan)),
             np.where(seen, pixels[..., 1], np.float32(np.nan)),
-            outside * np.uint8(FLAG_OUT_OF_IMAGE),
+            np.where(outside, np.uint8(FLAG_OUT_OF_IMAGE), np.uint8(0)),
         )
 
     def _drawn(self, viewpoints: Viewpoints, index: int) -> Iterator[int]:

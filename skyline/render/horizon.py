@@ -42,21 +42,9 @@ class RenderConfig:
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
-    Parameters
-    ----------
-    width : int
-        Columns W of a view.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-    tolerance_px : float
-        Greatest amount by which v may be less than the exact one; with 0 it is exact to float32.
-
-    Raises
-    ------
-    InputError
-        The width or the tolerance is out of range, or samples are much longer than wide.
-    ContextError
-        No OpenGL context can be made.
+    The parameters are the fields of `RenderConfig`; here the skyline is exact by default. Raises
+    `InputError` if the width or the tolerance is out of range or samples are much longer than
+    wide, and `ContextError` if no OpenGL context can be made.
     """
 
     def __init__(
@@ -88,37 +76,24 @@ class HorizonRenderer(ColumnRenderer):
         return f"horizon {self.width} columns{tolerance}; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
-        """Render skylines.
+        """Render the skylines of N eyes, in order.
 
-        Parameters
-        ----------
-        viewpoints : Viewpoints
-            N eyes.
-        headings : (N,) array_like of int, optional
-            One heading for each eye; by default all four.
-
-        Returns
-        -------
-        Views
-            N views in order, or 4 N: the four headings of a viewpoint follow one another.
+        ``headings`` (N,) gives each eye one view. By default there are 4 N: the four headings of
+        an eye follow one another.
         """
         if headings is None:
             eyes, heading = in_four_views(viewpoints)
         else:
             eyes, heading = viewpoints, np.asarray(headings, dtype=np.uint8)
-        return Views.concatenate(
-            [
-                Views(
-                    eyes.easting_m[part],
-                    eyes.northing_m[part],
-                    eyes.eye_elevation_m[part],
-                    heading[part],
-                    rows.elevation_tan,
-                    rows.depth_m,
-                    rows.flags,
-                )
-                for part, rows in self._batches(eyes, heading, np.zeros(len(eyes)))
-            ]
+        rows = self._skylines(eyes, heading, np.zeros(len(eyes)))
+        return Views(
+            eyes.easting_m,
+            eyes.northing_m,
+            eyes.eye_elevation_m,
+            heading,
+            rows.elevation_tan,
+            rows.depth_m,
+            rows.flags,
         )
 
 
@@ -197,22 +172,16 @@ class PanoramaRenderer(ColumnRenderer):
         # Within half a step a column stays in its view of 90 degrees.
         turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
         eyes, heading = in_four_views(viewpoints)
-        shape = (len(eyes), self.width)
-        tan, distance = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        flags = np.empty(shape, np.uint8)
-        for part, rows in self._batches(eyes, heading, turn):
-            cosine = np.cos(self._azimuth_rad + turn[part, np.newaxis]).astype(np.float32)
-            np.multiply(rows.elevation_tan, cosine, out=tan[part])
-            np.divide(rows.depth_m, cosine, out=distance[part])
-            flags[part] = rows.flags
+        rows = self._skylines(eyes, heading, turn)
+        cosine = np.cos(self._azimuth_rad + turn[:, np.newaxis]).astype(np.float32)
         bins = (np.arange(self.bins) + first_bin[:, np.newaxis]).astype(np.int64) % self.bins
         return Horizons(
             viewpoints.easting_m,
             viewpoints.northing_m,
             viewpoints.eye_elevation_m,
-            self._turned(tan, bins),
-            self._turned(distance, bins),
-            self._turned(flags, bins),
+            self._turned(rows.elevation_tan * cosine, bins),
+            self._turned(rows.depth_m / cosine, bins),
+            self._turned(rows.flags, bins),
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:

@@ -6,7 +6,6 @@ only v, depth and flags of W columns a view come back.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -14,7 +13,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, Rows
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
@@ -42,7 +41,7 @@ _MANY_EYES = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Results:
+class Results(Rows):
     """The skylines of N views in W columns, (N, W) each; v and depth are NaN without data."""
 
     elevation_tan: Float32Array
@@ -52,8 +51,6 @@ class Results:
 
 class ColumnRenderer:
     """Renders skylines of one height field in columns at any abscissas.
-
-    A lane of the shader is a column, and takes many columns in turn.
 
     Parameters
     ----------
@@ -116,23 +113,23 @@ class ColumnRenderer:
     def __exit__(self, *_: object) -> None:
         self.release()
 
-    def _batches(
+    def _skylines(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
-    ) -> Iterator[tuple[slice, Results]]:
-        """Render in batches whose results fit the GPU.
+    ) -> Results:
+        """Render N views, in batches whose results fit the GPU; columns without data are flagged.
 
-        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view. Yields
-        the slice of the views in each batch and their skylines; at least one batch, which may be
-        empty. Skylines without data are flagged.
+        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
         """
-        for start in range(0, max(len(viewpoints), 1), self._max_views):
-            part = slice(start, min(start + self._max_views, len(viewpoints)))
-            yield part, self._batch(viewpoints[part], heading[part], turn_rad[part])
+        starts = range(0, max(len(viewpoints), 1), self._max_views)
+        parts = [slice(start, start + self._max_views) for start in starts]
+        return Results.concatenate(
+            [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
+        )
 
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Results:
-        """Render one batch; see `_batches`."""
+        """Render one batch; see `_skylines`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._reserve(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
