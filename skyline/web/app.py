@@ -64,26 +64,20 @@ def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
     return _Pages(engine, started).app()
 
 
-def leaflet_folder() -> Path:
-    """Return the folder of the map viewer Leaflet; raises `InputError` if it is not installed."""
-    try:
-        folder = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
-    except PackageNotFoundError as error:
-        raise InputError(
-            "the page needs packages that are not installed; pip install 'skyline[web]'"
-        ) from error
-    return Path(str(folder))
-
-
 class _Pages:
     """The request handlers of the page, which share its engine and sessions."""
 
     def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
         self._started = started
-        self._running: set[asyncio.Task[None]] = set()
 
     def app(self) -> Starlette:
+        try:
+            leaflet = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
+        except PackageNotFoundError as error:
+            raise InputError(
+                "the page needs packages that are not installed; pip install 'skyline[web]'"
+            ) from error
         of_photo = "/session/{session}/photos/{photo}"
         routes = [
             Route("/", _page),
@@ -103,7 +97,7 @@ class _Pages:
             Route(f"{of_photo}/fit", self._fit, methods=["POST"]),
             Route(f"{of_photo}/save/{{kind}}", self._save, methods=["POST"]),
             Mount("/page", StaticFiles(directory=_PAGE)),
-            Mount("/leaflet", StaticFiles(directory=leaflet_folder())),
+            Mount("/leaflet", StaticFiles(directory=str(leaflet))),
         ]
         refused = dict.fromkeys((SkylineError, KeyError, IndexError, ClientDisconnect), _refused)
         return Starlette(routes=routes, exception_handlers=refused, lifespan=self._lifespan)
