@@ -10,7 +10,6 @@ runs along the path.
 """
 
 import gzip
-import logging
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -24,8 +23,6 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
-
-_log = logging.getLogger(__name__)
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
@@ -101,7 +98,6 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     query = extraction.query(extraction.row_px, extraction.confidence)
     content = extraction.content
     share = float(query.trusted[content.left : content.right].mean())
-    _log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
     if share < MIN_TRUSTED_SHARE:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "

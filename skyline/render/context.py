@@ -13,7 +13,6 @@ gives all its rendering to a `RenderThread`.
 import atexit
 import ctypes
 import itertools
-import logging
 import os
 import queue
 import re
@@ -56,8 +55,6 @@ _OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
 _URGENT, _USUAL, _LAST = 0, 1, 2
 """Ranks of a render thread's tasks; the last one ends it."""
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +131,6 @@ class _SharedContext:
                 self._context = _choose_context()
                 self._process = os.getpid()
                 self._thread = threading.current_thread()
-                _log.info("OpenGL context: %s (%s)", self._context.renderer, self._context.reason)
             elif self._thread is not threading.current_thread():
                 raise self._refuse_thread()
             else:
