@@ -64,10 +64,8 @@ class Stroke:
     radius_px : float
         Radius of the brush; 0 for a line.
 
-    Raises
-    ------
-    InputError
-        There are no points, a coordinate is not finite, or the radius is negative.
+    Raises `InputError` if there are no points, a coordinate is not finite, or the radius is
+    negative.
     """
 
     kind: StrokeKind

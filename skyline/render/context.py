@@ -107,16 +107,10 @@ class _SharedContext:
         """Return the process's OpenGL context, current in this thread; make it on first use.
 
         Calling again is cheap, and makes the context current again where other code has put its
-        own in place.
-
-        Raises
-        ------
-        ContextError
-            No backend gives OpenGL 4.3 (the message names all attempts and the packages to
-            install), or the context belongs to another thread or to the process that this one was
-            forked from.
-        InputError
-            ``SKYLINE_GL`` names no backend.
+        own in place. Raises `ContextError` if no backend gives OpenGL 4.3 (the message names all
+        attempts and the packages to install), or if the context belongs to another thread or to
+        the process that this one was forked from, and `InputError` if ``SKYLINE_GL`` names no
+        backend.
         """
         # This comes before the lock, which another thread of the parent may have held during the
         # fork.

@@ -119,12 +119,7 @@ class PanoramaRenderer(ColumnRenderer):
         Greatest angle by which a skyline level with the eye may lie too low; above and below it
         the angle is smaller. With 0 the skyline is exact to float32.
 
-    Raises
-    ------
-    InputError
-        The bins or the tolerance are out of range, or samples are much longer than wide.
-    ContextError
-        No OpenGL context can be made.
+    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
     """
 
     def __init__(

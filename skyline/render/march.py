@@ -60,12 +60,8 @@ class ColumnRenderer:
     near_error : float
         Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
 
-    Raises
-    ------
-    InputError
-        Samples are much longer than wide.
-    ContextError
-        No OpenGL context can be made.
+    Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
+    context can be made.
     """
 
     def __init__(

@@ -18,21 +18,10 @@ _VERSION = re.compile(r"^[ \t]*#[ \t]*version\b[^\n]*\n", re.MULTILINE)
 def compile_program(
     ctx: moderngl.Context, vertex: str, fragment: str, defines: Mapping[str, str] | None = None
 ) -> moderngl.Program:
-    """Compile and link a program from two shader files.
+    """Compile and link a program from two shader files, named without their folder.
 
-    Parameters
-    ----------
-    vertex, fragment : str
-        Names of shader files.
-    defines : mapping of str to str, optional
-        Macros of both shaders, defined after ``#version``.
-
-    Raises
-    ------
-    ContextError
-        The driver refuses a shader; the message has the files and the driver's words.
-    MissingFileError
-        There is no such shader.
+    ``defines`` are macros of both shaders. Raises `ContextError` if the driver refuses a shader,
+    with the driver's words, and `MissingFileError` if there is no such shader.
     """
     texts = load_shader(vertex, defines), load_shader(fragment, defines)
     try:

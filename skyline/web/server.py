@@ -34,21 +34,9 @@ _ENDS_S = 3
 
 
 def serve(given: Given, host: str, port: int) -> None:
-    """Serve the page until Ctrl-C.
+    """Serve the page until Ctrl-C; port 0 takes any that is free.
 
-    Parameters
-    ----------
-    host : str
-        Address to listen on.
-    port : int
-        Port to listen on; 0 for any free port.
-
-    Raises
-    ------
-    InputError
-        The server cannot listen on the address.
-    SkylineError
-        The store cannot be used; see `Engine`.
+    Raises `InputError` if the address cannot be listened on, and `SkylineError` as `Engine`.
     """
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as opened:
         # Connections from now on wait until the server is ready.

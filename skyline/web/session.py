@@ -61,12 +61,7 @@ KINDS = {
 class PagePhoto:
     """A photo on the page, with its skyline, its strokes and its results.
 
-    Parameters
-    ----------
-    path : Path
-        The photo's file, which is never changed.
-    name : str
-        The user's name of the file.
+    Its file at ``path`` is never changed; ``name`` is the user's name of it.
     """
 
     def __init__(self, path: Path, name: str) -> None:
@@ -282,12 +277,7 @@ def saved(
 ) -> bytes:
     """Return the content of a file of one of `KINDS`; it is written in a folder and read back.
 
-    Raises `InputError` if there is nothing to save yet.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The pose to save, then the other candidates of its search.
+    The first candidate is the pose to save. Raises `InputError` if there is nothing to save yet.
     """
     if kind != "trace" and not candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
