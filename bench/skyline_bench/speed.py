@@ -20,8 +20,7 @@ from skyline.cli.console import progress_bar
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import HorizonRenderer
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
+from skyline.render.horizon import DEFAULT_TOLERANCE_DEG, HorizonRenderer, PanoramaRenderer
 from skyline.skylines import Horizons, Views
 from skyline.solar.local_horizons import DEFAULT_STEP_DEG
 from skyline.store.places import BINS

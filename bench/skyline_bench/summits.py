@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.solar.local_horizons import horizon, horizons_of
 from skyline.store.places import BINS
 from skyline.terrain.cleaning import clean

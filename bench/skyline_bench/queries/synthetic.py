@@ -19,7 +19,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
 from skyline.match.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
