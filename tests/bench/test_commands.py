@@ -29,17 +29,6 @@ def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench
     assert "speed-error" in run_bench("--help").out
 
 
-def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
-    record = tmp_path / "record.json"
-    done = run_bench("input-fuzz", "--cases", 3, "--json", record)
-    assert done.code == 0, done.err
-    rows = json.loads(record.read_text())["rows"]
-    assert len(rows) == 6
-    for row in rows:
-        assert row["answered"] + row["refused"] == 3
-        assert not row["wrong"]
-
-
 @pytest.mark.parametrize(
     ("command", "rows", "key"),
     [
