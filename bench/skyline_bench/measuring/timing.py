@@ -91,7 +91,3 @@ def peak_bytes() -> int | None:
         return None
     found = re.search(r"^VmHWM:\s*(\d+) kB$", status, re.MULTILINE)
     return 1024 * int(found[1]) if found else None
-
-
-def unseen(_done: int, _total: int) -> None:
-    """Ignore progress; a `skyline.build.cluster.Progress`."""

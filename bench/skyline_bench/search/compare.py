@@ -15,7 +15,6 @@ from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matchers import FULL
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import unseen
 from skyline_bench.queries.kinds import KINDS, distance_m, make_kind
 from skyline_bench.search.specs import BuiltStore, StoreSpec, middle_deg, quick_specs
 from skyline_bench.search.summary import groups, summarize
@@ -127,7 +126,7 @@ def measure(
     terrain: HeightField,
     comparison: Comparison,
     folder: Path,
-    progress: Progress = unseen,
+    progress: Progress,
     strange: HeightField | None = None,
 ) -> tuple[list[Row], list[BuiltStore]]:
     """Search every store with every matcher that can search it, for the same queries.
