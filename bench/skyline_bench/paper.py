@@ -35,7 +35,7 @@ _RESAMPLES = 1000
 
 
 def table1(
-    seeds: Annotated[int, Option(help="How many seeds, from 0 on.")] = 10,
+    seeds: Annotated[int, Option(min=1, help="How many seeds, from 0 on.")] = 10,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
@@ -54,8 +54,6 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
     standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``, and ``bound``,
     ``asked * 10000 / mean_area``.
     """
-    if seeds < 1:
-        raise InputError(f"seeds is {seeds}; expected at least 1")
     rows = []
     for number, row in enumerate(TABLE_1, start=1):
         simulation = Simulation(row)

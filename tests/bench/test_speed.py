@@ -61,7 +61,6 @@ def test_speed_error_finds_the_errors_there_are(measured):
     ("arguments", "message"),
     [
         (["none.tif"], "none.tif"),
-        (["DEM", "--seed", "-1"], "seed is -1"),
         (["DEM", "--json", "no/record.json"], "no folder"),
         ([], "DEM"),
     ],

@@ -171,16 +171,21 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         matcher: Annotated[Names, Option(help=f"Repeatable, of {', '.join(ABOUT)}.")] = None,
         kind: Annotated[Names, Option(help=f"Of queries, of {', '.join(KINDS)}.")] = None,
         area: Annotated[
-            Floats, Option(metavar="KM2", help="Search such squares too; repeatable.")
+            Floats, Option(min=0.01, metavar="KM2", help="Search such squares too; repeatable.")
         ] = None,
         near: Annotated[
-            Floats, Option(metavar="KM", help="Search circles of this radius too; repeatable.")
+            Floats,
+            Option(min=0.01, metavar="KM", help="Search circles of this radius too; repeatable."),
         ] = None,
         strange: Annotated[
             Names, Option(metavar="DEM", help="Other terrain, for strangers; repeatable.")
         ] = None,
         queries: Annotated[
-            int, Option(help="Queries of each kind, or places of several photos.")
+            int,
+            Option(
+                min=3 if search.comparison.by_thirds else 1,
+                help="Queries of each kind, or places of several photos.",
+            ),
         ] = search.comparison.queries,
         folder: options.Folder = None,
         json_file: options.JsonFile = None,
