@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -114,7 +115,8 @@ class Searcher:
 
     def __init__(self, matcher: Matcher, store: Path, follows: bool) -> None:
         self._matcher = matcher
-        self._ranker: _Noting | None = None
+        self._follows = follows
+        self._retrieved: Hypotheses | None = None
         if follows:
             with open_store(store) as opened:
                 self._places = opened.places()
@@ -122,9 +124,14 @@ class Searcher:
             some = self._places.take(np.arange(0, len(self._places), step, dtype=np.intp))
             self._spacing_m = 2.0 * float(np.median(some.tolerance_m))
             ranker = matcher._ranker
-            ranker.__class__ = _Noting
-            assert isinstance(ranker, _Noting)
-            self._ranker = ranker
+            assert isinstance(ranker, FullMatcher)
+            retrieve = ranker.retrieve
+
+            def noting(*arguments: Any, **named: Any) -> Hypotheses:
+                self._retrieved = retrieve(*arguments, **named)
+                return self._retrieved
+
+            ranker.retrieve = noting  # type: ignore[method-assign]
 
     def trial(self, query: Query, narrowing: Narrowing | None = None, *, strange: bool) -> Trial:
         """Match a query; a query that is refused has no candidate."""
@@ -135,8 +142,8 @@ class Searcher:
             if len(query) > 1:
                 result = self._matcher.match_together([one.skyline for one in query], top=_TOP)
             else:
-                if self._ranker is not None:
-                    self._ranker.found = None
+                if self._follows:
+                    self._retrieved = None
                     screened = self._matcher.screen(first, narrowing)
                     screen_s = time.perf_counter() - wall
                 result = self._matcher.match(
@@ -148,9 +155,9 @@ class Searcher:
         trial = replace(
             trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1], screen_s=screen_s
         )
-        if self._ranker is None or len(query) > 1 or strange:
+        if not self._follows or len(query) > 1 or strange:
             return trial
-        truth, found = query[0].truth, self._ranker.found
+        truth, found = query[0].truth, self._retrieved
         candidates = [] if result is None else _places_of(result)
         east_m, north_m, heading_deg = (
             np.array([getattr(one, name) for one in candidates])
@@ -178,17 +185,6 @@ class Searcher:
     ) -> bool:
         near = truth.off_m(easting_m, northing_m) <= self._spacing_m
         return bool((near & (_turn_deg(heading_deg, truth) <= _TURN_DEG)).any())
-
-
-class _Noting(FullMatcher):
-    """The full matcher, which notes the short list of its last search."""
-
-    found: Hypotheses | None = None
-
-    def retrieve(self, *arguments: object, **named: object) -> Hypotheses:
-        """Return the poses retrieved, and note them; see `FullMatcher.retrieve`."""
-        self.found = super().retrieve(*arguments, **named)  # type: ignore[arg-type]
-        return self.found
 
 
 @contextmanager
