@@ -215,7 +215,7 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _extracted(one: Photograph) -> Measured:
-    """Read a photograph, and hold its skyline to the truth where that is known."""
+    """Read a photograph, and compare its skyline with the truth where that is known."""
     figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
     started = time.perf_counter()
     try:

@@ -51,7 +51,7 @@ class Example:
     """The figures of the best pose of one query, and how far off it is."""
 
     figures: Mapping[str, float]
-    error_m: float  # Infinite for a query from elsewhere
+    error_m: float  # Infinite for a query of other terrain
 
 
 def examples_from(
@@ -272,7 +272,7 @@ class Learned:
 
 
 def learn_all(examples: Examples) -> Learned:
-    """Learn a model of each kind, and hold it to every terrain."""
+    """Learn a model of each kind, and measure it on every terrain."""
     learned_from = {
         stage: [one for name in LEARNED for one in examples[name][stage]] for stage in STAGES
     }

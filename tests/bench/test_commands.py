@@ -64,7 +64,7 @@ def test_pictures_are_drawn_from_the_records(run_bench, tmp_path):
 
 @pytest.fixture
 def three_cases(monkeypatch):
-    """Only three hard cases, since all of them are tested one by one elsewhere."""
+    """Only three hard cases, since all of them are tested one by one in test_stability."""
     cases = stability.HARD_CASES[:3]
     monkeypatch.setattr(stability, "HARD_CASES", cases)
     return cases
@@ -109,10 +109,10 @@ def test_the_page_is_measured(run_bench, tmp_path):
     assert rows["renderings shown a second"] > 0.0
 
 
-def test_predictors_are_held_to_renderings():
-    terrain = field_of(fractal(180, 180, 1200.0, seed=7), 60.0)
-    setup = paper.QualitySetup(viewpoints=8, displacements=6, margin_m=1500.0, seed=3)
-    rows = {row["predictor"]: row for row in paper.measure_quality(terrain, setup)}
+def test_predictors_are_compared_with_renderings():
+    heights = fractal(180, 180, 1200.0, seed=7)
+    found = paper.measure_quality(field_of(heights, 60.0), 8, seed=3)
+    rows = {row["predictor"]: row for row in found}
     assert rows["affine-mean"]["recall"] > rows["non-affine"]["recall"]
     for row in rows.values():
         for share, (low, high) in (
@@ -121,8 +121,8 @@ def test_predictors_are_held_to_renderings():
         ):
             assert 0.0 <= low <= share <= high <= 1.0
         assert 0.0 < row["answered"] <= 1.0
-    with pytest.raises(InputError, match=r"10\.7 x 10\.7 km; expected more than 12\.6"):
-        paper.quality_pairs(terrain, paper.QualitySetup(margin_m=6000.0))
+    with pytest.raises(InputError, match=r"5\.4 x 5\.4 km; expected more than 6\.6"):
+        paper.measure_quality(field_of(heights, 30.0), 8, seed=3)
 
 
 # --- records --------------------------------------------------------------------------------
