@@ -149,11 +149,6 @@ def resampled(
     new_west, new_north = west + phase[0] * spacing_m, north - phase[1] * spacing_m
     cols = int((east - new_west) // spacing_m) + 1
     rows = int((new_north - south) // spacing_m) + 1
-    if min(cols, rows) < 2:
-        raise InputError(
-            f"a spacing of {spacing_m} m leaves {cols} x {rows} samples of the DEM; expected at "
-            "least 2 x 2: choose a smaller spacing"
-        )
     easting = new_west + spacing_m * np.arange(cols)
     northing = new_north - spacing_m * np.arange(rows)
     heights = terrain.height_at(
