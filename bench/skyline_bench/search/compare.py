@@ -3,7 +3,6 @@
 import logging
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -14,10 +13,10 @@ from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matchers import FULL
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.queries.kinds import KINDS, distance_m, make_kind
+from skyline_bench.queries.kinds import KINDS, STRANGERS, distance_m, make_kind
 from skyline_bench.search.specs import BuiltStore, StoreSpec, middle_deg
 from skyline_bench.search.summary import groups, summarize
-from skyline_bench.search.trials import ABOUT, Area, Searcher, Trial, search, searched_by
+from skyline_bench.search.trials import MATCHERS, Area, Trial, open_searcher, searched_by
 
 _log = logging.getLogger(__name__)
 
@@ -29,7 +28,7 @@ class Comparison:
     """Stores x queries."""
 
     stores: tuple[StoreSpec, ...]
-    matchers: tuple[str, ...] = (FULL,)  # Names of `skyline_bench.search.trials.ABOUT`
+    matchers: tuple[str, ...] = (FULL,)  # Of `skyline_bench.search.trials.MATCHERS`
     kinds: tuple[str, ...] = ("plain",)  # Names of `skyline_bench.queries.kinds.KINDS`
     queries: int = 100  # Of each kind
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
@@ -42,8 +41,8 @@ class Comparison:
 
     def __post_init__(self) -> None:
         for noun, names, known in (
-            ("matcher", self.matchers, list(ABOUT)),
-            ("kind of queries", self.kinds, list(KINDS)),
+            ("matcher", self.matchers, MATCHERS),
+            ("kind of queries", self.kinds, tuple(KINDS)),
         ):
             for name in names:
                 if name not in known:
@@ -138,26 +137,25 @@ def measure(
         for kind in comparison.kinds
     }
 
-    def trial(searcher: Searcher, kind: str, index: int, area: Area) -> Trial:
-        query, is_strange = queries[kind][index], KINDS[kind].strange
-        about = None
-        if not is_strange:
-            about = area.about(query[0].truth, area_m, terrain, comparison.seed)
-        return searcher.trial(query, about, strange=is_strange)
-
     keys = [
         (kind, index, area)
         for kind, some in queries.items()
         for index in range(len(some))
         for area in areas
     ]
-    asked = [partial(trial, kind=kind, index=index, area=area) for kind, index, area in keys]
     rows, seed = list[Row](), comparison.seed
     for store, matcher in product(stores, comparison.matchers):
         if searched_by(matcher) != store.holds:
             continue
-        trials = search(store, matcher, asked, terrain, progress)
-        found = dict(zip(keys, trials, strict=True))
+        found = dict[tuple[str, int, Area], Trial]()
+        with open_searcher(matcher, store.path, terrain) as searcher:
+            for kind, index, area in keys:
+                query, is_strange = queries[kind][index], kind == STRANGERS
+                narrowing = None
+                if not is_strange:
+                    narrowing = area.about(query[0].truth, area_m, terrain, seed)
+                found[kind, index, area] = searcher.trial(query, narrowing, strange=is_strange)
+                progress(len(found), len(keys))
         for kind, area in product(queries, areas):
             members = groups([distance_m(one) for one in queries[kind]], comparison.by_thirds)
             for group, numbers in members.items():

@@ -2,17 +2,16 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
-from skyline.arrays import Float64Array, Progress
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle, in_turn
 from skyline.match.full import FullMatcher
@@ -23,18 +22,10 @@ from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, Truth
-from skyline_bench.search.specs import BuiltStore
 
 PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
-ABOUT: Mapping[str, str] = MappingProxyType(
-    {
-        PAPER: "the paper's: keypoints, Chamfer, RANSAC",
-        CORRELATION: "skylines slid along renderings",
-        RETRIEVED: "ours, among places, not refined",
-        FULL: "ours, among places, refined by rendering",
-    }
-)
-"""Matchers by name."""
+MATCHERS = (PAPER, CORRELATION, RETRIEVED, FULL)
+"""The matchers of Skyline, and the full one without its refinement: retrieved."""
 
 STAGES = ("screened", "retrieved", "refined")
 """Stages of the full matcher: the places most alike, the short list of poses, the candidates."""
@@ -189,7 +180,7 @@ class Searcher:
 
 @contextmanager
 def open_searcher(name: str, store: Path, terrain: HeightField) -> Iterator[Searcher]:
-    """Open a store for a matcher of `ABOUT`; raises as `Matcher`."""
+    """Open a store for a matcher of `MATCHERS`; raises as `Matcher`."""
     if searched_by(name) == RENDERINGS:
         with Matcher(store, terrain, name, MATCHING) as matcher:
             yield Searcher(matcher, store, follows=False)
@@ -236,19 +227,3 @@ def _turn_deg(heading_deg: Float64Array, truth: Truth) -> Float64Array:
 
 def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:
     return result.candidates if isinstance(result, MatchResult) else result.places
-
-
-def search(
-    store: BuiltStore,
-    matcher: str,
-    asked: Sequence[Callable[[Searcher], Trial]],
-    terrain: HeightField,
-    progress: Progress,
-) -> list[Trial]:
-    """Return the trial of each query that is asked, in order."""
-    trials = list[Trial]()
-    with open_searcher(matcher, store.path, terrain) as searcher:
-        for ask in asked:
-            trials.append(ask(searcher))
-            progress(len(trials), len(asked))
-    return trials
