@@ -35,9 +35,8 @@ from skyline.solar.local_horizons import (
     horizons_of,
     write_horizons,
 )
-from skyline.terrain.dem import DemOptions, read_blocks, read_dem
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem, read_surface
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,

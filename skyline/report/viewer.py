@@ -25,7 +25,6 @@ from skyline.photo.query import QuerySkyline
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.skylines import Views
-from skyline.store.stored_dem import curvature_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
@@ -166,7 +165,7 @@ class Viewer:
         if terrain is None:
             raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
         self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
-        self.curvature = curvature_of(matcher.header)
+        self.curvature = matcher.header.curvature
         config = RenderConfig(width=_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, config, matcher.render_thread)
 

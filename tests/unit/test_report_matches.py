@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 from store_rows import VIEWS_HEADER
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
