@@ -21,7 +21,7 @@ from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, library, named
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
