@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
+from store_rows import VIEWS_HEADER
 
 from skyline.build.plans import uniform_grid
-from skyline.errors import MissingFileError
 from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
@@ -46,10 +46,8 @@ BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HE
 class OracleViewer(Viewer):
     """A viewer on one field, whose views are the oracle's."""
 
-    def __init__(self, matcher, peaks=None):
-        if matcher.terrain is None:
-            raise MissingFileError("no terrain")
-        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
+    def __init__(self, matcher, peaks, terrain):
+        self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
         self.curvature = Curvature()
 
     def _views(self, eye, pose):
@@ -188,7 +186,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
 
 
 def test_a_report_without_terrain_says_so(tmp_path):
-    bare = SimpleNamespace(**{**vars(MATCHER), "terrain": None})
+    bare = SimpleNamespace(**{**vars(MATCHER), "terrain": None, "header": VIEWS_HEADER})
     html = report(tmp_path, [MatchResult(QUERY, (BEST,), 0.1, name="trace.csv")], bare)
     assert "no elevation model" in html
     assert "no skyline was rendered" in html
