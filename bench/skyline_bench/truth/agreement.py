@@ -1,7 +1,7 @@
 """How far rendered skylines may be from the oracle's, and how far they are.
 
-A path's error is held to a bound derived from how it computes, column by column. The bound of the
-horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
+A path's error must stay within a bound derived from how it computes, column by column. The bound
+of the horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
 """
 
 import dataclasses
@@ -71,7 +71,7 @@ Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManage
 class Agreement:
     """Rendered skylines against the truth, both (N, W)."""
 
-    # Infinite where only one of the two meets data; 0 where the path cannot be held to it.
+    # Infinite where only one of the two meets data; 0 where the path promises nothing.
     error_px: Float64Array
     bound_px: Float64Array  # The error that the path's arithmetic allows
     flags_agree: BoolArray
@@ -122,7 +122,12 @@ def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) 
     """Compare skylines read from depth images: the depth path's promise.
 
     Nothing is promised outside the image, and behind a hole, where a sliver of the surface
+<<<<<<< HEAD
     without a foot may fall between pixel centres. Depth images show no other flags.
+=======
+    without a foot may fall between pixel centres. A border within the same pixel looks like
+    the skyline, so more columns may be flagged truncated than are.
+>>>>>>> cut-bench
     """
     held = (views.flags & FLAG_OUT_OF_IMAGE) == 0
     held &= (truth.views.flags & (FLAG_NO_DATA | FLAG_HOLE)) == 0
