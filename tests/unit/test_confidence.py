@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from query_scenes import equally_trusted, poses
 
-from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.match.ranking import RefinedPoses
@@ -21,22 +20,6 @@ NEAR_REFINED, NEAR_RETRIEVED = (
 def retrieved(easting_m, score):
     """Poses along a line to the east."""
     return poses(len(score), easting_m=easting_m, score=score)
-
-
-def test_the_packaged_models_know_the_figures_they_are_given():
-    zero = np.zeros(3)
-    figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
-    models = confidence.models()
-    assert set(models) == {
-        confidence.model_name(stage, within_m)
-        for stage in ("refined", "retrieved")
-        for within_m in DISTANCES_M
-    }
-    sure = models[NEAR_RETRIEVED].probability(figures)
-    assert sure.shape == (3,)
-    assert ((sure > 0.0) & (sure < 1.0)).all()
-    with pytest.raises(InputError, match="needs"):
-        models[NEAR_REFINED].probability({"margin": zero})
 
 
 def test_a_margin_is_over_the_best_rival():

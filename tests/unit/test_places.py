@@ -73,15 +73,3 @@ def test_a_distance_is_the_nearest_of_its_bins_to_a_fortieth():
     np.testing.assert_array_equal(np.isnan(back), np.isnan(nearest))
     known = np.isfinite(nearest)
     np.testing.assert_allclose(back[known], nearest[known], rtol=0.0255)
-
-
-def test_places_are_indexed_taken_and_joined():
-    places = Places.of(horizons(np.random.default_rng(1).normal(0.0, 0.1, (6, BINS))), 40.0)
-    again = Places.concatenate(
-        [places[:2], places[np.array([2, 3])], places.take(np.array([4, 5]))]
-    )
-    for name in Places.__slots__:
-        np.testing.assert_array_equal(getattr(again, name), getattr(places, name))
-    (only,) = places.blocks()
-    assert only is places
-    assert (places.tolerance_m == 40.0).all()

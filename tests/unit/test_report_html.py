@@ -6,9 +6,7 @@ from html.parser import HTMLParser
 
 import cv2
 import numpy as np
-import pytest
 
-from skyline.errors import InputError
 from skyline.report.html import figures, page, picture, section, table, text
 
 HOSTILE = "<script>alert('x')</script> & \"quoted\" 'too'"
@@ -67,18 +65,3 @@ def test_pictures_are_inside_and_nothing_is_outside():
         r"https?:|//|url\(|@import|<link|<iframe", re.sub(r"base64,[^\"]*", "", html)
     )
     assert "default-src 'none'" in html
-
-
-def test_a_table_shows_numbers_to_the_right_and_dashes_for_nothing():
-    html = table(
-        ("n", "text", "flag"), [(1 / 3, "a", True), (None, "2", False), ("-4.50", "x", None)]
-    )
-    assert "<th class=n>n</th><th>text</th><th>flag</th>" in html
-    assert "<td class=n>0.333333</td><td>a</td><td>yes</td>" in html
-    assert "<td class=n>–</td><td>2</td><td>no</td>" in html
-    assert "<td class=n>-4.50</td><td>x</td><td>–</td>" in html
-
-
-def test_a_picture_of_another_format_is_refused():
-    with pytest.raises(InputError, match="neither PNG nor JPEG"):
-        picture(b"<svg/>", "drawing")

@@ -3,7 +3,7 @@
 import moderngl
 import pytest
 
-from skyline.errors import ContextError, MissingFileError, SkylineError
+from skyline.errors import ContextError
 from skyline.render import shaders
 
 VERTEX = "#version 330 core\nvoid main() { gl_Position = vec4(0.0); }\n"
@@ -30,14 +30,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_missing_shader_names_both_folders(folder):
-    with pytest.raises(MissingFileError) as caught:
-        shaders.load_shader("none.vert")
-    message = str(caught.value)
-    assert "'none.vert'" in message
-    assert f"neither {folder} nor {folder / 'second'}" in message
-
-
 def test_macros_stand_after_the_version_and_lines_are_counted_on(folder):
     (folder / "a.comp").write_text("// Heading.\n#version 430\nend\n")
     assert shaders.load_shader("a.comp", {"ONE": "1", "BARE": ""}).splitlines() == [
@@ -59,15 +51,3 @@ def test_messages_of_each_driver_name_file_and_line(folder, words):
     driver = RefusingDriver("fragment_shader", words)
     with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:2\b.*bad"):
         shaders.compile_program(driver, "point.vert", "a.frag")
-
-
-def test_a_message_without_a_stage_names_all_shaders(folder):
-    (folder / "a.frag").write_text(VERTEX)
-
-    class Linker:
-        def program(self, **_):
-            raise moderngl.Error("GLSL Linker failed\n\nProgram\n=======\nerror: out of wits\n")
-
-    with pytest.raises(SkylineError, match=r"point\.vert \+ a\.frag do not link.*out of wits") as e:
-        shaders.compile_program(Linker(), "point.vert", "a.frag")
-    assert "\n" not in str(e.value)

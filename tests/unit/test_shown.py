@@ -3,9 +3,6 @@
 import base64
 import io
 import re
-import subprocess
-import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,32 +63,9 @@ def test_a_result_says_its_answer_and_holds_no_array():
     assert repr(joint).endswith("(not refined by rendering). 1 of 2 photos agree)")
 
 
-def test_a_query_says_its_size_and_what_is_trusted():
-    rows = np.where(np.arange(40) < 10, np.nan, 12.0)
-    query = QuerySkyline(rows, np.isfinite(rows).astype(float), 40, 30, 55.0)
-    said = "QuerySkyline(40 x 30 px; columns trusted: 75 %; field of view: "
-    assert repr(query) == f"{said}55.0 degrees)"
-    assert repr(replace(query, fov_deg=None)) == f"{said}unknown)"
-
-
-def test_a_refusal_is_shown_with_markup_as_text():
-    refused = result("confidence <0.8>", candidates=False)
-    assert repr(refused) == "MatchResult(Not answered: confidence <0.8>. Candidates: 0)"
-    assert "<0.8>" not in refused._repr_html_()
-
-
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():
     html = result()._repr_html_()
     line = re.search(r' d="([^"]*)"', html)[1]
     assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
     assert line.startswith("M0,12.0 1,12.0")
     assert "0.93" in html
-
-
-def test_terrain_and_stores_show_themselves_without_matplotlib():
-    code = (
-        "import sys, skyline; skyline.HeightField, skyline.open_store; "
-        "import skyline.terrain.heightfield; "
-        "sys.exit('matplotlib' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
