@@ -111,19 +111,17 @@ def test_wilson_interval_against_a_published_value():
     assert (round(low, 3), round(high, 3)) == (0.531, 0.888)
 
 
+ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
         (lambda t: PlanConfig(coverage=0.0), "coverage is 0.0"),
-        (lambda t: PlanConfig(threshold_px=0.0), "threshold is 0.0"),
-        (lambda t: PlanConfig(strategy="best"), "strategy is 'best'"),
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
         (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
-        (
-            lambda t: lay_out(t, PlanConfig(**SPACING), (620.0, -700.0, 1150.0, -640.0)),
-            "can be stood on",
-        ),
+        (lambda t: lay_out(t, PlanConfig(**SPACING), ON_THE_HOLE), "can be stood on"),
     ],
 )
 def test_bad_input_is_refused(terrain, make, said):
