@@ -88,12 +88,6 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "46.7" not in result.exif_in_words(with_place=False)
 
 
-def test_a_place_far_from_the_photo_s_own_disagrees():
-    words = noting(NotedPlace((-70.0, 46.7), None, 359.0), False).exif_in_words()
-    assert "position and compass and candidate 1 disagree" in words
-    assert "5,821 km from candidate 1" in words
-
-
 @pytest.mark.parametrize(
     ("share", "begins"), [(None, None), (0.09, None), (0.214, "21 % of the skyline may be of")]
 )

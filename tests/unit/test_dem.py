@@ -107,21 +107,6 @@ def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
     assert caplog.text == ""
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1)])
-@pytest.mark.parametrize("degrees", [False, True])
-def test_small_dems_are_dems(tmp_path, shape, degrees):
-    heights = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
-    transform = from_origin(10.0, 46.0, 1 / 3600, 1 / 3600) if degrees else None
-    path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326" if degrees else UTM)
-    field = read_dem(path)
-    if degrees:
-        assert field.height_at(easting_m=0.0, northing_m=0.0) == pytest.approx(
-            heights.mean(), abs=1e-3
-        )
-    else:
-        np.testing.assert_array_equal(field.heights_m, heights)
-
-
 @pytest.mark.parametrize(("north", "west"), [(47.0, 9.0), (69.0, 9.0), (-10.0, 179.9)])
 def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(north, west):
     rng = np.random.default_rng(7)

@@ -77,23 +77,12 @@ def test_gdal_prints_nothing(tmp_path):
 
 
 def test_damaged_gzip(tmp_path):
-    good = gzip.compress(np.zeros((1201, 1201), ">i2").tobytes(), 1)
-    for number, content in enumerate(
-        [b"not gzip", good[: len(good) // 2], good[:-300] + bytes(300)]
-    ):
-        path = tmp_path / f"N0{number}E000.hgt.gz"
+    good, path = gzip.compress(np.zeros((1201, 1201), ">i2").tobytes(), 1), tmp_path / "N0E0.hgt.gz"
+    for content in (b"not gzip", good[: len(good) // 2], good[:-300] + bytes(300)):
         path.write_bytes(content)
         assert "cannot be unpacked" in refused(path)
-    path = tmp_path / "N05E000.hgt.gz"
     path.write_bytes(gzip.compress(b"short"))
     assert "cannot be read as a raster" in refused(path)
-
-
-def test_a_gzip_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("skyline.terrain.rasters.MAX_UNPACKED_BYTES", 1 << 20)
-    path = tmp_path / "N05E000.hgt.gz"
-    path.write_bytes(gzip.compress(bytes(1 << 22)))
-    assert "gunzip" in refused(path)
 
 
 def test_netcdf_in_a_folder_without_file_locks(shared_data, tmp_path):

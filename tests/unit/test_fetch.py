@@ -176,13 +176,6 @@ def test_too_much_is_refused_before_anything_is_asked(tmp_path):
         fetch("copernicus", tmp_path, (0.0, 30.0, 20.0, 50.0))
 
 
-def test_too_many_bytes_are_refused_before_they_are_read(template, server, monkeypatch, tmp_path):
-    monkeypatch.setattr("skyline.fetch.dem_tiles.MAX_BYTES", 10_000)
-    with pytest.raises(InputError, match=r"need 2 tiles and 0\.0 GB"):
-        fetch(template, tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -48,17 +48,6 @@ def test_height_is_the_triangle_s(data):
     assert height == pytest.approx(on_triangle(heights, row, col), abs=1e-6, nan_ok=True)
 
 
-def test_samples_are_at_their_coordinates():
-    heights = np.arange(20, dtype=np.float32).reshape(4, 5)
-    field = field_of(heights)
-    rows, cols = np.mgrid[0:4, 0:5]
-    np.testing.assert_array_equal(field.height_at(**at_m(field.to_map(rows, cols))), heights)
-    place = {"easting_m": WEST_M + EAST_STEP_M, "northing_m": NORTH_M - 2 * NORTH_STEP_M}
-    assert float(field.height_at(**place)) == 11.0
-    assert field.bounds_m == (1000.0, 1910.0, 1100.0, 2000.0)
-    assert field.spacing_m == 25.0
-
-
 @pytest.mark.parametrize(
     ("east_m", "south_m", "message"),
     [(60.0, 60.0, "on a hole of the DEM"), (60.0, -60.0, "off the map"), (-60.0, 60.0, "off the")],

@@ -8,10 +8,9 @@ from query_scenes import equally_trusted
 from scenes import field_of, fractal
 
 from skyline.build.grid import uniform_grid
-from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.match.query_rays import Attitudes, QueryCurves
 from skyline.paper import matcher
 from skyline.paper.affine import plausible, ransac_maps
 from skyline.paper.chamfer import QueryCurve, chamfer_px
@@ -124,13 +123,6 @@ def test_degenerate_queries_have_an_answer(profiles):
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
             assert np.isfinite(prepared(profiles).rank(query, 3).poses.score).all()
-
-
-def test_queries_and_stores_of_nothing_are_refused():
-    with pytest.raises(InputError, match="nothing to match"):
-        QueryRays(np.zeros(3), np.zeros(3), np.zeros(3), 60.0)
-    with pytest.raises(InputError, match="holds no views"):
-        Profiles.from_views([])
 
 
 BINS = 1024

@@ -144,12 +144,3 @@ def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
     assert same(Correction(photo_of(image)).solve(), replace(mask, fov_deg=60.0))
     trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
     assert same(Correction(photo_of(image)).restarted(trace).solve(), trace)
-
-
-@pytest.mark.parametrize(
-    ("points", "radius_px", "said"),
-    [((), 1.0, "0 points"), (((1.0, np.nan),), 1.0, "all finite"), (((1.0, 1.0),), -1.0, "radius")],
-)
-def test_a_stroke_that_is_none_is_refused(points, radius_px, said):
-    with pytest.raises(InputError, match=said):
-        Stroke(StrokeKind.SKY, points, radius_px)

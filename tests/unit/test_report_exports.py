@@ -311,13 +311,3 @@ def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     write_located(source, path, BEST)
     assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
     read_by_exiftool(path, "-validate")
-
-
-def test_exif_without_room_is_refused_in_one_line(tmp_path):
-    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
-    exif = Image.Exif()
-    exif.get_ifd(IFD.Exif)[Base.MakerNote] = bytes(65_400)
-    Image.fromarray(PHOTO).save(source, exif=exif)
-    with pytest.raises(InputError, match=r"EXIF would have 6\d+ bytes; expected at most 65533"):
-        write_located(source, path, BEST)
-    assert not path.exists()

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
-from skyline.errors import InputError
 from skyline.paper.reprojection import (
     WARPS,
     affine_least_squares,
@@ -188,11 +187,3 @@ def test_the_error_of_another_skyline_is_its_distance():
     error = true_errors_px(stored, views_of(waves, 5000.0))
     # The mean of |sine| is 2 / pi; a straight line is straight however it is warped.
     assert error[0] == pytest.approx(8.0 * 2.0 / np.pi, rel=0.05)
-
-
-def test_views_that_do_not_belong_together_are_refused():
-    views = views_of(np.tile(mountains(U), (2, 1)), 900.0, [0, 1])
-    with pytest.raises(InputError, match="2 stored views of 320 columns"):
-        true_errors_px(views, views[:1])
-    with pytest.raises(InputError, match="different headings"):
-        true_errors_px(views, views[::-1])

@@ -18,7 +18,6 @@ from store_rows import (
     HEADERS,
     PLACES_HEADER,
     VIEWS_HEADER,
-    WIDTH,
     assert_holds,
     chunk_of,
     edited,
@@ -411,36 +410,17 @@ class TestForeign:
         assert_refused(path, "has chunks of")
 
     def test_rows_that_are_promised_but_not_there(self, tmp_path):
-        """A small file that claims a trillion rows, and one that lacks a chunk."""
-        path = write_rows(tmp_path / "s.h5", 0, 3)
-        with edited(path) as file:
-            for group in ("views", "features"):
-                for name, data in list(file[group].items()):
-                    layout = {"dtype": data.dtype, "shape": (10**12, *data.shape[1:])}
-                    del file[group][name]
-                    file[group].create_dataset(name, chunks=(32, *data.shape[1:]), **layout)
-        assert_refused(path, "its datasets have 1000000000000 to 1000000000000 rows")
         path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
         with edited(path) as file:
             values = file["places/phase"][:]
-            del file["places/phase"]
-            layout = {"shape": values.shape, "dtype": "u1", "chunks": (CHUNK, values.shape[1])}
-            data = file.create_dataset("places/phase", **layout)
-            data[:10], data[2500:] = values[:10], values[2500:]
+            replace_data("places/phase", dtype="u1", chunks=(CHUNK, values.shape[1]))(file)
+            file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
         with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
             store.places()
 
-    def test_values_that_no_skyline_has(self, tmp_path):
-        path = write_rows(tmp_path / "s.h5", 0, 3)
-        with edited(path) as file:
-            file["views/heading"][1] = 200
-            file["features/keypoint_column"][1, 1] = WIDTH
-        with open_store(path) as store:
-            with pytest.raises(StoreError, match="heading 200"):
-                store.views()
-            with pytest.raises(StoreError, match="columns beyond 23"):
-                store.keypoint_columns()
-        store.close()
+    def test_a_closed_store_is_not_read(self, tmp_path):
+        with open_store(write_rows(tmp_path / "s.h5", 0, 3)) as store:
+            pass
         with pytest.raises(StoreError, match="is closed"):
             store.views()
 

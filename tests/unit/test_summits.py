@@ -7,7 +7,6 @@ from rasterio.transform import from_origin
 from scenes import FRAME, at_m, field_from
 from scipy.ndimage import gaussian_filter
 
-from skyline.errors import InputError
 from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -159,9 +158,3 @@ def test_eyes_stay_or_rise_or_move_to_a_summit():
         mountain, easting_m=450.0, northing_m=0.0, eye_height_m=2.0, summit_within_m=100.0
     )
     assert slope.easting_m[0] == pytest.approx(350.0, abs=1e-5)
-
-
-@pytest.mark.parametrize("within_m", [-1.0, np.nan])
-def test_summits_are_looked_for_within_a_distance(within_m):
-    with pytest.raises(InputError, match="expected 0 to 10000"):
-        stand_on(cone(), easting_m=0.0, northing_m=0.0, eye_height_m=2.0, summit_within_m=within_m)
