@@ -28,18 +28,6 @@ def test_a_margin_is_over_the_best_rival():
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
-def test_a_place_without_rivals_has_no_margin():
-    found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
-    figures = confidence.retrieved_figures(found, QUERY)
-    assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
-    assert (confidence.models()[NEAR_RETRIEVED].probability(figures) < 0.9).all()
-    one = np.ones(1)
-    poses = RefinedPoses(
-        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one, one + np.inf, one + np.inf
-    )
-    assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
-
-
 @pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name("refined", within_m)]

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted
+from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.build.grid import uniform_grid
@@ -45,17 +45,12 @@ def panorama(viewpoints, index):
     return azimuth[order], y[order]
 
 
-def query_at(viewpoints, index, heading_deg, pitch_deg=0.0, noise=0.001, seed=0):
+def query_at(viewpoints, index, heading_deg, noise=0.001, seed=0):
     """Rays of a camera with a 60 degree field of view, with noise."""
     azimuth_deg, y = panorama(viewpoints, index)
-    turn = np.linspace(-33.0, 33.0, 640)
-    seen = np.interp((heading_deg + turn) % 360.0, azimuth_deg, y, period=360.0)
-    seen += np.random.default_rng(seed).normal(0.0, noise, seen.shape)
-    turn, pitch = np.radians(turn), np.radians(pitch_deg)
-    forward = np.cos(turn) * np.cos(pitch) + seen * np.sin(pitch)
-    up = seen * np.cos(pitch) - np.cos(turn) * np.sin(pitch)
-    inside = np.abs(np.sin(turn) / forward) < np.tan(np.radians(30.0))
-    return equally_trusted((np.sin(turn) / forward)[inside], (up / forward)[inside], 60.0)
+    y += np.random.default_rng(seed).normal(0.0, noise, y.shape)
+    u, v = photographed(np.radians(azimuth_deg), y, heading_deg, 0.0, 0.0, 60.0)
+    return equally_trusted(u, v, 60.0)
 
 
 def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
@@ -150,10 +145,10 @@ def random_profiles(seed, count):
 
 def query_of(profiles, location, axis_bin, seed=0):
     """Return 60 degrees of a profile, level, with noise."""
-    azimuth = np.arange(-BINS // 12, BINS // 12 + 1) * 2.0 * np.pi / BINS
-    y = profiles.y[location, (axis_bin + np.arange(-BINS // 12, BINS // 12 + 1)) % BINS]
-    y = y + np.random.default_rng(seed).normal(0.0, 0.001, y.shape)
-    u, v = np.tan(azimuth), y / np.cos(azimuth)
+    turn = 2.0 * np.pi / BINS
+    y = profiles.y[location] + np.random.default_rng(seed).normal(0.0, 0.001, BINS)
+    heading_deg = np.degrees(axis_bin * turn)
+    u, v = photographed(turn * np.arange(BINS), y, heading_deg, 0.0, 0.0, 60.0)
     return equally_trusted(u, v, 60.0)
 
 

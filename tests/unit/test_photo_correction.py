@@ -36,9 +36,8 @@ def correction(photo):
 
 
 def stroke(kind, columns, rows, radius_px=0.0):
-    rows = np.broadcast_to(rows, len(columns)).tolist()
-    points = tuple(zip(np.asarray(columns, float).tolist(), rows, strict=True))
-    return Stroke(StrokeKind(kind), points, radius_px)
+    points = np.stack(np.broadcast_arrays(columns, rows), axis=1).astype(float)
+    return Stroke(StrokeKind(kind), tuple(map(tuple, points.tolist())), radius_px)
 
 
 def same(one, other):
@@ -94,21 +93,12 @@ def test_erased_columns_are_not_trusted_until_they_are_drawn_again(correction):
     assert not correction.solve([drawn, erased]).trusted[296:345].any()
 
 
-def test_strokes_leave_nothing_behind(correction):
-    before = correction.solve()
-    strokes = [stroke("sky", [100, 300], 400.0, 15.0), stroke("line", [5, 40], 90.0)]
-    once = correction.solve(strokes)
-    assert same(correction.solve(strokes), once)
-    assert same(correction.solve(), before)
-    assert same(correction.solve(strokes[:0]), before)
-
-
 def test_the_quick_way_is_the_slow_way():
     """All columns solved and refined again, and not those alone that a stroke has changed."""
-    image = make_scene("layers", 5, 1920, 1280).image
+    image = make_scene("layers", 5, 1440, 960).image
     correction, whole = Correction(photo_of(image)), Extraction.of(image)
     before = correction.solve()
-    columns = np.arange(700, 1100, 10)
+    columns = np.arange(500, 900, 10)
     rows = before.row_px[columns] + 40.0
     painted = stroke("sky", columns, rows, 25.0)
     after = correction.solve([painted])
@@ -117,7 +107,7 @@ def test_the_quick_way_is_the_slow_way():
     cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
     path = shortest_path(cost, *STEPS)
     slow, _ = on_photo(image, evidence, path)
-    inner = np.arange(690, 1090)
+    inner = np.arange(490, 890)
     known = inner[after.trusted[inner]]
     assert len(known) > 390
     np.testing.assert_array_equal(after.row_px[known], slow[known])

@@ -13,14 +13,8 @@ from skyline.store.places import BINS, DISTANCE_BINS, RISES, Places, decode_rise
 def horizons(y, distance_m=1000.0):
     count = len(y)
     distance = np.where(np.isfinite(y), np.broadcast_to(np.float32(distance_m), y.shape), np.nan)
-    return Horizons(
-        np.arange(count) + 7.5e5,
-        np.arange(count) + 5.2e6,
-        np.full(count, 2000.0),
-        y.astype(np.float32),
-        distance.astype(np.float32),
-        np.zeros(y.shape, dtype=np.uint8),
-    )
+    place = np.arange(count) + 7.5e5, np.arange(count) + 5.2e6, np.full(count, 2000.0)
+    return Horizons(*place, np.float32(y), np.float32(distance), np.zeros(y.shape, np.uint8))
 
 
 @given(
