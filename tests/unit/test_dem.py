@@ -4,7 +4,6 @@ import gzip
 
 import numpy as np
 import pytest
-import rasterio
 from dem_files import UTM, plane, plane_grid, write
 from pyproj import CRS
 from rasterio.transform import Affine, from_origin
@@ -167,24 +166,6 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     apart = warped[row, col] - expected
     assert np.abs(apart[~lifted[row, col]]).max() < 1e-2
     assert apart.min() > -1e-2
-
-
-def test_davos_is_20_m(shared_data):
-    path = shared_data / "davos" / "davos_srtm1_30m.tif"
-    field = read_dem([path])
-    assert field.spacing_east_m == field.spacing_north_m == 20.0
-    counts = field.provenance
-    assert (counts.despiked, counts.filled, counts.hollow) == (2, 2, 0)
-    assert "WGS 84" in field.provenance.resampling
-    assert "to 20 m" in field.provenance.resampling
-    with rasterio.open(path) as dataset:
-        raw, transform = dataset.read(1), dataset.transform
-    places = np.random.default_rng(0).integers(20, 2140, (400, 2))
-    lon = transform.c + (places[:, 1] + 0.5) * transform.a
-    lat = transform.f + (places[:, 0] + 0.5) * transform.e
-    difference = field.height_at(lon=lon, lat=lat) - raw[places[:, 0], places[:, 1]]
-    assert abs(difference.mean()) < 0.1
-    assert np.sqrt((difference**2).mean()) < 1.2
 
 
 def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):

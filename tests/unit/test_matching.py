@@ -45,11 +45,11 @@ def panorama(viewpoints, index):
     return azimuth[order], y[order]
 
 
-def query_at(viewpoints, index, heading_deg, noise=0.001, seed=0):
+def query_at(viewpoints, index, heading_deg, pitch_deg=0.0, noise=0.001, seed=0):
     """Rays of a camera with a 60 degree field of view, with noise."""
     azimuth_deg, y = panorama(viewpoints, index)
     y += np.random.default_rng(seed).normal(0.0, noise, y.shape)
-    u, v = photographed(np.radians(azimuth_deg), y, heading_deg, 0.0, 0.0, 60.0)
+    u, v = photographed(np.radians(azimuth_deg), y, heading_deg, pitch_deg, 0.0, 60.0)
     return equally_trusted(u, v, 60.0)
 
 
@@ -80,6 +80,13 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
         right += np.hypot(east_m, north_m) < 1.0 and off_deg < 1.0
     # Keypoints are the paper's weak spot: now and then a low skyline has too few.
     assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
+
+
+def test_the_assumed_pitch_that_fits_is_found(profiles, viewpoints):
+    query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
+    best = CorrelationMatcher(profiles).rank(query, 1).poses
+    assert best.pitch_deg[0] == -5.0
+    assert best.heading_deg[0] == pytest.approx(150.0, abs=1.0)
 
 
 def test_correlation_equals_a_direct_loop(profiles, viewpoints):

@@ -81,10 +81,10 @@ CONTAINERS = {
 
 
 @pytest.mark.parametrize(
-    ("container", "orientation"),
-    [("jpg", turn) for turn in range(1, 9)] + [(container, 6) for container in CONTAINERS],
+    ("container", "orientation", "upright"),
+    [("jpg", turn, (320, 240)) for turn in range(1, 9)]
+    + [(container, 6, (240, 320)) for container in CONTAINERS],
 )
-@pytest.mark.parametrize("upright", [(320, 240), (240, 320)])
 def test_a_turned_photo_is_the_same_in_every_container(
     tmp_path, scene, container, orientation, upright
 ):

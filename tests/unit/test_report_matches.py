@@ -1,6 +1,7 @@
 """Reports of matches, looked at as pixels, as text and in a browser."""
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -137,6 +138,10 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     assert "&lt;script&gt;.jpg" in html
     assert "<script" not in html
     assert "<i>" not in html
+    # Pictures are inside, and nothing is loaded from anywhere.
+    assert html.count('src="data:image/') == 2
+    assert not re.search(r'src="(?!data:)|url\(|@import|<link|<iframe', html)
+    assert "default-src 'none'" in html
     assert "Matched &amp; refined. It took 1.50 s." in html
     assert "0.0" in html.split("they are ")[1][:4]
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -1,4 +1,4 @@
-"""Finding shaders, defining macros, and the place in the file that a driver's error means."""
+"""The place in a shader's file that a driver's error means."""
 
 import moderngl
 import pytest
@@ -28,13 +28,6 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path / "second"))
     (tmp_path / "point.vert").write_text(VERTEX)
     return tmp_path
-
-
-def test_macros_stand_after_the_version_and_lines_are_counted_on(folder):
-    (folder / "a.comp").write_text("// Heading.\n#version 430\nend\n")
-    assert shaders.load_shader("a.comp", {"ONE": "1", "BARE": ""}).splitlines() == [
-        *("// Heading.", "#version 430", "#define ONE 1", "#define BARE ", "#line 3", "end"),
-    ]
 
 
 @pytest.mark.parametrize(
