@@ -93,6 +93,14 @@ def test_erased_columns_are_not_trusted_until_they_are_drawn_again(correction):
     assert not correction.solve([drawn, erased]).trusted[296:345].any()
 
 
+def test_strokes_leave_nothing_behind(correction):
+    before = correction.solve()
+    strokes = [stroke("sky", [100, 300], 400.0, 15.0), stroke("line", [5, 40], 90.0)]
+    once = correction.solve(strokes)
+    assert same(correction.solve(strokes), once)
+    assert same(correction.solve(), before)
+
+
 def test_the_quick_way_is_the_slow_way():
     """All columns solved and refined again, and not those alone that a stroke has changed."""
     image = make_scene("layers", 5, 1440, 960).image

@@ -157,6 +157,19 @@ def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
     assert errors.dtype == np.float32
 
 
+@pytest.mark.parametrize("heading", range(4))
+def test_moving_towards_the_mountains_is_along_the_heading(heading):
+    view, options = views_of(mountains(U), 300.0, heading), {"size": 3, "spacing_m": 400.0}
+    points = skyline_points_m(view)
+    errors = tolerance_errors_px(
+        points, view, view.heading, lambda east, _: 0.0 * east, width=view.width, **options
+    )[0]
+    north, east, south, west = errors[0, 1], errors[1, 2], errors[2, 1], errors[1, 0]
+    around = np.roll([north, east, south, west], -heading)
+    # Ahead of the view the mountains are passed.
+    np.testing.assert_array_equal(np.isinf(around), [True, False, False, False])
+
+
 def warped(affine, seed=0):
     """Return the skyline of `mountains` after a warp."""
     finer = np.linspace(-2.0, 2.0, 8001)
