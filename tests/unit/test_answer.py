@@ -69,9 +69,9 @@ def test_the_nearer_claim_leaves_half_of_the_doubt(near, roughly, within_m):
 BEST = replace(candidate_at(0.0, 0.0), lon=9.8, lat=46.7, heading_deg=131.0)
 
 
-def noting(noted, is_answer=True, candidates=(BEST,)):
+def noting(noted, refusal=None):
     """Return a result for a photo whose EXIF notes a place."""
-    return MatchResult(query(noted=noted), candidates, 0.0, None if is_answer else "not sure")
+    return MatchResult(query(noted=noted), (BEST,), 0.0, refusal)
 
 
 def test_the_photo_s_own_place_is_compared_with_the_answer():
@@ -86,6 +86,8 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "compass says 112 degrees, from magnetic north, the answer 131." in words
     assert "disagree" not in words
     assert "46.7" not in result.exif_in_words(with_place=False)
+    far = noting(NotedPlace((-70.0, 46.7), None, 359.0), "not sure").exif_in_words()
+    assert "position and compass and candidate 1 disagree" in far
 
 
 @pytest.mark.parametrize(

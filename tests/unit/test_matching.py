@@ -45,10 +45,10 @@ def panorama(viewpoints, index):
     return azimuth[order], y[order]
 
 
-def query_at(viewpoints, index, heading_deg, pitch_deg=0.0, noise=0.001, seed=0):
+def query_at(viewpoints, index, heading_deg, pitch_deg=0.0):
     """Rays of a camera with a 60 degree field of view, with noise."""
     azimuth_deg, y = panorama(viewpoints, index)
-    y += np.random.default_rng(seed).normal(0.0, noise, y.shape)
+    y += np.random.default_rng(0).normal(0.0, 0.001, y.shape)
     u, v = photographed(np.radians(azimuth_deg), y, heading_deg, pitch_deg, 0.0, 60.0)
     return equally_trusted(u, v, 60.0)
 
