@@ -29,9 +29,8 @@ from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
 from skyline.solar.local_horizons import DEFAULT_STEP_DEG, LocalHorizons, horizons_of
-from skyline.terrain.dem import DemOptions, read_blocks, read_dem
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem, read_surface
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,

@@ -33,7 +33,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
 from skyline.render.thread import RenderThread
 from skyline.store import open_store
-from skyline.terrain.surface import Dem
+from skyline.terrain.dem import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
 _WIDE_DEG = 75.0

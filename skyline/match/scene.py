@@ -20,9 +20,9 @@ from skyline.store import Store, StoreHeader
 from skyline.store.format import PLACES
 from skyline.store.places import PlaceSource
 from skyline.store.stored_dem import check_dem, curvature_of, read_dem_of
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField, ground_of
-from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
@@ -47,7 +47,7 @@ class RenderedScene:
         Thread that renders for all others, piece by piece; without one only the thread that makes
         the scene may render.
     surface : HeightField, optional
-        Surface of what may stand on the terrain; see `skyline.terrain.surface`.
+        Surface of what may stand on the terrain; see `skyline.terrain.dem`.
     """
 
     def __init__(

@@ -24,8 +24,8 @@ from skyline.report.landscape import (
     row_count,
 )
 from skyline.report.peaks import Peaks
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.surface import Dem, read_surface
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"

@@ -19,8 +19,8 @@ from skyline.errors import InputError, library
 from skyline.geodesy import Curvature
 from skyline.render.panorama import PanoramaRenderer
 from skyline.skylines import Horizons
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
 
 DEFAULT_STEP_DEG = 0.5
