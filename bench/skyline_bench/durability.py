@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +20,7 @@ from typer import Argument, Option
 
 from skyline import cli
 from skyline.build import plans
-from skyline.build.cluster import local_runner
+from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import PlacePlan, Plan, RenderingPlan
 from skyline.errors import SkylineError
@@ -65,8 +64,7 @@ def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> tuple[
 
     def work(_: object) -> None:
         os.setsid()
-        with ExitStack() as held:
-            runner = held.enter_context(local_runner(workers)) if workers else None
+        with runner_of(str(workers) if workers else None) as runner:
             build_store(terrain, path, plan, runner)
 
     return fork(work)

@@ -26,7 +26,7 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn

@@ -26,7 +26,6 @@ from skyline.report.shapes import Ellipse
 from skyline.report.surroundings import Surroundings
 from skyline.report.viewer import Panorama, gap_deg
 from skyline.store.format import package_version
-from skyline.store.stored_dem import curvature_of
 
 _PICTURE_WIDTH = 2048
 """Columns of a view drawn over a photo: about one a pixel at 1600 px and 60 degrees."""
@@ -73,7 +72,7 @@ def report_matches(
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
     if terrain is None:
         return write_match_report(folder, results, around, photos, done, made_by)
-    curvature = curvature_of(matcher.header)
+    curvature = matcher.header.curvature
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
     scene = RenderedScene(terrain, config, matcher.render_thread)
     try:

@@ -21,8 +21,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
-    from skyline.paper.coverage import Coverage
     from skyline.paper.plan import Plan
+    from skyline.paper.strategies import Coverage
 
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _PANEL_SQUARE_IN = 14.0

@@ -27,7 +27,6 @@ from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.report.surroundings import Surroundings
 from skyline.skylines import Views
-from skyline.store.stored_dem import curvature_of
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, at_elevation, stand_at
 
 AROUND = 0.52
@@ -180,7 +179,7 @@ class Viewer:
         if matcher.terrain is None:
             raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
         self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
-        self.curvature = curvature_of(matcher.header)
+        self.curvature = matcher.header.curvature
         config = RenderConfig(width=_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, config, matcher.render_thread)
         self._around = Surroundings(self.frame, matcher.viewpoints, self.terrain)

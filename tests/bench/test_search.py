@@ -8,7 +8,7 @@ from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
 from skyline import JointResult, MatchResult
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.kinds import make_kind

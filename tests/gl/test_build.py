@@ -15,10 +15,9 @@ from scenes import field_of, fractal, write_dem
 
 from skyline import RenderConfig, Viewpoints, read_dem, render_to_store, stand_on
 from skyline.build import cluster, parts, plans
-from skyline.build.cluster import remote_runner
-from skyline.build.grid import uniform_grid
+from skyline.build.cluster import runner_of
 from skyline.build.parts import build_places, build_store
-from skyline.build.plans import PlacePlan, RenderingPlan
+from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer
@@ -69,7 +68,7 @@ def whole(request, terrain, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def runner(dask_cluster):
-    with remote_runner(dask_cluster.scheduler_address) as runner:
+    with runner_of(dask_cluster.scheduler_address) as runner:
         yield runner
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import at_m
 
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem

@@ -24,7 +24,6 @@ from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.viewer import Panorama, pixels_of
-from skyline.store.stored_dem import curvature_of
 from skyline.terrain.summits import summit_heights_m
 from skyline.terrain.viewpoints import stand_on
 
@@ -111,7 +110,7 @@ def test_a_sight_is_what_four_fine_views_show(
         sight = viewer.look(pose, query)
     terrain = matcher.terrain
     eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
-    with HorizonRenderer(terrain, 4096, curvature_of(matcher.header)) as renderer:
+    with HorizonRenderer(terrain, 4096, matcher.header.curvature) as renderer:
         fine = Panorama.of(renderer.render(eye[np.zeros(4, int)], HEADINGS))
     ahead = fine.facing(pose.grid_heading_deg)
     column, row = pixels_of(pose, query, ahead.azimuth_deg, ahead.elevation_tan)

@@ -94,7 +94,6 @@ ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda t: PlanConfig(coverage=0.0), "coverage is 0.0"),
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
         (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels

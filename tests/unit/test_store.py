@@ -18,6 +18,7 @@ from store_rows import (
     HEADERS,
     PLACES_HEADER,
     VIEWS_HEADER,
+    WIDTH,
     assert_holds,
     chunk_of,
     edited,
@@ -356,13 +357,18 @@ FORGED = [
     (lambda file: file.move("views", "moved"), "lacks views"),
     (link("views", h5py.SoftLink("/moved")), "is a link to another place"),
     (link("views/depth_m", h5py.ExternalLink("other.h5", "views/depth_m")), "is a link to another"),
-    (replace_data("views/easting", dtype="f8", external=RAW), "is not chunked in this file"),
-    (virtual, "is not chunked in this file"),
-    (replace_data("views/depth_m", dtype="f8"), "is of type float64"),
-    (replace_data("views/elevation_tan", dtype="f4", shape=(3, 50_000)), "is not rows of"),
-    (replace_data("views/heading", dtype="u1", chunks=(2**27,), maxshape=(None,)), "large"),
-    (replace_data("views/depth_m", dtype="f4", compression="lzf"), "by a filter"),
-    (replace_data("views/easting", dtype="f8", shape=(4,), chunks=(4,)), "have 3 to 4 rows"),
+    (replace_data("views/easting", dtype="f8", external=RAW), "has chunks None"),
+    (virtual, "has chunks None"),
+    (replace_data("views/depth_m", dtype="f8"), "dtype float64; expected"),
+    (replace_data("views/elevation_tan", dtype="f4", shape=(3, 50_000)), "has shape"),
+    (replace_data("views/heading", dtype="u1", chunks=(2**27,), maxshape=(None,)), "chunks"),
+    (replace_data("views/depth_m", dtype="f4", chunks=(3, WIDTH)), "has fletcher32 False"),
+    (replace_data("views/easting", **VIEWS_HEADER.layout("views/easting", 4)), "have 3 to 4 rows"),
+]
+PACKED = {**PLACES_HEADER.layout("places/rise", 3), "compression": "lzf"}
+FORGED_PLACES = [
+    (replace_data("places/rise", dtype="i1", chunks=(2, BINS)), "has chunks"),
+    (replace_data("places/rise", **PACKED), "by a filter"),
 ]
 
 
@@ -403,17 +409,18 @@ class TestForeign:
         monkeypatch.setitem(PLACE_CODING, "rise_size", 0.007)
         assert_refused(path, r"another release .* build it again")
 
-    def test_chunks_of_places_are_all_as_long(self, tmp_path):
+    @pytest.mark.parametrize(("edit", "expected"), FORGED_PLACES)
+    def test_forged_places_are_refused(self, tmp_path, edit, expected):
         path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
         with edited(path) as file:
-            replace_data("places/rise", dtype="i1", chunks=(2, BINS))(file)
-        assert_refused(path, "has chunks of")
+            edit(file)
+        assert_refused(path, expected)
 
     def test_rows_that_are_promised_but_not_there(self, tmp_path):
         path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
         with edited(path) as file:
             values = file["places/phase"][:]
-            replace_data("places/phase", dtype="u1", chunks=(CHUNK, values.shape[1]))(file)
+            replace_data("places/phase", **PLACES_HEADER.layout("places/phase", 3000))(file)
             file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
         with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
             store.places()

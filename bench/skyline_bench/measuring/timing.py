@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -9,7 +9,7 @@ from itertools import product
 from pathlib import Path
 
 from skyline.arrays import Progress
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matchers import FULL

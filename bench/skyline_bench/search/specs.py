@@ -12,8 +12,7 @@ import numpy as np
 
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
-from skyline.build.grid import map_bounds, uniform_grid
-from skyline.build.plans import DEFAULT_LOSS
+from skyline.build.plans import DEFAULT_LOSS, map_bounds, uniform_grid
 from skyline.build.spacing import lost_shares
 from skyline.camera import HEADINGS
 from skyline.errors import InputError

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u
-from skyline.paper.coverage import Candidates, Coverage
 from skyline.paper.reprojection import affine_mean, errors_px, moved, non_affine
-from skyline.paper.strategies import Problem, Strategy
+from skyline.paper.strategies import Candidates, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 
