@@ -11,9 +11,13 @@ from skyline.arrays import Float64Array
 from skyline.build.spacing import AdaptivePlanner, blocks_of, price_of
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
-from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.render.horizon import (
+    DEFAULT_TOLERANCE_DEG,
+    HorizonRenderer,
+    PanoramaRenderer,
+    RenderConfig,
+)
 from skyline.render.march import ColumnRenderer
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns

@@ -13,8 +13,8 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
 from skyline.match.profiles import Profiles
+from skyline.render.context import RenderThread
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.render.thread import RenderThread
 from skyline.skylines import Views
 from skyline.store import Store, StoreHeader
 from skyline.store.format import PLACES

@@ -20,8 +20,7 @@ from skyline.build.parts import build_places, build_store
 from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
-from skyline.render.horizon import HorizonRenderer
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
 from skyline.store import check_store, open_store
 from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,14 +16,15 @@ from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 
 from skyline.build.plans import uniform_grid
+from skyline.errors import MissingFileError
+from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels
-from skyline.report.match_report import write_match_report
+from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
-from skyline.report.surroundings import Surroundings
-from skyline.report.viewer import Panorama, gap_deg, pixels_of
+from skyline.report.viewer import SeenPeak, Viewer, peaks_in_picture, pixels_of, sight_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -38,29 +40,44 @@ WIDTH_PX, HEIGHT_PX = 900, 600
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
-def render(viewpoints, headings):
-    assert len(viewpoints) == len(headings) == 4
-    return oracle.skyline(FIELD, viewpoints[:1], 256)
-
-
-PANORAMA = Panorama.of(oracle.skyline(FIELD, EYE, 256))
+VIEWS = oracle.skyline(FIELD, EYE, 256)
 BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
+
+
+class OracleViewer(Viewer):
+    """A viewer on one field, whose views are the oracle's."""
+
+    def __init__(self, matcher, peaks=None):
+        if matcher.terrain is None:
+            raise MissingFileError("no terrain")
+        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
+        self.curvature = Curvature()
+
+    def _views(self, eye, pose):
+        return oracle.skyline(self.terrain, eye, 256)
+
+    def release(self):
+        pass
+
+
+@pytest.fixture(autouse=True)
+def oracle_viewer(monkeypatch):
+    monkeypatch.setattr("skyline.report.match_report.Viewer", OracleViewer)
 
 
 def true_query():
     """The query that the best candidate would take, a fifth of its columns masked."""
-    around = PANORAMA.facing(BEST.grid_heading_deg)
-    column, row = pixels_of(BEST, BLANK, around.azimuth_deg, around.elevation_tan)
-    seen = np.isfinite(column)
-    order = np.argsort(column[seen])
-    row_px = np.interp(np.arange(WIDTH_PX), column[seen][order], row[seen][order])
+    sight = sight_of(BEST, BLANK, VIEWS)
+    order = np.argsort(sight.column_px)
+    row_px = np.interp(np.arange(WIDTH_PX), sight.column_px[order], sight.row_px[order])
     row_px[200:380] = np.nan
     row_px[(row_px < 0.0) | (row_px > HEIGHT_PX)] = np.nan
     return QuerySkyline(row_px, np.isfinite(row_px).astype(float), WIDTH_PX, HEIGHT_PX, 70.0)
 
 
 QUERY = true_query()
-AROUND = Surroundings(FIELD.frame, uniform_grid(FIELD, 600.0), FIELD, render)
+SIGHT = sight_of(BEST, QUERY, VIEWS)
+MATCHER = SimpleNamespace(frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD)
 
 
 def pixels(data):
@@ -71,20 +88,13 @@ def like(image, rgb, within=90):
     return np.abs(image[..., ::-1] - np.array(rgb)).sum(axis=-1) < within
 
 
-def median_gap_deg(panorama):
-    return np.median(np.abs(gap_deg(BEST, QUERY, panorama)))
-
-
-def test_the_gap_is_the_angle_between_found_and_rendered():
-    assert median_gap_deg(PANORAMA) < 0.02
-    raised = np.tan(np.arctan(PANORAMA.elevation_tan) + np.radians(0.5))
-    higher = Panorama(PANORAMA.azimuth_deg, raised, PANORAMA.is_sure)
-    assert median_gap_deg(higher) == pytest.approx(0.5, abs=0.02)
+def test_there_is_no_gap_between_a_skyline_and_its_rendering():
+    assert SIGHT.median_gap_deg < 0.02
 
 
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
-    image = pixels(draw_overlay(QUERY, photo, BEST, PANORAMA)[0])
+    image = pixels(draw_overlay(QUERY, photo, BEST, SIGHT)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
     found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
@@ -100,14 +110,16 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert not like(bare, (0, 224, 255)).any()
 
 
-def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
-    ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
-    above = replace(ahead, label="Above", elevation_tan=3.0)
+def peak(label, elevation_tan=0.2):
+    column, row = pixels_of(BEST, QUERY, BEST.grid_heading_deg, elevation_tan)
+    return SeenPeak(label, float(column), float(row), 2000.0)
+
+
+def test_peaks_in_the_picture_are_named_above_it():
     # A label's leader keeps others from the place above its own, and these are counted.
-    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind])[1] == 3
-    none = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [behind, above])[0])
-    picture, without_room = draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])
+    assert draw_overlay(QUERY, None, BEST, SIGHT, [peak("A name")] * 4)[1] == 3
+    none = pixels(draw_overlay(QUERY, None, BEST, SIGHT)[0])
+    picture, without_room = draw_overlay(QUERY, None, BEST, SIGHT, [peak("$Ahead")])
     assert without_room == 0
     named = pixels(picture)
     band = len(named) - len(none)
@@ -117,9 +129,15 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     assert middle == pytest.approx(pixels_of(BEST, QUERY, BEST.grid_heading_deg, 0.2)[0], abs=10.0)
 
 
-def report(folder, results, surroundings=AROUND, photos=None, done=""):
-    photos = photos or [None] * len(results)
-    page = write_match_report(folder, results, surroundings, photos, done, "skyline test")
+def test_only_peaks_in_the_picture_are_in_it():
+    ahead = Sighting("Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
+    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
+    above = replace(ahead, label="Above", elevation_tan=3.0)
+    assert peaks_in_picture(BEST, QUERY, [behind, ahead, above]) == [peak("Ahead")]
+
+
+def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
+    page = report_matches(folder, matcher, results, peaks, photos or [None] * len(results), done)
     assert page == folder / "index.html"
     return page.read_text()
 
@@ -129,8 +147,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     peaks = Peaks(names=("<i>Top</i> $",), **{name: np.array(at[name]) for name in at})
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
-    around = replace(AROUND, peaks=peaks)
-    html = report(tmp_path, [found], around, [photo], "Matched & refined.")
+    html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
     lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
     assert f"{float(lat):.5f}" in html
     assert f"{float(lon):.5f}" in html
@@ -164,7 +181,8 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     assert "1 of 3 queries answered" in html
     assert "Not answered: not sure (latitude" in html
     assert "Not answered: too little skyline." in html
-    bare = report(tmp_path, results[2:], Surroundings(FIELD.frame, AROUND.viewpoints))
+    without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None})
+    bare = report(tmp_path, results[2:], without_terrain)
     assert "no elevation model" in bare
     assert "no skyline was rendered" in bare
 

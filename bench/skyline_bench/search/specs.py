@@ -183,22 +183,6 @@ def middle_deg(
     return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
 
 
-def quick_specs(specs: tuple[StoreSpec, ...]) -> tuple[StoreSpec, ...]:
-    """Return the cheapest store of each planner."""
-    chosen: dict[tuple[str, str], StoreSpec] = {}
-    for spec in specs:
-        best = chosen.setdefault((spec.planner, spec.holds), spec)
-        if _cost(spec) < _cost(best):
-            chosen[spec.planner, spec.holds] = spec
-    return tuple(chosen.values())
-
-
-def _cost(spec: StoreSpec) -> float:
-    if spec.plan is not None:
-        return -spec.plan.threshold_px
-    return -spec.loss if spec.spacing_m is None else -spec.spacing_m
-
-
 def _noted(path: Path) -> dict[str, Any]:
     note = path.with_suffix(_NOTE)
     return dict(json.loads(note.read_text(encoding="utf-8"))) if note.exists() else {}
