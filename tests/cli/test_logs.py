@@ -42,13 +42,6 @@ def test_every_line_is_json(store, photo, tmp_path):
     assert "1 of 1 are there already" in json.loads(lines[0])["message"]
 
 
-def test_a_build_logs_its_progress(dem, tmp_path):
-    code, _, lines = run_logged("build", dem, "-o", tmp_path / "new.h5", "--spacing", "400")
-    assert code == 0
-    last = [json.loads(line) for line in lines][-1]
-    assert (last["doing"], last["done"]) == ("rendering", last["total"])
-
-
 def test_an_unknown_kind_of_log_is_one_line(dem):
     code, out, lines = run_logged("info", dem, log="xml")
     assert (code, out) == (2, "")

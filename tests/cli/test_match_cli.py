@@ -222,18 +222,6 @@ def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, phot
     assert "cannot be written" in unwritable.err
 
 
-def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
-    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
-    moved.write_bytes(dem.read_bytes())
-    assert run("build", moved, "-o", store, "--spacing", "300").code == 0
-    moved.unlink()
-    done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
-    assert done.code == 0, done.err
-    assert "unrefined" in caplog.text
-    assert "no relief: the store's DEM is not at" in caplog.text
-    assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
-
-
 def test_bad_queries_are_one_line(run, store, photo, tmp_path):
     sky = tmp_path / "sky.png"
     Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
@@ -243,10 +231,3 @@ def test_bad_queries_are_one_line(run, store, photo, tmp_path):
         assert_refused(run("match", store, path, "--fov-deg", "60"), message)
         assert_refused(run("extract", path, "-o", tmp_path / "trace.csv"), message)
     assert not (tmp_path / "trace.csv").exists()
-
-
-def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
-    cut = tmp_path / "cut.h5"
-    cut.write_bytes(store.read_bytes()[:900_000])
-    for arguments in (["match", cut, photo, "--fov-deg", "60"], ["info", cut]):
-        assert_refused(run(*arguments), "cut.h5")

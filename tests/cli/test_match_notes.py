@@ -78,21 +78,6 @@ def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
     assert "exif" not in json.loads(run("match", store, photo, "--fov-deg", "60", "--json").out)
 
 
-def test_a_position_without_n_or_e_is_left_aside_with_the_reason(run, store, photo, tmp_path):
-    """The photo's latitude and longitude would be half a world away without N and E."""
-    claim = claiming(photo, tmp_path / "claim.jpg", (-10.3, -46.7), 112.0, reference="")
-    with Image.open(claim) as image:
-        exif = image.getexif()
-        del exif.get_ifd(IFD.GPSInfo)[GPS.GPSLatitudeRef]
-        image.save(claim, quality=95, exif=exif)
-    found = run("match", store, claim, "--fov-deg", "60", "--use-gps")
-    assert found.code == 0, found.err
-    assert "position is left aside: the latitude does not say whether it is N or S." in found.out
-    assert "from a north that it does not name" in found.out
-    assert "disagree" not in found.out
-    assert " km " not in found.out
-
-
 @pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "1"), marks=pytest.mark.slow)])
 def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp_path, workers):
     right, beside = (601_800.0, 5_178_000.0), (601_000.0, 5_179_000.0)

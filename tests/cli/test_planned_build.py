@@ -75,14 +75,6 @@ def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
     assert many > 3 * few
 
 
-def test_seeds_decide_and_nothing_else(valley, tmp_path):
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        path = tmp_path / f"{name}.h5"
-        build_planned(valley, path, planned("arov", seed=seed), config=NARROW)
-    a, b, c = (rows_of(tmp_path / f"{name}.h5") for name in "abc")
-    assert a == b != c
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -1,9 +1,6 @@
 """DEMs that are no file here, wherever a DEM is named: addresses, virtual rasters, STAC items."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -213,19 +210,3 @@ def test_a_store_contacts_no_server_that_the_user_has_not_named(server, tmp_path
         assert matcher.terrain is None
     assert server.asked() == ([], 0)
     assert "--dem" in caplog.text
-
-
-def test_a_window_of_a_large_dem_is_clipped_without_the_rest(server, tmp_path):
-    server.asked()
-    west, north = WEST_M + 300 * SPACING_M, NORTH_M - 300 * SPACING_M
-    bounds = f"{west} {north - 200 * SPACING_M} {west + 200 * SPACING_M} {north}"
-    window = tmp_path / "window.tif"
-    subprocess.run(
-        [Path(sys.executable).with_name("rio"), "clip", f"{server.address}/large.tif",
-         window, "--bounds", bounds],
-        check=True,
-    )  # fmt: skip
-    _, sent = server.asked()
-    terrain = read_dem(window)
-    assert (terrain.rows, terrain.cols) == (200, 200)
-    assert sent < 4 * LARGE**2 / 4

@@ -27,7 +27,7 @@ from skyline.store import check_store, open_store
 from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder
 
-SPACING_M = 55.0
+SPACING_M = 120.0
 LOSS = 0.3
 CONFIG = RenderConfig(width=64)
 
@@ -254,7 +254,7 @@ class TestWorkers:
         assert steps[-1][0] == steps[-1][1] == len(steps) + 1
 
     def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
-        plan, path = PlacePlan(150.0), tmp_path / "s.h5"
+        plan, path = PlacePlan(300.0), tmp_path / "s.h5"
         build_store(terrain, tmp_path / "here.h5", plan)
         monkeypatch.setattr(parts, "_Job", _DyingJob)
         build_store(terrain, path, plan, runner)

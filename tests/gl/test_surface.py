@@ -87,7 +87,10 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
     eyes = stand_at(bare, lon=lon, lat=lat, summit_within_m=0.0)
     assert (found.surface_deg >= found.elevation_deg).all()
     assert (found.surface_deg > found.elevation_deg + 0.05).any(axis=1).all()
-    assert "surface_deg" in found.to_xarray()
+    data = found.to_xarray()
+    assert data.surface_deg.dims == ("point", "azimuth_deg")
+    at_east = data.sel(azimuth_deg=90.0).surface_deg.to_numpy()
+    np.testing.assert_array_equal(at_east, found.surface_deg[:, 180])
     plain = horizon(bare, lon=lon, lat=lat)
     np.testing.assert_array_equal(plain.elevation_deg, found.elevation_deg)
     assert not plain.has_surface

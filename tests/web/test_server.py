@@ -45,13 +45,6 @@ def test_foreign_hosts_and_origins_are_refused(served, headers):
         )
 
 
-def test_the_own_page_is_answered_under_each_of_its_names(served):
-    port = served.address.split(":")[1]
-    for host in ("127.0.0.1", "localhost"):
-        own = {"Host": f"{host}:{port}", "Origin": f"http://{host}:{port}"}
-        assert served.ask("POST", "/session", headers=own)[0] == 200
-
-
 @pytest.mark.parametrize(
     ("host", "allowed", "refused"),
     [

@@ -2,9 +2,9 @@
 
 import pytest
 
-from skyline import InputError, Narrowing, QuerySkyline
+from skyline import InputError
 from skyline.web import session as module
-from skyline.web.session import Match, Sessions, shown_name
+from skyline.web.session import Sessions, shown_name
 
 
 @pytest.fixture
@@ -46,20 +46,6 @@ def test_who_has_gone_is_forgotten_and_who_is_there_is_not(sessions, monkeypatch
     there.page_closed()
     sessions.sweep()
     assert not there.folder.exists()
-
-
-def test_matches_of_nobody_are_ended(sessions, monkeypatch):
-    session = sessions.begin()
-    photo = photo_in(session)
-    match = Match(photo, QuerySkyline([1.0], [1.0], 1, 1), Narrowing())
-    session.matches[photo.id] = match
-    session.page_opened()
-    monkeypatch.setattr(module, "_UNATTENDED_S", 0.0)
-    session.page_closed()
-    sessions.sweep()
-    match.run(None)
-    assert match.error == "cancelled"
-    assert photo.state == "ready"
 
 
 def test_there_are_limits(sessions, monkeypatch):
