@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 from commands import assert_refused
-from pages import POSE, TINY, live, look, ready, serving, told
+from pages import POSE, TINY, live, look, ready, received, serving
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
@@ -70,7 +70,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         assert server.ask("GET", "/relief/9/270/180.png")[0] == 404
         with live(server, session) as socket_:
             socket_.send(look(of_photo))
-            assert "DEM is not at hand" in told(socket_, "look")["error"]
+            assert "DEM is not at hand" in received(socket_, "look")["error"]
             status, found = server.ask("POST", f"{of_photo}/match", TINY)
         assert status == 200
         assert found["candidates"][0]["refined"] is False
