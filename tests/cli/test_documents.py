@@ -11,14 +11,13 @@ import json
 import re
 import shlex
 import shutil
-import sys
 import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 import typer
 from documents import (
     DOCUMENTS,
@@ -28,7 +27,6 @@ from documents import (
     defined_in,
     import_order,
     links,
-    named_tests,
     references,
     table_under,
 )
@@ -36,7 +34,7 @@ from PIL import Image
 from range_server import Behaviour, serve
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from scenes import fractal
+from scenes import fractal, write_dem
 
 import skyline
 from skyline import cli, read_dem, stand_at
@@ -73,19 +71,15 @@ _FOCAL_LENGTH_35MM = 31
 
 def tiles():
     """Make four degrees of rough terrain, by the path a server has them under."""
-    heights = 1500.0 + fractal(2 * _PER_DEGREE, 2 * _PER_DEGREE, 1200.0, seed=5)
+    count, step = _PER_DEGREE, 1 / _PER_DEGREE
+    heights = 1500.0 + fractal(2 * count, 2 * count, 1200.0, seed=5)
     for row, lat in enumerate((47, 46)):
         for col, lon in enumerate((9, 10)):
-            part = heights[row * _PER_DEGREE :, col * _PER_DEGREE :][:_PER_DEGREE, :_PER_DEGREE]
-            step = 1 / _PER_DEGREE
+            part = heights[row * count :, col * count :][:count, :count]
             with MemoryFile() as memory:
-                with memory.open(
-                    driver="GTiff", width=_PER_DEGREE, height=_PER_DEGREE, count=1,
-                    dtype="float32", crs="EPSG:4326",
-                    transform=from_origin(lon, lat + 1, step, step),
-                ) as file:  # fmt: skip
-                    file.write(part, 1)
-                yield f"/N{lat}E{lon:03d}.tif", bytes(memory.getbuffer())
+                transform = from_origin(lon, lat + 1, step, step)
+                write_dem(memory.name, part, "EPSG:4326", transform=transform)
+                yield f"/N{lat}E{lon:03d}.tif", memory.read()
 
 
 def matching(word):
@@ -93,19 +87,9 @@ def matching(word):
     return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
 
 
-_printed = {}
-"""Line of a document that has run -> its output."""
-
-
+@cache
 def run_command(line):
-    """Run one line of a document, if none has before; return what it printed."""
-    if line not in _printed:
-        _printed[line] = run_now(line)
-    return _printed[line]
-
-
-def run_now(line):
-    """Run one line of a document; return what it printed."""
+    """Run one line of a document, if it has not run yet; return its output."""
     for shown, run in SMALLER.items():
         line = line.replace(shown, run)
     program, *words = shlex.split(line, comments=True)
@@ -116,13 +100,11 @@ def run_now(line):
         cut = words.index(">")
         words, target = words[:cut], words[cut + 1]
     arguments = [path for word in words for path in matching(word)]
-    err, argv = io.StringIO(), sys.argv
-    try:
-        sys.argv = [program, *arguments]
-        with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as stop:
+    err = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr("sys.argv", [program, *arguments])
+        with pytest.raises(SystemExit) as stop:
             PROGRAMS[program].main()
-    finally:
-        sys.argv = argv
     assert not stop.value.code, f"{line}: {err.getvalue()}"
     if target:
         Path(target).write_text(out.getvalue())
@@ -176,7 +158,6 @@ def refined_quickly():
 def world(tmp_path_factory):
     """A folder in which the README's blocks have run, and what pages share has been made."""
     folder = tmp_path_factory.mktemp("world")
-    _printed.clear()
     with serve(Behaviour(files=dict(tiles()))) as address, pytest.MonkeyPatch.context() as patch:
         patch.setitem(SOURCES, "copernicus", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
         with chdir(folder):
@@ -204,11 +185,8 @@ def make_queries():
     Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")
     Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
     trees = np.where(fractal(_PER_DEGREE, _PER_DEGREE, seed=6) > 0.0, 20.0, 0.0)
-    with rasterio.open(
-        "canopy.tif", "w", driver="GTiff", width=_PER_DEGREE, height=_PER_DEGREE, count=1,
-        dtype="float32", crs="EPSG:4326", transform=from_origin(9, 47, *[1 / _PER_DEGREE] * 2),
-    ) as file:  # fmt: skip
-        file.write(trees.astype(np.float32), 1)
+    transform = from_origin(9, 47, 1 / _PER_DEGREE, 1 / _PER_DEGREE)
+    write_dem("canopy.tif", trees.astype(np.float32), "EPSG:4326", transform=transform)
 
 
 def test_the_files_that_pages_share_are_made(world):
@@ -277,8 +255,6 @@ def test_files_and_names_the_documents_point_to_exist(document):
             assert name in defined_in(ROOT / path), f"{path}: {name}"
     for target in links(document):
         assert target.exists(), target
-    for name in named_tests(document):
-        assert list(ROOT.glob(f"tests/**/{Path(name).name}")), name
 
 
 def test_the_api_pages_show_every_public_name_once():
