@@ -174,18 +174,12 @@ def test_bounds_across_the_antimeridian_are_shown_and_accepted(run, tmp_path):
     west, south, east, north = json.loads(run("info", dem, "--json").out)["bounds_deg"]
     assert (west, east) == pytest.approx((179.983, -179.983), abs=1e-3)
     assert (south, north) == pytest.approx((-17.015, -16.985), abs=1e-3)
-    whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
-    bounds = f"{west!r},{south!r},{east!r},{north!r}"
+    whole, bounds = tmp_path / "whole.h5", f"{west!r},{south!r},{east!r},{north!r}"
     assert run("build", dem, "-o", whole, "--spacing", "300", "--bounds", bounds).code == 0
     facts = json.loads(run("info", whole, "--json").out)
     assert facts["places"] == 12 * 11
     assert facts["bounds_deg"][0] > 179.98
     assert -180.0 < facts["bounds_deg"][2] < -179.98
-    half = f"{west!r},{south!r},180,{north!r}"
-    assert run("build", dem, "-o", part, "--spacing", "300", "--bounds", half).code == 0
-    assert json.loads(run("info", part, "--json").out)["bounds_deg"][2] == pytest.approx(
-        180.0, abs=0.01
-    )
     done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
     assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
 

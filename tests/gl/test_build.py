@@ -172,7 +172,6 @@ class TestBroken:
         before = [part.read_bytes() for part in begun]
         for plan, expected in (
             (PlacePlan(100.0), r"config spacing_m is 150\.0 there, 100\.0 here"),
-            (PlacePlan(loss=LOSS), "config planner is 'uniform' there"),
             (PlacePlan(150.0, curvature=Curvature(refraction_k=0.2)), "curvature"),
             (plan_of(terrain, "renderings"), "'places' there, 'renderings' here"),
         ):

@@ -88,26 +88,6 @@ def test_a_tower_is_at_its_geodesic_azimuth(azimuth_deg):
     assert len(peak) < 12
 
 
-@pytest.mark.parametrize(
-    ("heights", "expected"),
-    [
-        (lambda east, north: 0.0 * east * north, 1.0),
-        # Its rim is 2,000 m high and 2,500 m away, all the way round.
-        (lambda east, north: np.clip(np.hypot(east, north) - 500.0, 0.0, 2000.0), 1.0 / 1.64),
-        (lambda east, north: np.abs(east) + 0.0 * north, np.sqrt(0.5)),
-    ],
-    ids=["plain", "crater", "valley"],
-)
-def test_sky_view_factors_of_rendered_scenes(heights, expected):
-    field = field_from(heights, 2001, 10.0)
-    flat = Curvature(enabled=False)
-    found = horizon(
-        field, **at_deg(field.frame.to_lonlat(0.0, 0.0)), eye_height_m=0.001, curvature=flat
-    )
-    # The valley is 20 km long and not endless, and a grid cuts the crater's circle.
-    assert found.sky_view_factor()[0] == pytest.approx(expected, abs=0.002)
-
-
 def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
     pvlib = pytest.importorskip("pvlib")
     ridge = field_from(

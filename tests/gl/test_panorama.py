@@ -242,16 +242,12 @@ def test_a_panorama_from_a_summit_shows_no_wall():
     lonlat = tuple(float(at) for at in FRAME.to_lonlat(-38.0, 30.0))
     blocks = TerrainBlocks.of(field)
 
-    def skyline_deg(within_m):
+    for within_m, is_wall, height in (
+        (0.0, True, "2950 m"),
+        (None, False, "3000 m, as high as the summit beside it"),
+        (100.0, False, "3000 m"),
+    ):
         view = panorama_view(blocks, lonlat, None, PanoramaConfig(summit_within_m=within_m))
-        return view.landscape.skyline_deg, draw_panorama(view).texts[0].get_text()
-
-    wall, title = skyline_deg(0.0)
-    assert wall.max() > 30.0
-    assert "2950 m, seen from 2.0 m above ground" in title
-    lifted, title = skyline_deg(None)
-    assert lifted.max() < 0.0
-    assert "3000 m, as high as the summit beside it, seen from 2.0 m above ground" in title
-    moved, title = skyline_deg(100.0)
-    assert moved.max() < 0.0
-    assert "3000 m, seen from 2.0 m above ground" in title
+        assert (view.landscape.skyline_deg.max() > (30.0 if is_wall else 0.0)) == is_wall
+        title = draw_panorama(view).texts[0].get_text()
+        assert f"{height}, seen from 2.0 m above ground" in title
