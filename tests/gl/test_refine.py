@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from query_scenes import photographed, poses, rays_of
+from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.match.profiles import joined_views
@@ -45,14 +45,9 @@ def scene():
 
 
 def _seen(scene, above_m=2.0):
-    """Return u, v of the true view, columns as fine as a photo's."""
+    """Return u, v of the true view."""
     eye = stand_on(scene.field, easting_m=PLACE[0], northing_m=PLACE[1], eye_height_m=above_m)
-    with HorizonRenderer(scene.field, 1280) as renderer:
-        views = renderer.render(eye)
-    tangent = np.tan(np.radians(views.elevation_deg()))
-    return photographed(
-        np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
-    )
+    return photographed_from(scene.field, eye, fov_deg=60.0, **TRUTH)
 
 
 @pytest.fixture(scope="module")

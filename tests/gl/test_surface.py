@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import photographed, poses, rays_of
+from query_scenes import photographed_from, poses, rays_of
 from scenes import at_m, field_from, field_of, fractal
 
 from skyline import horizon, stand_at, stand_on
@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import RenderedScene
-from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.render.horizon import RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import UNKNOWN_M, read_surface
 
@@ -104,10 +104,7 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
 
 def _photo(forest, bare, place_m, camera):
     """Return the rays of a camera that stands on the ground and sees the forest."""
-    with HorizonRenderer(forest, 1280) as renderer:
-        views = renderer.render(stand_on(bare, **at_m(place_m)))
-    tangent = np.tan(np.radians(views.elevation_deg()))
-    u, v = photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
+    u, v = photographed_from(forest, stand_on(bare, **at_m(place_m)), **camera)
     noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
     return rays_of(u, v + noise, 60.0)
 
