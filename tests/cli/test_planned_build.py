@@ -36,6 +36,9 @@ def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
     assert 0.5 < proof.low <= proof.share <= proof.high <= 1.0
     places = rows_of(path)
     assert len(places) == len(set(places)) == built.rows
+    if strategy == "rov":
+        build_planned(valley, tmp_path / "t.h5", planned("rov", seed=2), config=NARROW)
+        assert rows_of(tmp_path / "t.h5") != places
 
 
 def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):

@@ -123,6 +123,8 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert result.answer is None
     assert result.candidates
     assert "confidence" in result.refusal
+    with pytest.raises(InputError, match="expected"):
+        MatchConfig(min_confidence=1.5)
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
