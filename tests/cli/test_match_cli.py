@@ -116,7 +116,6 @@ def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_pat
 def test_a_note_names_what_takes_long(run, store, photo, monkeypatch):
     monkeypatch.setattr(console, "_SLOW_S", 0.0)
     done = run("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined")
-    assert f"opening {store} and its elevation model takes a while" in done.err
     assert f"matching {photo} takes a while" in done.err
 
 
@@ -166,7 +165,7 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
 
 def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path):
     text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
-    text.write_text("no photo")
+    text.write_bytes(photo.read_bytes()[:2000])
     command = ["match", store, photo, text, photo, "--fov-deg", "60", "--matcher", "unrefined"]
     done = run(*command, "--json", "--export", geojson)
     assert done.code == 2
@@ -214,12 +213,9 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
 
 
-def test_bad_queries_are_one_line(run, store, photo, tmp_path):
+def test_a_photo_without_a_skyline_is_one_line(run, store, tmp_path):
     sky = tmp_path / "sky.png"
     Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
-    corrupt = tmp_path / "corrupt.jpg"
-    corrupt.write_bytes(photo.read_bytes()[:2000])
-    for path, message in [(sky, "no skyline"), (corrupt, "corrupt.jpg")]:
-        assert_refused(run("match", store, path, "--fov-deg", "60"), message)
-        assert_refused(run("extract", path, "-o", tmp_path / "trace.csv"), message)
+    assert_refused(run("match", store, sky, "--fov-deg", "60"), "no skyline")
+    assert_refused(run("extract", sky, "-o", tmp_path / "trace.csv"), "no skyline")
     assert not (tmp_path / "trace.csv").exists()

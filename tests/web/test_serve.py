@@ -92,7 +92,6 @@ LIST = (
 )
 FILM = {Base.FocalLengthIn35mmFilm: 32}
 FRAME = {Base.ExifImageWidth: 960, Base.ExifImageHeight: 640}
-PLANE = {Base.FocalLength: 4.0, Base.FocalPlaneXResolution: 6500.0}
 NARROWED = Narrowing(
     (10.3301234, 46.7491234, 1.7), heading_deg=(141.37, 25), elevation_m=(-50, 900), eye_height_m=2
 )
@@ -140,12 +139,11 @@ NUMBERS = {
     [
         (lambda *to: noting(*to, {}), Question({})),
         (lambda *to: noting(*to, FILM), Question({})),
-        (lambda *to: noting(*to, FILM | FRAME | PLANE), Question({})),
         (lambda *to: noting(*to, FILM | FRAME, (800, 640)), Question({})),
         (lambda *to: noting(*to, FILM), ALL_KNOWN),
         (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), fov_deg=60.25)),
     ],
-    ids=["nothing", "lens", "two-lenses", "cropped", "all", "mask"],
+    ids=["nothing", "lens", "cropped", "all", "mask"],
 )
 def test_one_question_has_one_answer_wherever_it_is_asked(
     run, served, store, photo, tmp_path, made, question
