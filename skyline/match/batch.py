@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from skyline.build.cluster import Runner, in_order
+from skyline.build.cluster import Runner
 from skyline.errors import SkylineError
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
@@ -53,7 +53,7 @@ def match_many(
     if len(parts) > 1:
         of_parts = [(query, part) for query in jobs for part in parts]
         names = [f"screen-{index}" for index in range(len(of_parts))]
-        found = list(in_order(runner(partial(_screen, opening), of_parts, names)))
+        found = list(runner(partial(_screen, opening), of_parts, names))
         each = range(0, len(found), len(parts))
         screened = [_joined(found[start : start + len(parts)]) for start in each]
     left = [
@@ -62,7 +62,7 @@ def match_many(
         if not isinstance(alike, SkylineError)
     ]
     names = [f"query-{index}" for index in range(len(left))]
-    matched = in_order(runner(partial(_match, opening), left, names))
+    matched = runner(partial(_match, opening), left, names)
     for query, alike in zip(queries, screened, strict=True):
         result = alike if isinstance(alike, SkylineError) else next(matched)
         yield replace(result, name=query.path) if isinstance(result, MatchResult) else result

@@ -27,13 +27,13 @@ from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Hypotheses
 from skyline.match.scene import OpenedStore, given_terrain
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
-from skyline.render.thread import RenderThread
+from skyline.render.context import RenderThread
 from skyline.store import open_store
-from skyline.terrain.surface import Dem
+from skyline.terrain.dem import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
 _WIDE_DEG = 75.0

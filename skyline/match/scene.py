@@ -13,16 +13,15 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
 from skyline.match.profiles import Profiles
+from skyline.render.context import RenderThread
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.render.thread import RenderThread
 from skyline.skylines import Views
 from skyline.store import Store, StoreHeader
 from skyline.store.format import PLACES
 from skyline.store.places import PlaceSource
-from skyline.store.stored_dem import check_dem, curvature_of, read_dem_of
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField, ground_of
-from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
@@ -47,7 +46,7 @@ class RenderedScene:
         Thread that renders for all others, piece by piece; without one only the thread that makes
         the scene may render.
     surface : HeightField, optional
-        Surface of what may stand on the terrain; see `skyline.terrain.surface`.
+        Surface of what may stand on the terrain; see `skyline.terrain.dem`.
     """
 
     def __init__(
@@ -167,7 +166,7 @@ class OpenedStore:
     def edge(self) -> DataEdge | None:
         """Return the edge of the terrain's data; None if its DEM cannot be read."""
         terrain = self._found_terrain()
-        return None if terrain is None else DataEdge.of(terrain, curvature_of(self._store.header))
+        return None if terrain is None else DataEdge.of(terrain, self._store.header.curvature)
 
     def scene(self) -> RenderedScene | None:
         """Return the terrain to render; None without refinement, or if its DEM cannot be read.
@@ -180,7 +179,7 @@ class OpenedStore:
         if terrain is None or not self._refine:
             return None
         over = None if self._surface is None else read_surface(self._surface, terrain)
-        curvature = curvature_of(self._store.header)
+        curvature = self._store.header.curvature
         config = RenderConfig(_VIEW_WIDTH, curvature=curvature)
         return RenderedScene(terrain, config, self._thread, over)
 
@@ -215,7 +214,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
         )
         return None
     try:
-        return read_dem_of(header)
+        return header.read_dem()
     except SkylineError as error:
         _log.warning("%s: the store's DEM cannot be used: %s", otherwise, error)
         return None
@@ -224,11 +223,11 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
 def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
     """Return a given terrain, read with the options of the store's build; None if none is given."""
     if isinstance(dem, HeightField):
-        check_dem(header, dem)
+        header.check_dem(dem)
         return dem
     if dem is None:
         return None
-    return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
+    return header.read_dem([dem] if isinstance(dem, str | Path) else dem)
 
 
 def _spaced(places: PlaceSource) -> Viewpoints:

@@ -15,8 +15,12 @@ import pytest
 
 from skyline.errors import ContextError, InputError
 from skyline.render import context as context_module
-from skyline.render.context import acquire_context, describe_context, release_context
-from skyline.render.osmesa import OSMESA_LIBRARIES
+from skyline.render.context import (
+    _OSMESA_LIBRARIES,
+    acquire_context,
+    describe_context,
+    release_context,
+)
 
 
 def loadable(names: tuple[str, ...]) -> bool:
@@ -38,7 +42,7 @@ GREEN = [0, 255, 0, 255]
 PRELUDE = """
 import json, os, sys, threading
 from skyline.errors import ContextError
-from skyline.render import context, osmesa
+from skyline.render import context
 from skyline.render.context import acquire_context, describe_context, release_context
 
 def refusal():
@@ -145,7 +149,7 @@ def test_an_unknown_backend_names_those_known(monkeypatch: pytest.MonkeyPatch) -
         acquire_context()
 
 
-@pytest.mark.skipif(not loadable(OSMESA_LIBRARIES), reason="no libOSMesa here")
+@pytest.mark.skipif(not loadable(_OSMESA_LIBRARIES), reason="no libOSMesa here")
 @pytest.mark.parametrize(
     ("egl_library", "environment", "reason"),
     [
@@ -171,7 +175,7 @@ def test_osmesa_can_be_forced_and_comes_after_an_egl_that_fails(
 def test_without_opengl_the_error_has_all_attempts_and_the_packages() -> None:
     (line,) = run_python("""
         context._EGL_LIBRARY = "libNoEGL.so.1"
-        osmesa.OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
+        context._OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
         print(refusal())
     """)
     assert line.startswith("no OpenGL context of version 4.3 or newer; tried egl, ")

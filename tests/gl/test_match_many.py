@@ -5,7 +5,7 @@ import pytest
 from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
-from skyline.build.cluster import remote_runner
+from skyline.build.cluster import runner_of
 from skyline.match import batch
 from skyline.match.batch import match_many
 from skyline.match.matchers import FULL
@@ -52,7 +52,7 @@ def test_two_workers_find_what_one_process_finds(
     # Jobs screen a block at a time.
     monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
     jobs = []
-    with remote_runner(dask_cluster.scheduler_address) as runner:
+    with runner_of(dask_cluster.scheduler_address) as runner:
 
         def counting(work, items, names):
             jobs.extend(names)
