@@ -229,7 +229,7 @@ class _Output:
         if is_tried:
             print_error(str(error))
             if self._file is not None:
-                self._file.add({"query": name, "answered": 0, "said": str(error)})
+                self._file.add({"query": name, "answered": 0, "reason": str(error)})
         self._print({"query": name, "error": str(error)}, "")
 
     def _print(self, record: dict[str, Any], text: str) -> None:

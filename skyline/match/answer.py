@@ -198,7 +198,7 @@ class MatchResult:
             "candidates": candidates,
             "seconds": self.seconds,
             **({} if self.refusal is None else {"refusal": self.refusal}),
-            **({} if lens is None or not lens.said else {"lens": asdict(lens)}),
+            **({} if lens is None or not lens.reason else {"lens": asdict(lens)}),
             **({} if exif is None else {"exif": exif}),
         }
 
@@ -212,7 +212,7 @@ class MatchResult:
             "within_m": self.within_m,
             "exif_distance_m": None if exif is None else exif["distance_m"],
             "seconds": self.seconds,
-            "said": self.refusal and printable(self.refusal),
+            "reason": self.refusal and printable(self.refusal),
         }
 
     def to_text(self, top: int = 5) -> str:
@@ -233,10 +233,10 @@ class MatchResult:
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
-        if lens is not None and lens.said:
+        if lens is not None and lens.reason:
             fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
             slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
-            lines.append(f"field of view: {fov}{slack}; {lens.said}")
+            lines.append(f"field of view: {fov}{slack}; {lens.reason}")
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
     def to_geodataframe(self) -> Any:

@@ -39,7 +39,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     lenses = [one["lens"] for one in records]
     assert lenses[0]["fov_deg"] == pytest.approx(60.3, abs=0.1)
     assert lenses[1]["most_deg"] > 60.0 > lenses[1]["fov_deg"]
-    assert "cropped" in lenses[1]["said"]
+    assert "cropped" in lenses[1]["reason"]
     assert lenses[2]["fov_deg"] is None
     assert lenses[3]["fov_deg"] == pytest.approx(42.3, abs=0.1)
     said = run("match", store, plain, cropped, lie, "--matcher", "unrefined").out
