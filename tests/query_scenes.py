@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses
 
 BINS = 1440
 

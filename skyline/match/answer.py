@@ -16,8 +16,8 @@ from pyproj import Geod
 from skyline.errors import library, printable
 from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
-from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
-from skyline.match.query_rays import QueryRays
+from skyline.match.matchers import MatchConfig
+from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.query import QuerySkyline
 
@@ -35,6 +35,9 @@ seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 
+_MIN_VISIBLE_DEG = 14.0
+"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
+seven unknowns: below 14 degrees there are fewer rises than unknowns."""
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the range searched if it is nearer to it than this share
@@ -424,17 +427,17 @@ def _skyline_svg(query: QuerySkyline) -> str:
     )
 
 
-def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
+def too_little(query: QuerySkyline) -> str | None:
     """Return the refusal of a query that shows too little skyline; None if it shows enough."""
-    widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
     if query.lens is not None and query.lens.most_deg is not None:
         widest_deg = query.lens.most_deg
-    visible_deg, least_deg = query.visible_deg(widest_deg), MIN_VISIBLE_DEG
-    if visible_deg >= least_deg:
+    visible_deg = query.visible_deg(widest_deg)
+    if visible_deg >= _MIN_VISIBLE_DEG:
         return None
     return (
-        f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
-        "the skyline by a trace or a mask, or check the field of view"
+        f"{visible_deg:.1f} degrees of skyline are visible, {_MIN_VISIBLE_DEG:g} are needed; "
+        "correct the skyline by a trace or a mask, or check the field of view"
     )
 
 

@@ -22,9 +22,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.match.candidate import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M
+from skyline.match.candidate import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Hypotheses, RefinedPoses
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, RefinedPoses
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions

@@ -12,17 +12,21 @@ from threadpoolctl import ThreadpoolController
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M
+from skyline.match.candidate import DISTANCES_M, Hypotheses, Ranking, RefinedPoses
 from skyline.match.confidence import model_name
 from skyline.match.matchers import Ranker
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.scene import OpenedStore, RenderedScene
+from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
+from skyline.store import Store
 from skyline.store.format import PLACES
+from skyline.store.stored_dem import curvature_of
+from skyline.terrain.edge import DataEdge
+from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.viewpoints import Viewpoints
 
 _SHORTLIST = 400
 """Poses that retrieval returns."""
@@ -30,6 +34,7 @@ _SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
+_SHOWN_EYES = 20_000
 
 
 @contextmanager
@@ -53,8 +58,6 @@ def _blas() -> ThreadpoolController:
 class FullMatcher(Ranker):
     """Retrieval, refinement and confidence; without a scene, poses stay as retrieved."""
 
-    narrows = True
-    finds_fov = True
     searches = PLACES
 
     def __init__(self, retriever: Retriever, scene: RenderedScene | None = None) -> None:
@@ -62,14 +65,25 @@ class FullMatcher(Ranker):
         self._models = confidence.models()
 
     @classmethod
-    def open(cls, store: OpenedStore) -> Self:
+    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
         """See `Ranker.open`."""
-        return cls(Retriever(store.places(), store.ground(), store.edge()), store.scene())
+        ground = edge = None
+        if terrain is not None:
+            ground = ground_of(terrain)
+            edge = DataEdge.of(terrain, curvature_of(store.header)) if scene is None else scene.edge
+        return cls(Retriever(store.places(), ground, edge), scene)
 
-    def release(self) -> None:
-        """See `Ranker.release`; the matcher cannot refine after that."""
-        if self._scene is not None:
-            self._scene.release()
+    def eyes(self) -> Viewpoints:
+        """See `Ranker.eyes`; of very many places it takes every n-th."""
+        places = self._retriever.places
+        step = max(1, len(places) // _SHOWN_EYES)
+        parts, first = [], 0
+        for block in places.blocks():
+            eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
+            parts.append(np.stack([column[-first % step :: step] for column in eyes]))
+            first += len(block)
+        east_m, north_m, eye_m = np.concatenate(parts, axis=1).astype(np.float64)
+        return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
     def rank(
         self,
@@ -106,14 +120,14 @@ class FullMatcher(Ranker):
     @_one_blas_thread()
     def rank_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> Sequence[Ranking] | None:
+    ) -> Sequence[Ranking]:
         """See `Ranker.rank_together`; raises as `rank`.
 
         Each query is first matched by itself: its cost where it fits best shows whether it was
         taken at the place of the others.
         """
         if self._scene is None:
-            return None
+            return super().rank_together(queries, top)
         queries = _with_one_noted_place(queries)
         found = [self._found(query, prior) for query, prior in queries]
         alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
@@ -176,10 +190,10 @@ class FullMatcher(Ranker):
         return Refinement(query, self._scene, WHOLE, *known).run(found)
 
     @_one_blas_thread()
-    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking:
         """See `Ranker.fit_from`; raises `InputError` for a pose off the map or on a hole."""
         if self._scene is None:
-            return None
+            return super().fit_from(query, start)
         ground_m = self._scene.ground_m(start.easting_m, start.northing_m)
         above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
         if not np.isfinite(above_m).all():

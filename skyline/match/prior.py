@@ -19,7 +19,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle, are_bounds, in_turn
-from skyline.match.ranking import Hypotheses
+from skyline.match.candidate import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
 from skyline.store.places import Places

@@ -33,11 +33,10 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.geodesy import in_turn
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress

@@ -29,9 +29,9 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
 from skyline.errors import InputError
+from skyline.match.candidate import Hypotheses
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
-from skyline.match.ranking import Hypotheses
 from skyline.match.screening import Alike, Screen, report_progress, sample_of, screen_places
 from skyline.store.places import Places, PlaceSource
 from skyline.terrain.edge import DataEdge

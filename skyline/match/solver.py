@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.candidate import Hypotheses
 from skyline.match.noise import (
     ABOVE_SHARE,
     BELOW_SHARE,
@@ -30,7 +31,6 @@ from skyline.match.noise import (
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.query_rays import QueryRays, level_with_changes, thinned
-from skyline.match.ranking import Hypotheses
 from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)

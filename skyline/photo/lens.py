@@ -199,7 +199,9 @@ def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Foc
     if by_film is not None and by_plane is not None:
         middle, off = sqrt(by_film * by_plane), abs(log(by_film / by_plane))
         if off <= _AGREE:
-            return _Focal(middle, None, "EXIF's 35 mm equivalent, and its focal plane agrees"), reason
+            return _Focal(
+                middle, None, "EXIF's 35 mm equivalent, and its focal plane agrees"
+            ), reason
         source = "EXIF's 35 mm equivalent and its focal plane contradict one another"
         return _Focal(middle, max(off / 2.0, _FILM_ALONE), source), reason
     if by_film is not None:

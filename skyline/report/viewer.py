@@ -16,10 +16,9 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import in_turn
-from skyline.match.candidate import Candidate
+from skyline.match.candidate import Candidate, Hypotheses, Ranking
 from skyline.match.matcher import Matcher
 from skyline.match.query_rays import level, project
-from skyline.match.ranking import Hypotheses, Ranking
 from skyline.match.scene import RenderedScene
 from skyline.photo.projection import distorted
 from skyline.photo.query import QuerySkyline

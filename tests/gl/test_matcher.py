@@ -173,7 +173,6 @@ def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg)
     [
         {"min_confidence": 1.5},
         {"fov_slack": 1.0},
-        {"fov_range_deg": (80.0, 30.0)},
     ],
 )
 def test_settings_out_of_range_are_refused(wrong):

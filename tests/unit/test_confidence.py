@@ -6,8 +6,7 @@ from query_scenes import equally_trusted, poses
 
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.match.ranking import RefinedPoses
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
