@@ -240,6 +240,8 @@ def test_shortlist_equals_a_plain_loop():
 def test_listed_poses_are_scored_as_without_a_shortlist(seed, monkeypatch):
     profiles = random_profiles(10 + seed, 30)
     query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
+    of = QueryCurves.of
+    monkeypatch.setattr(QueryCurves, "of", lambda query, bins: of(query, bins, (0.0,)))
     every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)
     listed = PaperMatcher(profiles).fit(query)
