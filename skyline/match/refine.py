@@ -40,12 +40,18 @@ from skyline.match.query_rays import QueryRays
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress
-from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, SCOUT, Curves, Fit, Solver
+from skyline.match.solver import (
+    EYE_HEIGHT,
+    FINE,
+    HEADING,
+    ROUGH,
+    SCOUT,
+    TEMPERATURE,
+    Curves,
+    Fit,
+    Solver,
+)
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
-
-TEMPERATURE = 8.0
-"""T: differences of costs, divided by this, are log odds. Neighbouring columns share errors that
-are not modelled."""
 
 _SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
 """Poses nearer to each other, that look within this angle of each other, are one."""
@@ -150,8 +156,6 @@ class Refinement:
         noted: PlacePrior | None = None,
     ) -> None:
         self._scene, self._effort = scene, effort
-        if noted is not None:
-            noted = replace(noted, weight=TEMPERATURE)
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if eye_height_m is not None:
             eye = EyeHeightPrior(eye_height_m, 0.0)

@@ -43,6 +43,9 @@ ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
 """Standard deviations of the terrain model's heights, as multiples of the expected one, from which
 the most likely is chosen."""
+TEMPERATURE = 8.0
+"""Differences of costs, divided by this, are log odds. Neighbouring columns share errors that are
+not modelled."""
 _WIDEST = len(ANGLES_DEG) - 1, len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
@@ -429,7 +432,9 @@ class Solver:
         prior = 0.5 * fit.state**2 @ self._prior
         prior += _TERRAIN_WEIGHT * self._eye.cost(fit.state[:, EYE_HEIGHT])
         if self._noted is not None:
-            prior += self._noted.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
+            prior += TEMPERATURE * self._noted.cost(
+                linear.place_m, linear.eye_m, fit.state[:, HEADING]
+            )
         return replace(found, cost=found.cost + 0.5 * log_det + prior + self._height_cost[height])
 
     def _with_deviations(
@@ -496,6 +501,7 @@ class Solver:
         if self._noted is None:
             return
         precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
+        precision *= TEMPERATURE
         gradient[:, _MOVES] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):
             normal[:, axis, axis] += precision[:, axis]

@@ -8,10 +8,9 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import remote_runner
-from skyline.match import batch
-from skyline.match.batch import match_many
+from skyline.match import queries
 from skyline.match.matchers import FULL
-from skyline.match.queries import Query
+from skyline.match.queries import Query, match_many
 from skyline.photo.trace import write_trace
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
@@ -51,7 +50,7 @@ def traces(tmp_path_factory, terrain):
 @pytest.fixture
 def small_parts(monkeypatch):
     """Screen a block at a time."""
-    monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
+    monkeypatch.setattr(queries, "_PART_BLOCKS", 1)
 
 
 def queries_of(paths, narrowing=None):
@@ -72,8 +71,8 @@ class Counted:
 
 def alone(store, paths, narrowing=None, config=BOLD):
     with Matcher(store, config=config) as matcher:
-        queries = queries_of(paths, narrowing)
-        return [matcher.match(one.read(), narrowing=one.narrowing) for one in queries]
+        some = queries_of(paths, narrowing)
+        return [matcher.match(one.read(), narrowing=one.narrowing) for one in some]
 
 
 def asked(store, config=BOLD):
