@@ -9,11 +9,10 @@ from typing import Self
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import IntArray
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, Hypotheses, Ranking, RefinedPoses
-from skyline.match.confidence import model_name
+from skyline.match.candidate import Hypotheses, Ranking, RefinedPoses
 from skyline.match.matchers import Ranker
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import QueryRays
@@ -99,14 +98,15 @@ class FullMatcher(Ranker):
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
             chosen = _distinct(found, top)
-            return Ranking(found[chosen], *self._confidences("retrieved", figures, chosen))
+            near, roughly = confidence.probabilities(self._models, "retrieved", figures)
+            return Ranking(found[chosen], near[chosen], roughly[chosen])
         figures = confidence.refined_figures(poses, found, query)
         # A pose that has moved out of the narrowing is no candidate.
         standing = poses.hypotheses
         score = np.where(prior.allows(standing), standing.score, np.inf)
         chosen = _distinct(replace(standing, score=score), top)
-        near, roughly = self._confidences("refined", figures, chosen)
-        return Ranking(standing[chosen], near, roughly, poses[chosen])
+        near, roughly = confidence.probabilities(self._models, "refined", figures)
+        return Ranking(standing[chosen], near[chosen], roughly[chosen], poses[chosen])
 
     def _found(
         self, query: QueryRays, prior: Prior, screened: Alike | None = None
@@ -149,12 +149,12 @@ class FullMatcher(Ranker):
             )
             if belongs and len(retrieved)
         ]
-        near = roughly = np.zeros(len(chosen))
+        near = roughly = np.zeros(len(cost))
         if figures:
             mean = confidence.mean_figures(figures)
-            near, roughly = self._confidences("refined", mean, chosen)
+            near, roughly = confidence.probabilities(self._models, "refined", mean)
         return [
-            Ranking(poses.hypotheses[chosen], near, roughly, poses[chosen])
+            Ranking(poses.hypotheses[chosen], near[chosen], roughly[chosen], poses[chosen])
             if belongs
             else Ranking(poses.hypotheses[:0])
             for poses, belongs in zip(joint, agrees.tolist(), strict=True)
@@ -202,11 +202,9 @@ class FullMatcher(Ranker):
         poses = Refinement(query, self._scene, effort, float(above_m[0])).run(start)[:1]
         if not len(poses):
             return Ranking(poses.hypotheses)
-        models = [self._models[model_name("refined", within_m)] for within_m in DISTANCES_M]
-        near, roughly = (
-            model.probability(confidence.lone_figures(poses, query, model)) for model in models
-        )
-        return Ranking(poses.hypotheses, near, np.maximum(near, roughly), poses)
+        figures = confidence.lone_figures(poses, query)
+        near, roughly = confidence.probabilities(self._models, "refined", figures)
+        return Ranking(poses.hypotheses, near, roughly, poses)
 
     @_one_blas_thread()
     def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:
@@ -225,16 +223,6 @@ class FullMatcher(Ranker):
             return found
         raised = near.score - near.score.min() + found.score.min()
         return Hypotheses.concatenate([found, replace(near, score=raised)])
-
-    def _confidences(
-        self, stage: str, figures: dict[str, Float64Array], chosen: IntArray
-    ) -> tuple[Float64Array, Float64Array]:
-        """Return the probabilities that chosen poses are right within 200 m and within 1 km."""
-        near, roughly = (
-            self._models[model_name(stage, within_m)].probability(figures)[chosen]
-            for within_m in DISTANCES_M
-        )
-        return near, np.maximum(near, roughly)
 
 
 def _distinct(poses: Hypotheses, top: int) -> IntArray:

@@ -44,6 +44,7 @@ from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
     HEADING,
+    LOG_SCALE,
     ROUGH,
     SCOUT,
     TEMPERATURE,
@@ -259,7 +260,7 @@ class Refinement:
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs(in_turn(turn))
-        half_deg = 0.5 * solver.fov_deg(state)[:, np.newaxis]
+        half_deg = 0.5 * solver.query.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
         wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
@@ -313,7 +314,7 @@ class Refinement:
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             found.effective_columns,
-            solver.height_sd_m(particles.fit),
+            solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             *(hypotheses.rival_margin(least_m) for least_m in DISTANCES_M),
         )

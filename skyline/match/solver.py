@@ -228,7 +228,8 @@ class Solver:
     ) -> None:
         self.query, self.mode, self._eye = thinned(query, mode.bins), mode, eye
         self._noted, self._edge = noted, edge
-        self._heights_m = HEIGHT_SHARES * height_sd_m
+        self.heights_m = HEIGHT_SHARES * height_sd_m
+        """Standard deviations of the terrain model's heights that are tried."""
         low, high = query.log_scale_bounds
         self.size = size = DISTORTION + (query.distortion_sd > 0.0)
         """Unknowns P of a state."""
@@ -283,18 +284,10 @@ class Solver:
             np.degrees(fit.state[:, HEADING]) % 360.0,
             np.degrees(fit.state[:, PITCH]),
             np.degrees(fit.state[:, ROLL]),
-            self.fov_deg(fit.state),
+            self.query.fov_at(fit.state[:, LOG_SCALE]),
             fit.state[:, DISTORTION:].sum(axis=1),
             fit.cost,
         )
-
-    def fov_deg(self, state: Float64Array) -> Float64Array:
-        """Return the field of view of states (M, P), degrees."""
-        return self.query.fov_at(state[:, LOG_SCALE])
-
-    def height_sd_m(self, fit: Fit) -> Float64Array:
-        """Return the chosen standard deviation (M,) of the terrain model's heights."""
-        return np.asarray(self._heights_m[fit.height])
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Return fits after the mode's steps from one rendering, with newly chosen deviations.
@@ -420,7 +413,7 @@ class Solver:
             self.query.weight,
             errors,
             ANGLES_DEG[angle],
-            self._heights_m[height],
+            self.heights_m[height],
             fit.odds,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()

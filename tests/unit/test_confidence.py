@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from query_scenes import equally_trusted, poses
 
-from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, RefinedPoses
 
@@ -12,9 +11,7 @@ AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
-NEAR_REFINED, NEAR_RETRIEVED = (
-    confidence.model_name(stage, RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
-)
+NEAR_RETRIEVED = confidence.model_name("retrieved", RIGHT_WITHIN_M)
 
 
 def retrieved(easting_m, score):
@@ -22,8 +19,7 @@ def retrieved(easting_m, score):
     return poses(len(score), easting_m=easting_m, score=score)
 
 
-def test_the_packaged_models_know_the_figures_they_are_given():
-    zero = np.zeros(3)
+def test_the_packaged_models_know_the_figures_of_a_search():
     figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
     assert set(models) == {
@@ -31,11 +27,17 @@ def test_the_packaged_models_know_the_figures_they_are_given():
         for stage in ("refined", "retrieved")
         for within_m in DISTANCES_M
     }
+    one = np.ones(3)
+    refined = RefinedPoses(
+        retrieved([0.0] * 3, [0.0] * 3), np.tile(np.eye(2), (3, 1, 1)), *[one] * 7
+    )
+    assert set(models[NEAR_RETRIEVED].names) <= set(figures)
+    of_refined = confidence.refined_figures(refined, refined.hypotheses, QUERY)
+    for within_m in DISTANCES_M:
+        assert set(models[confidence.model_name("refined", within_m)].names) <= set(of_refined)
     sure = models[NEAR_RETRIEVED].probability(figures)
     assert sure.shape == (3,)
     assert ((sure > 0.0) & (sure < 1.0)).all()
-    with pytest.raises(InputError, match="needs"):
-        models[NEAR_REFINED].probability({"margin": zero})
 
 
 def test_a_margin_is_over_the_best_rival():
@@ -64,7 +66,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
         retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
         one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one,
     )  # fmt: skip
-    sure = model.probability(confidence.lone_figures(poses, QUERY, model))
+    sure = model.probability(confidence.lone_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[2:] < 0.8).all()
