@@ -1,8 +1,4 @@
-"""The answer to a query: candidate places, whether the best one is the answer, and if not, why.
-
-This module holds every form in which an answer is given (sentences, JSON, the row of ``match
---results``, the GeoDataFrame) and, at its end, the rules by which an answer is refused.
-"""
+"""The answer to a query: its sentences, its JSON, its rows and points, and when it is refused."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -21,13 +17,14 @@ from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.query import QuerySkyline
 
+TOP = 5
+"""Candidates that a search returns, unless it is asked for another number."""
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 """Keys of a candidate that differ between photos of one place."""
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
-"""Least share of a skyline possibly formed by terrain beyond the elevation model for which the
-answer carries a warning."""
+"""From this share of a skyline on, terrain beyond the elevation model is warned of."""
 _FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
 """The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
 than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
@@ -114,10 +111,7 @@ class MatchResult:
 
     @property
     def beyond(self) -> str | None:
-        """A warning that the skyline may be of terrain beyond the elevation model.
-
-        None where that share of the skyline is not known, or small.
-        """
+        """A warning that much of the skyline may be of terrain beyond the elevation model."""
         share = None if self.best is None else self.best.beyond_share
         if share is None or share < _BEYOND_SHARE:
             return None
@@ -157,10 +151,7 @@ class MatchResult:
         }
 
     def exif_in_words(self, with_place: bool = True) -> str:
-        """Return `exif` in sentences; empty where the photo notes nothing.
-
-        Without ``with_place``, the photo's own longitude and latitude are left out.
-        """
+        """Return `exif` in sentences, with the noted longitude and latitude or without."""
         exif, best = self.exif, self.best
         if exif is None:
             return ""
@@ -218,8 +209,8 @@ class MatchResult:
             "reason": self.refusal and printable(self.refusal),
         }
 
-    def to_text(self, top: int = 5) -> str:
-        """Return the lines that ``skyline match`` prints; ``top`` candidates were asked for."""
+    def to_text(self) -> str:
+        """Return the lines that ``skyline match`` prints."""
         lens = self.query.lens
         lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
         if self.answer is not None:
@@ -231,8 +222,8 @@ class MatchResult:
             quality = f"score {one.score:.3f}" if one.confidence is None else _confidences(one)
             unrefined = "" if one.refined else "  (unrefined)"
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
-        if 0 < len(self.candidates) < top:
-            count = f"{len(self.candidates)} of {top} candidates"
+        if 0 < len(self.candidates) < TOP:
+            count = f"{len(self.candidates)} of {TOP} candidates"
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
@@ -307,8 +298,7 @@ class JointResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --same-place --json`` prints it.
 
-        A place is a candidate without its camera; each photo that agrees has its own camera at the
-        best place.
+        Places are candidates without a camera; each photo that agrees has its own.
         """
         places = [
             {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
@@ -465,10 +455,9 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
 
 
 def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
-    """Return why a fit has failed: a search would refuse its pose even without rivals.
+    """Return why a fit has failed: a search would refuse its pose even without rivals; else None.
 
-    None if the fit has not failed. The confidence of ``fitted`` is the one that a search would
-    give it if nothing else fitted.
+    The confidence of ``fitted`` is the one that a search would give it if nothing else fitted.
     """
     if sure_within_m(fitted, config) is not None:
         return None
@@ -494,10 +483,7 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
 
 
 def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
-    """Return a hint that the best candidate needs another field of view than the query's.
-
-    Empty if the two are within two standard deviations.
-    """
+    """Return a hint if the best field of view is two standard deviations off; empty if not."""
     if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
         return ""
     return (

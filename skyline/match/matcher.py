@@ -12,6 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match.answer import (
     DISAGREES,
+    TOP,
     JointResult,
     MatchResult,
     misfit,
@@ -133,7 +134,7 @@ class Matcher:
         self,
         query: str | Path | QuerySkyline,
         fov_deg: float | None = None,
-        top: int = 5,
+        top: int = TOP,
         narrowing: Narrowing | None = None,
         screened: Alike | None = None,
         report_progress: ReportProgress | None = None,
@@ -183,7 +184,7 @@ class Matcher:
         self,
         queries: Sequence[str | Path | QuerySkyline],
         fov_deg: float | None = None,
-        top: int = 5,
+        top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
         report_progress: ReportProgress | None = None,
     ) -> JointResult:
@@ -230,11 +231,10 @@ class Matcher:
         cameras = (ranking.candidates(self.frame) for ranking in rankings)
         found = [() if refusal else next(cameras, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
-        refusal, within_m = unsure(best, self._config), None
+        refusal = unsure(best, self._config)
         if sum(map(bool, found)) < 2:
             refusal = "fewer than two photos agree on a place"
-        if refusal is None:
-            within_m = sure_within_m(best[0], self._config)
+        within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
             MatchResult(query, places, seconds, refusal, within_m, name)

@@ -216,21 +216,20 @@ def level_with_changes(
         Derivatives by pitch and roll, in radians, by the logarithm of the scale, and, if
         ``distortion`` is given, by the distortion.
     """
-    axes = _panorama_axes if query.is_panorama else _lens_axes
-    pitch, roll = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
-    turns = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     scale = np.exp(log_scale)[:, np.newaxis]
     stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach
-    (right, up, forward), (right_change, up_change, forward_change) = axes(
-        query.u * scale * stretch, query.v * scale * stretch, turns
+    (right, up, forward), changes = _axes_with_changes(
+        query.u * scale * stretch,
+        query.v * scale * stretch,
+        pitch_rad[:, np.newaxis],
+        roll_rad[:, np.newaxis],
+        query.is_panorama,
     )
     if distortion is not None:
         # Distortion moves rays outwards like the scale, but the more the farther out they are.
         share = (query.reach / stretch)[..., np.newaxis]
-        right_change, up_change, forward_change = (
-            np.concatenate([change, change[..., 2:] * share], axis=-1)
-            for change in (right_change, up_change, forward_change)
-        )
+        changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
+    right_change, up_change, forward_change = changes
     flat = np.hypot(right, forward)
     right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
     flat_change = (right_ * right_change + forward_ * forward_change) / flat_
@@ -242,44 +241,37 @@ def level_with_changes(
     )
 
 
-_Axes = tuple[Float64Array, Float64Array, Float64Array]
-"""Components to the right, up and forward."""
+def _axes_with_changes(
+    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array, is_panorama: bool
+) -> tuple[list[Float64Array], list[Float64Array]]:
+    """Return the components of `level_axes`, with the derivatives (M, R, 3) of each component.
 
-
-def _lens_axes(
-    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
-) -> tuple[_Axes, _Axes]:
-    """Return components (M, R) of rays on the axes of a level camera, and their derivatives.
-
-    The derivatives (M, R, 3) are by pitch, by roll, and by the logarithm of the scale.
+    They are by pitch, by roll, and by the logarithm of the scale.
     """
-    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
-    right = u * cos_roll + v * sin_roll
-    above = v * cos_roll - u * sin_roll
-    forward = cos_pitch - above * sin_pitch
-    up = above * cos_pitch + sin_pitch
-    return (right, up, forward), (
-        np.stack([np.zeros_like(up), above, right], axis=-1),
-        np.stack([forward, -right * cos_pitch, above * cos_pitch], axis=-1),
-        np.stack([-up, right * sin_pitch, -above * sin_pitch], axis=-1),
-    )
-
-
-def _panorama_axes(
-    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
-) -> tuple[_Axes, _Axes]:
-    """Return the same as `_lens_axes` for a panorama."""
-    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
-    across, forward = np.sin(u), np.cos(u)
-    above = v + sin_pitch / cos_pitch
-    right = across * cos_roll + above * sin_roll
-    up = above * cos_roll - across * sin_roll
-    raised, turned = np.ones_like(u) / cos_pitch**2, u * forward
-    return (right, up, forward), (
-        np.stack([raised * sin_roll, up, turned * cos_roll + v * sin_roll], axis=-1),
-        np.stack([raised * cos_roll, -right, v * cos_roll - turned * sin_roll], axis=-1),
-        np.stack([np.zeros_like(u), np.zeros_like(u), -u * across], axis=-1),
-    )
+    cos_roll, sin_roll = np.cos(roll), np.sin(roll)
+    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    if is_panorama:
+        across, forward = np.sin(u), np.cos(u)
+        above = v + sin_pitch / cos_pitch
+        right = across * cos_roll + above * sin_roll
+        up = above * cos_roll - across * sin_roll
+        raised, turned, none = np.ones_like(u) / cos_pitch**2, u * forward, np.zeros_like(u)
+        changes = [
+            [raised * sin_roll, up, turned * cos_roll + v * sin_roll],
+            [raised * cos_roll, -right, v * cos_roll - turned * sin_roll],
+            [none, none, -u * across],
+        ]
+    else:
+        right = u * cos_roll + v * sin_roll
+        above = v * cos_roll - u * sin_roll
+        forward = cos_pitch - above * sin_pitch
+        up = above * cos_pitch + sin_pitch
+        changes = [
+            [np.zeros_like(up), above, right],
+            [forward, -right * cos_pitch, above * cos_pitch],
+            [-up, right * sin_pitch, -above * sin_pitch],
+        ]
+    return [right, up, forward], [np.stack(change, axis=-1) for change in changes]
 
 
 def thinned(query: QueryRays, bins: int) -> QueryRays:

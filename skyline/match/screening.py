@@ -308,16 +308,15 @@ def screen_places(
 
 def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
     """Yield the blocks of a part, each with its first row, in lists for one thread."""
-    start, batch = 0, []
-    chosen = range(*part.indices(1 << 40))
-    for index, places in enumerate(source.blocks()):
-        if index in chosen:
-            batch.append((start, places))
-        start += len(places)
-        if len(batch) == _BLOCKS_AT_ONCE:
-            yield batch
-            batch = []
-    if batch:
+
+    def numbered() -> Iterator[tuple[int, Places]]:
+        first = 0
+        for places in source.blocks():
+            yield first, places
+            first += len(places)
+
+    chosen = islice(numbered(), part.start, part.stop)
+    while batch := list(islice(chosen, _BLOCKS_AT_ONCE)):
         yield batch
 
 

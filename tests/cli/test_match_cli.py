@@ -46,8 +46,8 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
     assert 0.0 < record["answer"]["radius_m"] < 100.0
-    elsewhere = "{},{},0.4".format(*lonlat_of(dem, 601_000.0, 5_179_000.0))
-    found = run("match", store, trace, "--fov-deg", "60", "--near", elsewhere, "--json")
+    far = "{},{},0.4".format(*lonlat_of(dem, 601_000.0, 5_179_000.0))
+    found = run("match", store, trace, "--fov-deg", "60", "--near", far, "--json")
     record = json.loads(found.out)
     assert record["answer"] is None
     assert "confidence" in record["refusal"]
