@@ -159,7 +159,11 @@ class MatchResult:
         it = "the answer" if self.answer is not None or best is None else best.name
         if exif["lat"] is not None:
             where = f"lat {exif['lat']:.5f} lon {exif['lon']:.5f}" if with_place else "a place"
-            off = "" if best is None else f", {_distance(exif['distance_m'])} from {it}"
+            distance_m = exif["distance_m"] or 0.0
+            distance = f"{distance_m:.0f} m"
+            if distance_m >= 10_000.0:
+                distance = f"{distance_m / 1000.0:,.0f} km"
+            off = "" if best is None else f", {distance} from {it}"
             accuracy = (
                 "" if exif["accuracy_m"] is None else f" (good to {exif['accuracy_m']:.0f} m)"
             )
@@ -398,10 +402,6 @@ def _view(one: Candidate) -> str:
 
 def _confidences(one: Candidate) -> str:
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
-
-
-def _distance(metres: float) -> str:
-    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:,.0f} km"
 
 
 def _skyline_svg(query: QuerySkyline) -> str:

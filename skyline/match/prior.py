@@ -250,8 +250,6 @@ class Prior:
     """Easting, northing and radius of circles that all contain the searched places."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
-    open_turns: BoolArray | None = None
-    """(180,) bool. The turns that screening looks at; see `turns_within`. None for all."""
     noted: PlacePrior | None = None
     """Prior from the photo's EXIF."""
 
@@ -261,17 +259,22 @@ class Prior:
 
         Raises as `Frame.rectangle_m`.
         """
-        turns, rectangle = None, None
+        rectangle = None
         circles: tuple[tuple[float, float, float], ...] = ()
         if narrowing.near is not None:
             east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
             circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
-        if narrowing.heading_deg is not None:
-            heading, slack = narrowing.heading_deg
-            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, circles, rectangle, turns, noted)
+        return cls(narrowing, frame, circles, rectangle, noted)
+
+    @property
+    def open_turns(self) -> BoolArray | None:
+        """The turns (180,) that screening looks at, see `turns_within`; None for all."""
+        if self.narrowing.heading_deg is None:
+            return None
+        heading, slack = self.narrowing.heading_deg
+        return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Hypotheses) -> BoolArray:
         """Return which positions (N,) lie within the circles, the bounds and the elevations."""
@@ -301,7 +304,7 @@ class Prior:
         return allowed
 
     def near_noted(self) -> "Prior | None":
-        """Return this prior, narrowed to the surroundings of the noted place; None without one."""
+        """Return this prior narrowed to the surroundings of the noted place; None without one."""
         if self.noted is None:
             return None
         radius_m = _REACH_M + _REACH_SD * self.noted.sd_m
