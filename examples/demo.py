@@ -46,7 +46,7 @@ FOV_DEG = float(2.0 * np.degrees(np.arctan(18.0 / FOCAL_LENGTH_35MM)))
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A picture and the truth about it, which the matcher is not told."""
+    """A picture, and the truth about it, which the matcher does not get."""
 
     path: Path
     easting_m: float
@@ -129,7 +129,7 @@ def draw(terrain: HeightField, first: Query, out: Path) -> None:
 
 
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:
-    """Say where each picture was put and how far off that is."""
+    """Return a table of where each picture was put, and how far off that is."""
     searched = "places" if matcher == FULL else f"renderings {RENDERINGS_M:.0f} m apart"
     table = Table(title=f"{len(queries)} pictures, {searched}, matcher: {matcher}")
     for name in ("query", "put at (E, N)", "off by", "heading", "off by", "sure", "seconds"):

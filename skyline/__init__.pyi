@@ -18,14 +18,13 @@ from .match.matchers import MatchConfig
 from .match.prior import Narrowing
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.exif import NotedPlace
-from .photo.lens import Lens
+from .photo.exif import Lens, NotedPlace
 from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
+from .render.context import RenderThread
 from .render.horizon import RenderConfig, render_views
-from .render.thread import RenderThread
 from .report.exports import export_matches
 from .report.labelled_panorama import save_panorama
 from .report.landscape import PanoramaConfig

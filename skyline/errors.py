@@ -6,13 +6,11 @@ the errors, messages that several files share, and the logging of a process.
 """
 
 import io
-import json
 import logging
 import os
 import re
 import sys
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -115,10 +113,6 @@ def library(name: str, extra: str, what: str) -> Any:
         ) from error
 
 
-ENVIRONMENT_VARIABLE = "SKYLINE_LOG"
-JSON = "json"
-
-
 class _Lines(logging.Formatter):
     """Formats a record's message as one line."""
 
@@ -127,36 +121,14 @@ class _Lines(logging.Formatter):
         return super().formatMessage(record)
 
 
-class _JsonLines(logging.Formatter):
-    """Formats a record, and the facts that `extra` holds, as one line of JSON."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return json.dumps(
-            {
-                "time": datetime.fromtimestamp(record.created, UTC).isoformat("T", "milliseconds"),
-                "level": record.levelname.lower(),
-                "message": printable(record.getMessage()),
-                **getattr(record, "facts", {}),
-            }
-        )
-
-
-def as_json() -> bool:
-    """Return whether ``SKYLINE_LOG=json`` asks for JSON lines."""
-    return os.environ.get(ENVIRONMENT_VARIABLE) == JSON
-
-
 def start_logging() -> None:
-    """Send this process's log to standard error, with the warnings of GDAL and Python."""
+    """Send this process's log to standard error, without GDAL's own lines."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A terminal whose encoding has no degree sign must not end the run.
             stream.reconfigure(errors="backslashreplace")
     handler = logging.StreamHandler()
-    handler.setFormatter(_JsonLines() if as_json() else _Lines("%(levelname)s: %(message)s"))
+    handler.setFormatter(_Lines("%(levelname)s: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     # A file that GDAL cannot read becomes an error of one line; GDAL's own lines only confuse.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
-    if as_json():
-        logging.captureWarnings(capture=True)
-        logging.getLogger("skyline").setLevel(logging.INFO)

@@ -82,9 +82,8 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
     """Return bounds; `InputError` where they are not W,S,E,N with S < N."""
     west, south, east, north = bounds_deg
     if not are_bounds(*bounds_deg):
-        hint = ""
-        if are_bounds(south, west, north, east):
-            hint = f"; {swapped_in_words(*bounds_deg)}"
+        is_swapped = are_bounds(south, west, north, east)
+        hint = f"; {swapped_in_words(*bounds_deg)}" if is_swapped else ""
         raise InputError(
             f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees, longitudes "
             f"from -180 to 180, S < N, and W > E only across the antimeridian{hint}"
@@ -158,11 +157,8 @@ def parse_crs(crs: object) -> CRS:
 def transformer(source: CRS, target: CRS) -> Transformer:
     """Return the transformation of x and y, in the order that raster files have, between two CRS.
 
-    Raises
-    ------
-    InputError
-        PROJ knows no transformation: the CRS is of another planet, or has a projection that PROJ
-        lacks.
+    Raises `InputError` where PROJ knows none: for the CRS of another planet, or a projection that
+    PROJ lacks.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -281,15 +277,9 @@ class Frame:
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
     def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
-        """Return west, south, east, north in metres of the rectangle around a box in degrees.
+        """Return the rectangle around a box in degrees, which is a curved quadrangle on the map.
 
-        The box W, S, E, N is a curved quadrangle on the map. West above east means a box across
-        the antimeridian.
-
-        Raises
-        ------
-        InputError
-            The bounds are not numbers in order.
+        Raises `InputError` for bounds that are not numbers in order.
         """
         west, south, _, north = check_bounds(bounds_deg)
         rectangle: Rectangle = self._to_lonlat.transform_bounds(

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import multiprocessing
 import os
 import signal
 import sys
@@ -9,8 +10,8 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from functools import partial
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +22,7 @@ from typer import Argument, Option
 
 from skyline import cli
 from skyline.build import plans
-from skyline.build.cluster import local_runner
+from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import PlacePlan, Plan, RenderingPlan
 from skyline.errors import SkylineError
@@ -36,6 +37,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
 from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.search.specs import middle_deg
 
 _SIDE_M = 5000.0
 """Of the area that is built again and again."""
@@ -60,16 +62,17 @@ def _plans(terrain: HeightField, bounds_deg: Bounds) -> dict[str, tuple[Plan, in
     }
 
 
-def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> tuple[int, int]:
+def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkProcess:
     """Start a build in a process of its own, which leads a group of processes."""
 
-    def work(_: object) -> None:
+    def work() -> None:
         os.setsid()
-        with ExitStack() as held:
-            runner = held.enter_context(local_runner(workers)) if workers else None
+        with runner_of(str(workers) if workers else None) as runner:
             build_store(terrain, path, plan, runner)
 
-    return fork(work)
+    process = _FORK.Process(target=work)
+    process.start()
+    return process
 
 
 def _kills(dem: Path, builds: int, folder: Path) -> Iterator[Row]:
@@ -77,11 +80,11 @@ def _kills(dem: Path, builds: int, folder: Path) -> Iterator[Row]:
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
     terrain, generator = read_dem([dem]), np.random.default_rng(0)
     plans._PLACES_A_PART, plans._VIEWPOINTS_A_PART = _PLACES_A_PART, _VIEWPOINTS_A_PART
-    kinds = _plans(terrain, middle_of(terrain, _SIDE_M))
+    kinds = _plans(terrain, middle_deg(terrain, (_SIDE_M, _SIDE_M)))
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
         started = time.perf_counter()
-        ended(*_start(terrain, whole, plan, workers))
+        _start(terrain, whole, plan, workers).join()
         lasts_s, unbroken = time.perf_counter() - started, whole.read_bytes()
         whole.unlink()
         tally = Counter(builds=0, kills=0, lost=0, equal=0)
@@ -89,28 +92,27 @@ def _kills(dem: Path, builds: int, folder: Path) -> Iterator[Row]:
             path = folder / "killed.h5"
             for _ in range(_KILLS_A_BUILD):
                 before = _parts(path)
-                child = _start(terrain, path, plan, workers)
+                build = _start(terrain, path, plan, workers)
                 time.sleep(generator.uniform(0.0, _LONGER * lasts_s))
-                _kill_group(child[0])
-                code, _ = ended(*child)
-                if code == 0 or path.exists():
+                _kill(build)
+                if build.exitcode == 0 or path.exists():
                     break
                 tally["kills"] += 1
                 after = _parts(path)
                 tally["lost"] += sum(after.get(part) != data for part, data in before.items())
-            ended(*_start(terrain, path, plan, workers))
+            _start(terrain, path, plan, workers).join()
             tally["builds"] += 1
             tally["equal"] += path.read_bytes() == unbroken and not parts_folder(path).exists()
             path.unlink()
         yield {"test": "kills", "rows": name, **tally, "unbroken_s": lasts_s}
 
 
-def _kill_group(leader: int) -> None:
-    for kill in (os.killpg, os.kill):
-        try:
-            kill(leader, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
+def _kill(build: ForkProcess) -> None:
+    """Kill a build with its workers, and wait for it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(build.pid or 0, signal.SIGKILL)
+    build.kill()
+    build.join()
 
 
 def _parts(path: Path) -> dict[str, bytes]:
@@ -121,10 +123,10 @@ def _parts(path: Path) -> dict[str, bytes]:
 def _damage(dem: Path, flips: int, cases: int, folder: Path) -> Iterator[Row]:
     """Flip bits of stores, and mutate their files."""
     terrain = read_dem([dem])
-    kinds = _plans(terrain, middle_of(terrain, _SIDE_M))
+    kinds = _plans(terrain, middle_deg(terrain, (_SIDE_M, _SIDE_M)))
     for name in ("places of a grid", "renderings"):
         whole = folder / f"{name}.h5"
-        ended(*_start(terrain, whole, kinds[name][0], 0))
+        _start(terrain, whole, kinds[name][0], 0).join()
         yield {"test": "flips", "rows": name, **_flips(whole, folder, flips)}
         yield {"test": "mutated", "rows": name, **_mutations(whole, folder, cases)}
 
@@ -215,58 +217,39 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-def middle_of(terrain: HeightField, side_m: float) -> Bounds:
-    """Return the middle of a DEM, a square of a side at most, in degrees."""
-    west, south, east, north = terrain.bounds_m
-    half = min(side_m, east - west, north - south) / 2.0
-    east_m, north_m = (west + east) / 2.0, (south + north) / 2.0
-    lon, lat = terrain.frame.to_lonlat(
-        [east_m - half, east_m + half, east_m, east_m],
-        [north_m, north_m, north_m - half, north_m + half],
-    )
-    return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
-
-
 # --- damaged input ---------------------------------------------------------------------------
 
 
-class _Hang(BaseException):
-    """A command took longer than any of these files may."""
-
-
-def _ended(arguments: list[object]) -> str:
+def _command(arguments: list[object]) -> str:
     """Run a command; return "answered", "refused", or a description of any other end."""
-    out, err = io.StringIO(), io.StringIO()
+    errors = io.StringIO()
     sys.argv = ["skyline", *map(str, arguments)]
-    signal.alarm(_COMMAND_S)
+    code: object = 0
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
             cli.main()
-        code: object = 0
     except SystemExit as stop:
         code = stop.code or 0
-    except _Hang:
-        return "hang"
-    except BaseException as error:
-        return f"raised {type(error).__name__}"
-    finally:
-        signal.alarm(0)
-    errors = err.getvalue()
+    text = errors.getvalue()
     if code == 0:
         return "answered"
-    if code == 2 and errors.count("\n") == 1 and errors.startswith("error: "):
+    if code == 2 and text.count("\n") == 1 and text.startswith("error: "):
         return "refused"
-    return f"code {code}: {errors!r}"
+    return f"code {code}: {text!r}"
 
 
-def _good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[object]]]]:
+_Command = Callable[[Path], list[object]]
+"""Gives the arguments of the command that reads a file."""
+
+
+def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
     """Return good files and the commands that read them, by suffix."""
     generator = np.random.default_rng(0)
     heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
     corner, step = (_WEST_M, _NORTH_M), (_SPACING_M, _SPACING_M)
     dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
     store = folder / "store.h5"
-    _ended(["build", dem, "-o", store, "--spacing", 300])
+    outcome_of(partial(_command, ["build", dem, "-o", store, "--spacing", 300]), _COMMAND_S)
     ascii_dem = (
         "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
         + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
@@ -300,76 +283,53 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[ob
     }
 
 
-def _too_long(_signal: int, _frame: object) -> None:
-    raise _Hang
-
-
 def _damaged_files(cases: int, seed: int) -> Iterator[Row]:
     """Yield how many of so many damaged files of each kind were answered, and how many refused."""
-    signal.signal(signal.SIGALRM, _too_long)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for suffix, (data, command) in _good_files(folder).items():
-            whole = folder / f"whole.{suffix}"
-            whole.write_bytes(data)
-            if _ended(command(whole)) != "answered":
-                raise SkylineError(f"the whole {suffix} is not answered; damage would show nothing")
-            (folder / "o.h5").unlink(missing_ok=True)
-            generator = np.random.default_rng(seed)
-            ends: Counter[str] = Counter()
-            for case in range(cases):
-                path = folder / f"case-{case}.{suffix}"
-                path.write_bytes(mutated(data, generator))
-                ends[_ended(command(path))] += 1
-                path.unlink()
+
+            def end(path: Path, content: bytes, command: _Command = command) -> str:
+                path.write_bytes(content)
                 (folder / "o.h5").unlink(missing_ok=True)
-            counts = {end: ends.pop(end, 0) for end in ("answered", "refused")}
+                found = outcome_of(lambda: _command(command(path)), _COMMAND_S)
+                path.unlink()
+                return found
+
+            if end(folder / f"whole.{suffix}", data) != "answered":
+                raise SkylineError(f"the whole {suffix} is not answered; damage would show nothing")
+            generator = np.random.default_rng(seed)
+            ends = Counter(
+                end(folder / f"case-{case}.{suffix}", mutated(data, generator))
+                for case in range(cases)
+            )
+            counts = {name: ends.pop(name, 0) for name in ("answered", "refused")}
             yield {"file": suffix, "cases": cases, **counts, "wrong": dict(ends)}
 
 
-# --- work in a process of its own, in which a crash or a hang is a result --------------------
+# --- processes of their own, in which a crash or a hang is a result --------------------------
 
 
-Send = Callable[[bytes], object]
-"""Sends bytes to the process that forked this one."""
+_FORK = multiprocessing.get_context("fork")
 
 
-def fork(work: Callable[[Send], object]) -> tuple[int, int]:
-    """Do work in a new process, which exits with 0, or with 1 where it raises.
+def outcome_of(work: Callable[[], str], limit_s: int) -> str:
+    """Return the text of work in a process of its own, or "raised", "hang" or "crash".
 
-    Return its id, and the end of a pipe at which its bytes are read.
+    This process must not render: OpenGL does not outlive a fork.
     """
-    reading, writing = os.pipe()
-    pid = os.fork()
-    if pid:
-        os.close(writing)
-        return pid, reading
-    code = 1
-    try:
-        os.close(reading)
-        work(partial(os.write, writing))
-        code = 0
-    finally:
-        os._exit(code)
-
-
-def ended(pid: int, reading: int) -> tuple[int, bytes]:
-    """Wait for a process that was forked; return its exit code and its bytes."""
-    with os.fdopen(reading, "rb") as pipe:
-        sent = pipe.read()
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), sent
-
-
-def outcome_of(work: Callable[[], str], limit_s: int = 60) -> str:
-    """Return the text of work in a process of its own, or "raised", "hang" or "crash"."""
-
-    def child(send: Send) -> None:
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(limit_s)
-        send(work().encode())
-
-    code, sent = ended(*fork(child))
-    return {0: sent.decode(), 1: "raised", -signal.SIGALRM: "hang"}.get(code, "crash")
+    receiving, sending = _FORK.Pipe(duplex=False)
+    with receiving, sending:
+        process = _FORK.Process(target=lambda: sending.send(work()))
+        process.start()
+        process.join(limit_s)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+            return "hang"
+        if process.exitcode == 0:
+            return str(receiving.recv())
+        return "raised" if process.exitcode == 1 else "crash"
 
 
 # --- commands --------------------------------------------------------------------------------
@@ -404,7 +364,6 @@ def input_fuzz(
 ) -> None:
     """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
     rows: list[Row] = []
-    # No bar: its output would be taken for a line of the command under test.
     for row in _damaged_files(min(cases, 10) if quick else cases, seed):
         rows.append(row)
         typer.echo(f"{row['file']}: {row['cases']} files", err=True)

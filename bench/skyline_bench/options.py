@@ -41,7 +41,7 @@ Dems = Annotated[
 ]
 JsonFile = Annotated[Path | None, new_file("Write rows and machine as JSON.", "--json")]
 PlotFile = Annotated[Path | None, new_file("Draw them: PNG, PDF or SVG.", "--plot")]
-Seed = Annotated[int, Option(help="Of all random draws.")]
+Seed = Annotated[int, Option(min=0, help="Of all random draws.")]
 Quick = Annotated[bool, Option("--quick", help="Two minutes at most: much smaller.")]
 Folder = Annotated[
     Path | None, Option(help="Keep stores here; those that are there are not built again.")

@@ -1,32 +1,26 @@
 """The page measured in a browser.
 
-How soon the page is ready, how closely the skyline follows the mouse, and how much memory matches
-leave behind.
+How soon the page is ready, how long strokes take, and how closely the skyline follows the mouse.
 """
 
-import json
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
-from urllib.request import Request, urlopen
+from urllib.request import urlopen
 
 import cv2
 import numpy as np
 from PIL import Image
 
 from skyline import build_places, read_dem, stand_at
-from skyline.arrays import Progress
 from skyline.cli.console import progress_bar
 from skyline.errors import BuildError, InputError
 from skyline.render.depth import DepthRenderer
@@ -34,16 +28,13 @@ from skyline_bench import options
 from skyline_bench.figures import SAMPLE_BOUNDS_DEG
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import own_bytes
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 _SPACING_M = 120.0
 _PHOTO_PX = (4000, 3000)
 _FOCAL_LENGTH_35MM = 31
-_WARM_MATCHES = 5
 _LIMIT_S = 120.0
-_KNOWN = b'{"fov": 60}'
 _DRAG_HZ = 60.0
 
 _PROMISED: dict[str, Row] = {
@@ -66,23 +57,13 @@ _SERVE = "from skyline.cli import main; main()"
 _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
 
 
-@dataclass(frozen=True, slots=True)
-class ServedPage:
-    """A page that is being served."""
-
-    address: str
-    ready_s: float  # From the command to the page's first answer
-    process: int  # Its number
-
-    def own_bytes(self) -> int:
-        """Return the memory of the server that lies in no file."""
-        return own_bytes(self.process) or 0
-
-
 @contextmanager
-def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
-    """Run ``skyline serve`` with some arguments, on any free port."""
-    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+def _served_page(store: Path) -> Iterator[tuple[str, float]]:
+    """Run ``skyline serve`` on any free port.
+
+    Yields the page's address, and the seconds from the command to the page's first answer.
+    """
+    command = [sys.executable, "-c", _SERVE, "serve", str(store), "--port", "0"]
     began = time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
         try:
@@ -92,13 +73,13 @@ def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
                 raise BuildError("the page was not served; run `skyline serve` to see why")
             with urlopen(found[0]) as answer:
                 answer.read()
-            yield ServedPage(found[0], time.perf_counter() - began, run.pid)
+            yield found[0], time.perf_counter() - began
         finally:
             run.terminate()
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
+def _browser() -> Iterator[Any]:
     """Start Chromium as `headless` has it; raises likewise."""
     options, service = headless()
     from selenium import webdriver  # noqa: PLC0415  (an extra)
@@ -141,31 +122,22 @@ def page(
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
-    """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
-    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
-        rows = measure(Path(folder), 1 if quick else 50, 2.0 if quick else 10.0, bar)
-    options.report(json_file, "page", rows)
-
-
-def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
-    """Serve the sample terrain's page and measure it.
-
-    Memory is compared over so many matches, and the camera is dragged for so long.
-    """
-    store, photo = _made(folder)
-    progress(1, 5)
-    with served_page([store]) as served:
-        figures: list[_Figure] = [("server ready", served.ready_s, "s")]
-        progress(2, 5)
-        with browser() as chromium:
-            figures += _in_browser(chromium, served, photo, drag_s)
-        progress(4, 5)
-        figures += _memory(served, photo, matches)
-        progress(5, 5)
-    return [
+    """The page in a browser: ready, strokes on 12 megapixels, and the live skyline."""
+    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as progress:
+        store, photo = _made(Path(folder))
+        progress(1, 3)
+        with _served_page(store) as (address, ready_s), _browser() as chromium:
+            progress(2, 3)
+            figures = [
+                ("server ready", ready_s, "s"),
+                *_in_browser(chromium, address, photo, 2.0 if quick else 10.0),
+            ]
+        progress(3, 3)
+    rows = [
         {"figure": name, "value": float(value), "unit": unit, **_PROMISED.get(name, {})}
         for name, value, unit in figures
     ]
+    options.report(json_file, "page", rows)
 
 
 def _made(folder: Path) -> tuple[Path, Path]:
@@ -184,9 +156,9 @@ def _made(folder: Path) -> tuple[Path, Path]:
     return store, photo
 
 
-def _in_browser(chromium: Any, served: ServedPage, photo: Path, drag_s: float) -> list[_Figure]:
+def _in_browser(chromium: Any, address: str, photo: Path, drag_s: float) -> list[_Figure]:
     """Measure the waiting times of a person at the page."""
-    chromium.get(served.address)
+    chromium.get(address)
     _until(lambda: chromium.execute_script("return document.documentElement.dataset.ready"))
     began = time.perf_counter()
     chromium.find_element("id", "files").send_keys(str(photo))
@@ -251,50 +223,6 @@ def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
         ("hand to skyline, median", np.median(latency), "ms"),
         ("hand to skyline, 95 %", np.percentile(latency, 95), "ms"),
     ]
-
-
-def _memory(served: ServedPage, photo: Path, matches: int) -> list[_Figure]:
-    """Match again and again, and return what the server holds before and after."""
-    seconds = []
-    with _person(served, photo) as asked:
-        for count in range(_WARM_MATCHES + matches):
-            if count == _WARM_MATCHES:
-                before = served.own_bytes()
-            began = time.perf_counter()
-            _post(served, f"{asked}/match", _KNOWN)
-            seconds.append(time.perf_counter() - began)
-        after = served.own_bytes()
-    return [
-        ("match, median", np.median(seconds), "s"),
-        ("memory before", before / 1e6, "MB"),
-        (f"memory after {matches} matches", after / 1e6, "MB"),
-        ("memory a match", (after - before) / 1e6 / matches, "MB"),
-    ]
-
-
-@contextmanager
-def _person(served: ServedPage, photo: Path) -> Iterator[str]:
-    """Put a photo onto a page that is open, and give the photo's address."""
-    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
-
-    session = f"session/{_post(served, 'session', b'')['session']}"
-    record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
-    with connect(_channel(served, session)) as onlooker:
-        # Messages must be received, or the server closes the channel.
-        threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
-        yield f"{session}/photos/{record['id']}"
-
-
-def _channel(served: ServedPage, session: str) -> str:
-    return served.address.replace("http", "ws") + f"{session}/live"
-
-
-def _post(served: ServedPage, path: str, body: bytes) -> Any:
-    try:
-        with urlopen(Request(served.address + path, body, method="POST")) as answer:
-            return json.loads(answer.read())
-    except HTTPError as error:
-        raise BuildError(f"the page answers: {error.read().decode()[:200]}") from error
 
 
 def _ask(chromium: Any, module: str, code: str) -> Any:

@@ -26,7 +26,7 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn
@@ -146,11 +146,11 @@ def _section(measured: Measured, viewer: Viewer | None) -> str:
     shown_figures = {name: shown(value) for name, value in measured.figures.items()}
     parts = [table(("", ""), [[k, str(v)] for k, v in shown_figures.items() if v != "-"])]
     if measured.query is not None:
-        panorama = None
+        sight = None
         if viewer is not None and measured.best is not None:
-            panorama = viewer.panorama(measured.best)
+            sight = viewer.look(measured.best, measured.query)
         photo = read_picture(measured.photograph.photo)
-        drawn, _ = draw_overlay(measured.query, photo, measured.best, panorama)
+        drawn, _ = draw_overlay(measured.query, photo, measured.best, sight)
         parts.insert(0, figures([picture(drawn, "Found, and rendered at the best candidate.")]))
     return section(measured.photograph.name, parts)
 
@@ -215,7 +215,7 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _extracted(one: Photograph) -> Measured:
-    """Read a photograph, and hold its skyline to the truth where that is known."""
+    """Read a photograph, and compare its skyline with the truth where that is known."""
     figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
     started = time.perf_counter()
     try:
@@ -228,21 +228,19 @@ def _extracted(one: Photograph) -> Measured:
         query = replace(query, eye_height_m=one.given_eye_height_m)
     true_px = one.true_row_px(query.width_px, query.height_px)
     if true_px is not None:
-        figures |= right_columns(query, true_px)
+        trusted, right, known = count_columns(query, true_px)
+        figures |= {
+            "right_columns": right / trusted if trusted else None,
+            "found_columns": right / max(known, 1),
+        }
     return Measured(one, figures, query, true_px)
 
 
-def right_columns(query: QuerySkyline, true_px: Float64Array) -> dict[str, Any]:
-    """Return the share of trusted columns that are right, and of true ones that are found so."""
+def count_columns(query: QuerySkyline, true_px: Float64Array) -> tuple[int, int, int]:
+    """Return how many columns with a true skyline are trusted, are right as well, and there are."""
     known = np.isfinite(true_px)
-    both = known & query.trusted
-    off = np.abs(query.row_px[both] - true_px[both]) / query.height_px
-    right = off <= _RIGHT_ROWS
-    return {
-        "right_columns": float(right.mean()) if right.size else None,
-        "found_columns": float(right.sum() / max(known.sum(), 1)),
-        "row_error": float(np.median(off)) if off.size else None,
-    }
+    off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
+    return off.size, int((off <= _RIGHT_ROWS).sum()), int(known.sum())
 
 
 def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -> Measured:
@@ -435,12 +433,9 @@ def sky_masks(
 
 
 def _columns(measured: Measured) -> tuple[int, int, int]:
-    """Return how many columns with a true skyline are trusted, are right as well, and there are."""
-    query, true_px = measured.query, measured.row_px
-    if query is None or true_px is None:
-        with Image.open(measured.photograph.photo) as photo:
-            true_px = measured.photograph.true_row_px(*photo.size)
-        return 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())
-    known = np.isfinite(true_px)
-    off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
-    return off.size, int((off <= _RIGHT_ROWS).sum()), int(known.sum())
+    """Return the figures of `count_columns`; no column is trusted where the photo was refused."""
+    if measured.query is not None and measured.row_px is not None:
+        return count_columns(measured.query, measured.row_px)
+    with Image.open(measured.photograph.photo) as photo:
+        true_px = measured.photograph.true_row_px(*photo.size)
+    return 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())

@@ -17,11 +17,9 @@ import numpy as np
 from skyline.arrays import Float64Array, Progress
 from skyline.camera import DEFAULT_WIDTH, elevation_deg
 from skyline.cli.console import progress_bar
-from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import HorizonRenderer
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
+from skyline.render.horizon import DEFAULT_TOLERANCE_DEG, HorizonRenderer, PanoramaRenderer
 from skyline.skylines import Horizons, Views
 from skyline.solar.local_horizons import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
@@ -76,8 +74,6 @@ def speed_error(
     them, they are of elevation angles. Embree needs embreex (extra peers), GRASS `grass` on the
     path: a peer that is not installed is left out.
     """
-    if seed < 0:
-        raise InputError(f"seed is {seed}; expected 0 or more")
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = _speed_error(terrain, seed, quick, progress)

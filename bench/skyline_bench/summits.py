@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.solar.local_horizons import horizon, horizons_of
 from skyline.store.places import BINS
 from skyline.terrain.cleaning import clean
@@ -53,24 +53,24 @@ _SIGHT_STEPS = 200
 _EYE_M = 2.0
 
 
+_NEAREST_M, _FARTHEST_M = 2000.0, 20_000.0
+"""Distances from which eyes look at a summit."""
+_PROMINENT = 10
+"""The most prominent summits, that eyes stand beside."""
+
+
 @dataclass(frozen=True, slots=True)
 class SummitsConfig:
-    """What is measured."""
+    """How much is measured."""
 
     summits: int = 200  # The highest so many
     eyes: int = 8  # Eyes drawn about each summit
-    # Distances of eyes.
-    nearest_m: float = 2000.0
-    farthest_m: float = 20_000.0
     places: int = 400  # Places rendered, for the cost
-    prominent: int = 10  # The most prominent summits, that eyes stand beside
-    beside: int = 5  # Places beside each, up to half a sample of the file away along each axis
+    beside: int = 5  # Places beside each prominent summit
     anywhere: int = 1000  # Places on the surface
-    seed: int = 0
 
-    def quick(self) -> "SummitsConfig":
-        """Return a much smaller measurement."""
-        return replace(self, summits=40, eyes=2, places=40, beside=2, anywhere=100)
+
+QUICK = SummitsConfig(summits=40, eyes=2, places=40, beside=2, anywhere=100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,8 +149,7 @@ def summits(
 
     An existing record keeps its rows of other DEMs.
     """
-    config = SummitsConfig()
-    rows = measure(dem, crs, config.quick() if quick else config)
+    rows = measure(dem, crs, QUICK if quick else SummitsConfig())
     columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
         p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
@@ -202,10 +201,10 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
     The shares of azimuths below 3 degrees, more than 1 degree off what is seen from the summit
     itself, and whose horizon is nearer than a sample; the first from the summit itself too.
     """
-    row, col = _prominent(field, config.prominent)
+    row, col = _prominent(field)
     if not row.size:
         return {"prominent": 0}
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(0)
     east_m, north_m = (
         rng.uniform(-0.5, 0.5, (2, config.beside, row.size)).T * np.array(file.spacing_m)
     ).T
@@ -227,7 +226,7 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
     return found
 
 
-def _prominent(field: HeightField, count: int) -> tuple[Int64Array, Int64Array]:
+def _prominent(field: HeightField) -> tuple[Int64Array, Int64Array]:
     """Return row and column of the most prominent summits that known samples surround."""
     # Of a large field, the highest samples of squares: their passes are a little too high.
     side = math.ceil(math.sqrt(field.heights_m.size / _MOST_RANKED))
@@ -247,7 +246,7 @@ def _prominent(field: HeightField, count: int) -> tuple[Int64Array, Int64Array]:
         is_inner = around.shape == (2 * reach[0] + 1, 2 * reach[1] + 1)
         if is_inner and not np.isnan(around).any():
             found.append(place)
-        if len(found) == count:
+        if len(found) == _PROMINENT:
             break
     places = np.array(found, np.int64).reshape(-1, 2)
     return places[:, 0], places[:, 1]
@@ -255,7 +254,7 @@ def _prominent(field: HeightField, count: int) -> tuple[Int64Array, Int64Array]:
 
 def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
     """Return how many places anywhere are on summits, and whose horizons this changes."""
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(0)
     west, south, east, north = field.bounds_m
     drawn = rng.uniform((west, south), (east, north), (4 * config.anywhere, 2))
     easting, northing = drawn[
@@ -355,9 +354,9 @@ def _sample_errors(surface: HeightField, file: _File) -> Row:
 
 def _sights(file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig) -> _Sights:
     """Draw eyes about each summit; keep those below it that see it over the file's terrain."""
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(0)
     shape = row.size * config.eyes
-    away_m = rng.uniform(config.nearest_m, config.farthest_m, shape)
+    away_m = rng.uniform(_NEAREST_M, _FARTHEST_M, shape)
     azimuth = rng.uniform(0.0, 2.0 * np.pi, shape)
     summit = np.repeat(np.arange(row.size), config.eyes)
     east, north = away_m * np.sin(azimuth), away_m * np.cos(azimuth)
@@ -386,69 +385,39 @@ def _place_cpu_ms(surface: HeightField, count: int) -> float:
 # --- prominence -----------------------------------------------------------------------------
 
 
-def prominences(heights_m: Float64Array) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Return row, column and prominence (S,) of all local maxima, the most prominent first.
+def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """Return row, column and prominence (S,) of all summits, the most prominent first.
 
-    Each sample belongs to the maximum to which the steepest way up leads. Where the samples of two
-    maxima touch there is a pass between them, and over the highest passes first the lower of two
-    maxima, of all that are joined already, has the prominence that its height above the pass is.
-    A maximum from which no way leads to a higher one is as prominent as it is high above the lowest
-    sample. Holes (NaN) are no way.
+    Samples (rows, cols) rise out of a falling flood, the highest first. A sample that touches no
+    land is a summit. One that joins two lands is the pass between them: the lower of their summits
+    has the height above it for its prominence. The summit of a land that never joins a higher one
+    is as prominent as it is high above the lowest sample. Holes (NaN) stay under water.
     """
-    known = np.nan_to_num(np.asarray(heights_m, np.float64), nan=-np.inf)
-    rows, cols = known.shape
-    ranked = np.empty(known.size, np.int64)
-    ranked[np.argsort(known, axis=None, kind="stable")] = np.arange(known.size)
-    rank = ranked.reshape(rows, cols)
-    place = np.arange(known.size).reshape(rows, cols)
-    best, up = rank.copy(), place.copy()
-    for here, there in [
-        pair for step in ((0, 1), (1, 0), (1, 1), (1, -1)) for pair in _both_ways(step)
-    ]:
-        higher = rank[there] > best[here]
-        best[here] = np.where(higher, rank[there], best[here])
-        up[here] = np.where(higher, place[there], up[here])
-    top = up.ravel()
-    while (top != (further := top[top])).any():
-        top = further
-    tops, number = np.unique(top, return_inverse=True)
-    number = number.reshape(rows, cols)
-    passes, joined = [], []
-    for step in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        here, there = _both_ways(step)[0]
-        apart = number[here] != number[there]
-        passes.append(np.minimum(known[here], known[there])[apart])
-        joined.append(np.stack([number[here][apart], number[there][apart]], axis=1))
-    pass_m, pairs = np.concatenate(passes), np.concatenate(joined)
-    order = np.argsort(-pass_m, kind="stable")
-    order = order[np.isfinite(pass_m[order])]
-    top_m, top_rank = known.ravel()[tops], ranked[tops]
-    prominence_m = top_m - np.nanmin(heights_m)
-    of = np.arange(len(tops)).tolist()
+    padded = np.pad(np.asarray(heights_m, np.float64), 1, constant_values=np.nan)
+    height_m, width = padded.ravel().tolist(), padded.shape[1]
+    falling = np.argsort(padded, axis=None, kind="stable")[: np.isfinite(padded).sum()][::-1]
+    around = [down * width + right for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
+    top, rank, found = [-1] * padded.size, dict[int, int](), dict[int, float]()
 
-    def root(one: int) -> int:
-        while of[one] != one:
-            of[one] = one = of[of[one]]
-        return one
+    def summit_of(place: int) -> int:
+        while top[place] != place:
+            top[place] = place = top[top[place]]
+        return place
 
-    for (one, other), height_m in zip(pairs[order].tolist(), pass_m[order].tolist(), strict=True):
-        low, high = sorted((root(one), root(other)), key=top_rank.__getitem__)
-        if low != high:
-            of[low] = high
-            prominence_m[low] = top_m[low] - height_m
+    for place in falling.tolist():
+        summits = {summit_of(place + step) for step in around if top[place + step] >= 0}
+        if not summits:
+            rank[place] = len(rank)
+        highest = min(summits, key=rank.__getitem__, default=place)
+        top[place] = highest
+        for lower in summits - {highest}:
+            top[lower] = highest
+            found[lower] = height_m[lower] - height_m[place]
+    last = height_m[falling[-1]]
+    place = np.sort(list(rank))
+    prominence_m = np.array([found.get(one, height_m[one] - last) for one in place.tolist()])
     first = np.argsort(-prominence_m, kind="stable")
     # Of equally high samples side by side, all but one have none.
-    first = first[np.isfinite(prominence_m[first]) & (prominence_m[first] > 0.0)]
-    row, col = np.divmod(tops[first], cols)
-    return row, col, prominence_m[first]
-
-
-_Slices = tuple[slice, slice]
-
-
-def _both_ways(step: tuple[int, int]) -> list[tuple[_Slices, _Slices]]:
-    """Return the samples that have a neighbour a step on, and these neighbours; and the reverse."""
-    down, right = step
-    here = slice(None, -down or None), slice(max(-right, 0), -right if right > 0 else None)
-    there = slice(down, None), slice(max(right, 0), right if right < 0 else None)
-    return [(here, there), (there, here)]
+    first = first[prominence_m[first] > 0.0]
+    row, col = np.divmod(place[first], width)
+    return row - 1, col - 1, prominence_m[first]

@@ -9,11 +9,11 @@ seconds.
 
 import json
 import math
-import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
-from skyline_training.workers import crew
+from skyline_training.workers import over_processes
 
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""
@@ -50,7 +50,7 @@ class Example:
     """The figures of the best pose of one query, and how far off it is."""
 
     figures: Mapping[str, float]
-    error_m: float  # Infinite for a query from elsewhere
+    error_m: float  # Infinite for a query of other terrain
 
 
 def examples_from(
@@ -228,18 +228,17 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQ
 
 def gather(data: Path, queries: int, seed: int, progress: Progress) -> Examples:
     """Match queries on every terrain, each in a process; return the examples."""
-    terrains = LEARNED | HELD_OUT
+    terrains = list(LEARNED | HELD_OUT)
     found: Examples = {}
-    with crew((data, queries, seed), os.cpu_count() or 1) as work:
-        for name, examples_of in work(_gathered_on, list(terrains)):
-            found[name] = examples_of
-            progress(len(found), len(terrains))
-    return {name: found[name] for name in terrains}
+    gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
+    for name, examples_of in zip(terrains, gathered, strict=True):
+        found[name] = examples_of
+        progress(len(found), len(terrains))
+    return found
 
 
-def _gathered_on(asked: tuple[Path, int, int], name: str) -> dict[str, list[Example]]:
+def _gathered_on(data: Path, queries: int, seed: int, name: str) -> dict[str, list[Example]]:
     """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
-    data, queries, seed = asked
     terrain, strange = (
         read_dem([data / path], options)
         for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
@@ -272,7 +271,7 @@ class Learned:
 
 
 def learn_all(examples: Examples) -> Learned:
-    """Learn a model of each kind, and hold it to every terrain."""
+    """Learn a model of each kind, and measure it on every terrain."""
     learned_from = {
         stage: [one for name in LEARNED for one in examples[name][stage]] for stage in STAGES
     }

@@ -5,7 +5,7 @@ smooth, with clouds that gather about the ridge.
 """
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ from skyline.geodesy import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.measuring.timing import core_count
 from skyline_bench.queries.made_photos import (
     Scenery,
     distance_along,
@@ -41,7 +40,7 @@ from skyline_training.landscapes import (
     fractal,
 )
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
-from skyline_training.workers import crew
+from skyline_training.workers import over_processes
 
 _SIZE_PX = (400, 304)
 _PLAIN_EVERY, _VIEW_EVERY = 8, 8
@@ -58,12 +57,11 @@ _LEAST_CONTRAST = 2.5
 
 def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
     """Draw photographs in as many processes as there are cores."""
-    photos = dict[int, TrainingPhoto]()
-    with crew(seed, core_count()) as run:
-        for index, photo in run(_drawn, range(count)):
-            photos[index] = photo
-            progress(len(photos), count)
-    return [photos[index] for index in range(count)]
+    photos = list[TrainingPhoto]()
+    for photo in over_processes(partial(_drawn, seed), range(count)):
+        photos.append(photo)
+        progress(len(photos), count)
+    return photos
 
 
 def _drawn(seed: int, index: int) -> TrainingPhoto:

@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -24,8 +24,6 @@ RETRIES = 2
 another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
 _CONNECT_S = 10
-_NAMED = 5
-"""Failed jobs that an error names."""
 
 # A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
@@ -49,11 +47,12 @@ class Runner:
 
     def __call__(
         self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-    ) -> Iterator[tuple[int, R | Exception]]:
+    ) -> Iterator[R | SkylineError]:
         """Run ``work`` on every item; ``names`` are distinct names of the items.
 
-        Yields the index of each item as it is done, in any order, with the result of the work or
-        the exception that its last attempt raised.
+        Yields results in the items' order, each as soon as those before it are done. A job that
+        failed at its last attempt yields its error, as a `BuildError` unless it is a
+        `SkylineError`.
         """
         run, submit = uuid4().hex[:8], self._client.submit
         with warnings.catch_warnings():
@@ -63,36 +62,32 @@ class Runner:
                 submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
                 for name, item in zip(names, items, strict=True)
             ]
-        place = {future.key: index for index, future in enumerate(futures)}
         # When the client leaves, the scheduler forgets the jobs that were not waited for.
-        for future in _distributed().as_completed(futures):
-            yield place[future.key], _outcome(future)
-
-
-def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
-    """Return the context of a `Runner`: on N new processes, or on the cluster at an address.
-
-    Without either, the context of None. Raises as `local_runner` and `remote_runner`.
-    """
-    if workers is None:
-        return nullcontext()
-    is_number = workers.removeprefix("-").isdecimal()
-    return local_runner(int(workers)) if is_number else remote_runner(workers)
+        yield from map(_outcome, futures)
 
 
 @contextmanager
-def local_runner(workers: int) -> Iterator[Runner]:
-    """Start worker processes on this machine for the block; yields a `Runner`.
+def runner_of(workers: str | None) -> Iterator[Runner | None]:
+    """Yield a `Runner` on so many new processes, or on the cluster at an address; None for None.
 
-    Raises `InputError` for fewer than one worker, or where dask is not installed.
+    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
+
+    Raises `InputError` for fewer than one worker, where nothing answers at the address, or where
+    dask is not installed.
     """
-    with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
-        yield Runner(client)
+    if workers is None:
+        yield None
+    elif workers.removeprefix("-").isdecimal():
+        with local_cluster(int(workers)) as cluster, _distributed().Client(cluster) as client:
+            yield Runner(client)
+    else:
+        with _connected(workers) as client:
+            yield Runner(client)
 
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """Start worker processes for the block; yields dask's cluster. Raises as `local_runner`."""
+    """Start worker processes for the block; yields dask's cluster; raises as `runner_of`."""
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     threads = max((os.cpu_count() or 1) // workers, 1)
@@ -117,26 +112,18 @@ def local_cluster(workers: int) -> Iterator[Any]:
             cluster.close()
 
 
-@contextmanager
-def remote_runner(address: str) -> Iterator[Runner]:
-    """Connect to a scheduler for the block; yields a `Runner`.
-
-    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
-
-    Raises `InputError` where nothing answers at the address, or dask is not installed.
-    """
-    distributed = _distributed()
+def _connected(address: str) -> Any:
+    """Return a dask client of the scheduler at an address."""
     try:
-        client = distributed.Client(address, timeout=_CONNECT_S)
+        client = _distributed().Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(
             f"no dask scheduler answers at {address!r} ({' '.join(str(error).split())}); start "
             "one with `dask scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
         ) from error
-    with client:
-        if not client.scheduler_info()["workers"]:
-            _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
-        yield Runner(client)
+    if not client.scheduler_info()["workers"]:
+        _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
+    return client
 
 
 def _distributed() -> Any:
@@ -151,75 +138,15 @@ def _do_alone(work: Callable[[T], R], item: T) -> R:
 
 
 def _outcome(future: Any) -> Any:
+    """Wait for a job; return its result or its error."""
     try:
         error = future.exception()
     except CancelledError:
         return BuildError("lost with the scheduler")
     if error is None:
         return future.result()
+    if isinstance(error, SkylineError):
+        return error
     if type(error).__name__ == "KilledWorker":
         return BuildError("its worker died at every attempt: out of memory, or a fault of OpenGL")
-    return error if isinstance(error, Exception) else BuildError(repr(error))
-
-
-def collect(
-    outcomes: Iterator[tuple[int, R | Exception]],
-    names: Sequence[str],
-    finished: Callable[[], None],
-) -> list[R]:
-    """Return all results in the items' order; ``finished`` is called after each.
-
-    Raises
-    ------
-    SkylineError
-        All jobs failed with this same error.
-    BuildError
-        Some jobs failed; the first few are named with their reasons.
-    """
-    results: dict[int, R] = {}
-    failures: dict[int, Exception] = {}
-    for index, outcome in outcomes:
-        if isinstance(outcome, Exception):
-            failures[index] = outcome
-            _log.warning("%s failed: %s", names[index], _line(outcome))
-        else:
-            results[index] = outcome
-            finished()
-    if failures:
-        raise _failure(failures, names)
-    return [results[index] for index in range(len(names))]
-
-
-def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
-    """Yield results in the items' order, each as soon as those before it are done.
-
-    A job that failed yields its error, as a `BuildError` unless it is a `SkylineError`.
-    """
-    waiting: dict[int, R | Exception] = {}
-    due = 0
-    for index, outcome in outcomes:
-        waiting[index] = outcome
-        while due in waiting:
-            result = waiting.pop(due)
-            if isinstance(result, Exception) and not isinstance(result, SkylineError):
-                result = BuildError(f"a worker failed: {_line(result)}")
-            yield result
-            due += 1
-
-
-def _failure(failures: dict[int, Exception], names: Sequence[str]) -> SkylineError:
-    first = next(iter(failures.values()))
-    alike = len({_line(failure) for failure in failures.values()}) == 1
-    if alike and len(failures) == len(names) and isinstance(first, SkylineError):
-        return first
-    named = [f"{names[index]} ({_line(failures[index])})" for index in sorted(failures)[:_NAMED]]
-    more = f" and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
-    return BuildError(
-        f"{len(failures)} of {len(names)} failed: {'; '.join(named)}{more}. The others are kept: "
-        "mend the cause and give the same command, which continues with the rest"
-    )
-
-
-def _line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if isinstance(error, SkylineError) else f"{type(error).__name__}: {text}"
+    return BuildError(f"a worker failed: {type(error).__name__}: {' '.join(str(error).split())}")

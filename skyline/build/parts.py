@@ -8,8 +8,9 @@ workers, the order of the parts, and how often a build was killed change no byte
 Every part is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
+import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,19 +18,23 @@ from typing import Any
 from uuid import uuid4
 
 from skyline.arrays import Progress
-from skyline.build.cluster import Runner, collect
+from skyline.build.cluster import Runner
 from skyline.build.plans import DEFAULT_LOSS, PartRenderer, PlacePlan, Plan, RenderingPlan
-from skyline.errors import InputError, SkylineError, StoreError, StoreMismatchError
+from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
-from skyline.store.stored_dem import read_dem_of
-from skyline.store.write import check_folder, partial_beside
+from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+
+_NAMED = 5
+"""Failed parts that an error names."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +164,7 @@ def build_store(
         advance(0)
         try:
             if runner is not None:
-                rendered = sum(_on_workers(runner, header, plan, left, advance))
+                rendered = _on_workers(runner, header, plan, left, advance)
             elif renderer is not None:
                 for part, some in left.items():
                     rendered += _write_part(renderer, part, some)
@@ -167,8 +172,10 @@ def build_store(
             with merged_rows(parts, folder) as (joint, columns, order):
                 rows = len(order)
                 if rows:
-                    write_store(path, joint, columns, order, partial_beside(folder / path.name))
-        except SkylineError:
+                    # A build that is killed here leaves its files to `_remove`.
+                    write_store(folder / path.name, joint, columns, order)
+                    (folder / path.name).replace(path)
+        except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists():
                 raise
@@ -247,7 +254,7 @@ class _Job:
 
     def _terrain(self) -> HeightField:
         try:
-            return read_dem_of(self.header)
+            return self.header.read_dem()
         except StoreMismatchError as error:
             raise StoreMismatchError(
                 f"{error}; workers need the same files and the same releases of skyline and its "
@@ -265,22 +272,44 @@ def _on_workers(
     plan: Plan,
     left: dict[Path, Any],
     finished: Callable[[], None],
-) -> Sequence[int]:
-    """Render and write parts by a runner; return the number of rows of each."""
+) -> int:
+    """Render and write parts by a runner; return their number of rows.
+
+    ``finished`` is called after each part. Raises the error of the parts if all of them failed with
+    the same one, and `BuildError` with the names of the first few otherwise.
+    """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
-    job = _Job(uuid4().hex, plan, header)
-    names = [part.stem for part in left]
-    return collect(runner(job.write_part, list(left.items()), names), names, finished)
+    names, rows = [part.stem for part in left], 0
+    failures: dict[str, SkylineError] = {}
+    jobs = runner(_Job(uuid4().hex, plan, header).write_part, list(left.items()), names)
+    for name, outcome in zip(names, jobs, strict=True):
+        if isinstance(outcome, SkylineError):
+            failures[name] = outcome
+            _log.warning("%s failed: %s", name, outcome)
+        else:
+            rows += outcome
+            finished()
+    if failures:
+        if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
+            raise failures[names[0]]
+        named = [f"{name} ({error})" for name, error in failures.items()]
+        more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+        raise BuildError(
+            f"{len(failures)} of {len(names)} failed: {'; '.join(named[:_NAMED])}{more}. The "
+            "others are kept: mend the cause and give the same command, which continues with the "
+            "rest"
+        )
+    return rows
 
 
 def _remove(folder: Path) -> None:
     """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
-    for pattern in ("*-of-*.h5", ".*.partial"):
-        for file in folder.glob(pattern):
-            file.unlink(missing_ok=True)
+    merged = folder / folder.stem
+    for file in (*folder.glob("*-of-*.h5"), *folder.glob(".*.partial"), merged):
+        file.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

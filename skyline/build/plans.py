@@ -1,4 +1,4 @@
-"""Plans of a store: its rows, its parts, and the renderer of a part."""
+"""Plans of a store: its viewpoints, its parts, and the renderer of a part."""
 
 import hashlib
 from collections.abc import Callable
@@ -7,19 +7,24 @@ from typing import Any, Self
 
 import numpy as np
 
-from skyline.build.grid import map_bounds, uniform_grid
-from skyline.build.spacing import AdaptivePlanner, blocks_of, check_loss, price_of
-from skyline.geodesy import Bounds, Curvature
-from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.arrays import Float64Array
+from skyline.build.spacing import AdaptivePlanner, blocks_of, price_of
+from skyline.errors import InputError, swapped_in_words
+from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
+from skyline.render.horizon import (
+    DEFAULT_TOLERANCE_DEG,
+    HorizonRenderer,
+    PanoramaRenderer,
+    RenderConfig,
+)
 from skyline.render.march import ColumnRenderer
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns
 from skyline.store.keypoints import polyline_keypoints
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 DEFAULT_LOSS = 0.2
 """Share of the views that may be lost because places lie apart; docs/accuracy.md gives the effect
@@ -94,7 +99,10 @@ class PlacePlan:
         area = map_bounds(terrain, self.bounds_deg)
         if self.spacing_m is not None:
             return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
-        check_loss(self.loss)
+        if not 0.0 < self.loss < 1.0:
+            raise InputError(
+                f"loss is {self.loss}; expected a share between 0 and 1, for example 0.2"
+            )
         return blocks_of(area)
 
     def opened(self, terrain: HeightField) -> PartRenderer:
@@ -214,6 +222,77 @@ def rendering_header(
 def rendering_columns(header: StoreHeader, views: Views) -> Columns:
     """Return views and their keypoints as a store holds them."""
     return columns_of(header, views, polyline_keypoints(views, _KEYPOINT_TOLERANCE_PX))
+
+
+def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
+    """Return the part of a field inside bounds (WGS 84), or all of it.
+
+    The box in degrees is a curved quadrangle on the map; its bounding rectangle is returned,
+    clipped to the field. Raises `InputError` for bounds that are not numbers in order, or that do
+    not meet the field.
+    """
+    if bounds_deg is None:
+        return field.bounds_m
+    clipped = _clipped(field, bounds_deg)
+    if clipped is None:
+        west, south, east, north = bounds_deg
+        data = field.bounds_m
+        swapped = south, west, north, east
+        is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
+        raise InputError(
+            f"bounds {west},{south},{east},{north} do not meet the DEM, which covers "
+            + ",".join(
+                f"{side:.4f}"
+                for side in field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+            )
+            + (f"; {swapped_in_words(*bounds_deg)}" if is_swapped else "")
+        )
+    return clipped
+
+
+def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
+    """Return the rectangle around bounds, clipped to a field; None where they do not meet."""
+    box, data = field.frame.rectangle_m(bounds_deg), field.bounds_m
+    west, south = max(box[0], data[0]), max(box[1], data[1])
+    east, north = min(box[2], data[2]), min(box[3], data[3])
+    return (west, south, east, north) if west < east and south < north else None
+
+
+def uniform_grid(
+    field: HeightField, spacing_m: float, bounds_m: Rectangle | None = None
+) -> Viewpoints:
+    """Place viewpoints at whole multiples of a spacing in the field's frame.
+
+    Locations on holes or off the surface are left out, so that areas that overlap share their
+    viewpoints. The order is row by row from the north-west. Raises `InputError` for a spacing that
+    is not positive, or so large that no viewpoint falls on the surface.
+    """
+    if not (np.isfinite(spacing_m) and spacing_m > 0.0):
+        raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
+    west, south, east, north = bounds_m or field.bounds_m
+    easting_m, northing_m = lattice_m((west, south, east, north), spacing_m)
+    if len(easting_m) * len(northing_m) > 50_000_000:
+        raise InputError(
+            f"a spacing of {spacing_m} m asks for {len(easting_m) * len(northing_m)} viewpoints; "
+            "choose a larger spacing or smaller bounds"
+        )
+    easting, northing = (grid.ravel() for grid in np.meshgrid(easting_m, northing_m))
+    eyes, _ = stand_where_possible(field, easting, northing, DEFAULT_EYE_HEIGHT_M)
+    if not len(eyes):
+        raise InputError(
+            f"no viewpoint of a {spacing_m} m grid falls on the surface in easting {west:.0f} to "
+            f"{east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller spacing"
+        )
+    return eyes
+
+
+def lattice_m(bounds_m: Rectangle, spacing_m: float) -> tuple[Float64Array, Float64Array]:
+    """Return the multiples of a spacing in bounds: eastings, and northings from the north."""
+    west, south, east, north = (side / spacing_m for side in bounds_m)
+    return (
+        np.arange(np.ceil(west), np.floor(east) + 1.0) * spacing_m,
+        np.arange(np.floor(north), np.ceil(south) - 1.0, -1.0) * spacing_m,
+    )
 
 
 def _cut(viewpoints: Viewpoints, size: int) -> list[Viewpoints]:

@@ -83,19 +83,12 @@ def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
     return [(col, row) for row in rows for col in range(math.floor(west), math.ceil(east))]
 
 
-def check_loss(loss: float) -> None:
-    """Raise `InputError` unless a loss is a share of the views."""
-    if not 0.0 < loss < 1.0:
-        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
-
-
 def price_of(loss: float, terrain: HeightField, area: Rectangle, look: Look) -> float:
     """Return the area that a place must save, square metres, for a plan to lose at most a share.
 
     This price is computed from viewpoints spread over the area. Raises `InputError` for a loss
-    outside (0, 1), or below that of the finest lattice, and for an area of holes.
+    below that of the finest lattice, and for an area of holes.
     """
-    check_loss(loss)
     sample = look(spread_over(terrain, area))
     lost = lost_shares(sample.distance_m, _SPACING_M)
     least = float(lost[:, -1].mean())
@@ -313,8 +306,8 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
     return np.concatenate([nodes, beside])
 
 
-def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the chance that views round N places are lost, (N, S, 36), for each of S spacings.
+def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
+    """Return the expected shares (N, S) of lost views round N places, for each of S spacings.
 
     The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
     the skylines all the way round; NaN where there is no data.
@@ -330,12 +323,4 @@ def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64A
     starts = np.arange(_WINDOWS) * bins // _WINDOWS
     mean = (total[:, starts + width] - total[:, starts]) / width
     odds = (spacing_m[:, None] * mean[:, None, :] / _EVEN_ODDS) ** _POWER
-    return np.asarray(odds / (1.0 + odds), dtype=np.float64)
-
-
-def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the expected share (N, S) of lost views round N places, over all directions.
-
-    Parameters are those of `window_losses`.
-    """
-    return np.asarray(window_losses(distance_m, spacing_m).mean(axis=2), dtype=np.float64)
+    return np.asarray((odds / (1.0 + odds)).mean(axis=2), dtype=np.float64)

@@ -1,14 +1,11 @@
 """Printing, progress and errors of all commands, and the options that several of them have.
 
-An error is one line and an exit code; progress is a bar. With ``SKYLINE_LOG=json`` messages and
-progress are JSON lines; see `skyline.errors`.
+An error is one line and an exit code; progress is a bar.
 """
 
-import logging
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -24,16 +21,7 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from skyline import __version__
-from skyline.errors import (
-    ENVIRONMENT_VARIABLE,
-    JSON,
-    InputError,
-    SkylineError,
-    as_json,
-    printable,
-    start_logging,
-    swapped_in_words,
-)
+from skyline.errors import InputError, SkylineError, printable, start_logging, swapped_in_words
 
 if TYPE_CHECKING:
     from skyline.arrays import Progress
@@ -45,10 +33,7 @@ _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
 _SLOW_S = 5.0
 """Time after which a message names the step that is taking long."""
-_PROGRESS_EVERY_S = 1.0
-"""Least interval between JSON lines of progress; the last step always has one."""
 
-_log = logging.getLogger(__name__)
 _on_interrupt: ContextVar[str] = ContextVar("on_interrupt", default="")
 
 
@@ -134,8 +119,6 @@ def run_app(app: typer.Typer) -> None:
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
-        if (asked := os.environ.get(ENVIRONMENT_VARIABLE, "")) not in ("", JSON):
-            raise InputError(f"{ENVIRONMENT_VARIABLE} is {asked!r}; expected {JSON}, or nothing")
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
@@ -163,12 +146,8 @@ def run_app(app: typer.Typer) -> None:
 def progress_bar(doing: str) -> "Iterator[Progress]":
     """Show a bar on standard error from the first step on; yields a function of done and total.
 
-    Without a terminal, a line names a step that takes more than five seconds, or there are JSON
-    lines.
+    Without a terminal, a line names a step that takes more than five seconds.
     """
-    if as_json():
-        yield progress_lines(doing)
-        return
     if not sys.stderr.isatty():
         with note_if_slow(doing.partition(",")[0]):
             yield lambda done, total: None
@@ -195,21 +174,6 @@ def note_if_slow(doing: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-
-
-def progress_lines(doing: str) -> "Progress":
-    """Return a function that logs steps done and their total; only JSON lines show them."""
-    last_s = -_PROGRESS_EVERY_S
-
-    def report_progress(done: int, total: int) -> None:
-        nonlocal last_s
-        now_s = time.monotonic()
-        if done == total or now_s - last_s >= _PROGRESS_EVERY_S:
-            last_s = now_s
-            facts = {"doing": doing, "done": done, "total": total}
-            _log.info("%s: %d of %d", doing, done, total, extra={"facts": facts})
-
-    return report_progress
 
 
 def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:
@@ -252,21 +216,14 @@ def print_line(text: str) -> None:
 
 def print_error(message: str) -> None:
     """Print an error as one line to standard error."""
-    _print_message(logging.ERROR, "error: ", " ".join(message.split()))
+    print_note("error: " + " ".join(message.split()))
 
 
 def print_note(message: str) -> None:
-    """Print a message that is no error as one line to standard error."""
-    _print_message(logging.INFO, "", message)
-
-
-def _print_message(level: int, prefix: str, message: str) -> None:
-    if as_json():
-        _log.log(level, "%s", message)
-        return
+    """Print a message as one line to standard error."""
     # Work goes on if standard error has no reader any more.
     with suppress(BrokenPipeError):
-        print(prefix + printable(message), file=sys.stderr, flush=True)
+        print(printable(message), file=sys.stderr, flush=True)
 
 
 def _open_streams() -> None:

@@ -26,7 +26,6 @@ from skyline.cli.console import (
     print_error,
     print_line,
     print_note,
-    progress_lines,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError, named, printable
@@ -266,9 +265,7 @@ def _match_each(
 ) -> list[MatchResult]:
     """Print the results of all queries in order, as they come; return those without an error."""
     found: list[MatchResult] = []
-    report_progress = progress_lines("matching")
-    for done, one in enumerate(queries):
-        report_progress(done, len(queries))
+    for one in queries:
         with nullcontext() if found else note_if_slow(f"matching {one.path}"):
             result = refused.get(one) or next(results)
         if isinstance(result, SkylineError):
@@ -276,7 +273,6 @@ def _match_each(
         else:
             found.append(result)
             output.result(result)
-    report_progress(len(queries), len(queries))
     return found
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 from typer import Option
 
@@ -33,8 +33,6 @@ from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
-
-T = TypeVar("T")
 
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()
@@ -127,17 +125,18 @@ def render(
         "--seed": seed,
         "--map": drawn,
     }
-    others = {"--workers": workers, "--depth-images": depth_images}
     if planner is not None:
+        others = {"--workers": workers, "--depth-images": depth_images}
         _refuse_given(others, "leave it out: a planner plans one area as a whole, in this process")
-        planned = PlanConfig(
-            planner,
-            _given_or(grid, _PLANNED.coarse_m),
-            _given_or(candidate_spacing, _PLANNED.candidate_m),
-            _given_or(threshold_px, _PLANNED.threshold_px),
-            _given_or(coverage, _PLANNED.coverage),
-            _given_or(seed, _PLANNED.seed),
-        )
+        chosen = {
+            "coarse_m": grid,
+            "candidate_m": candidate_spacing,
+            "threshold_px": threshold_px,
+            "coverage": coverage,
+            "seed": seed,
+        }
+        given = {name: value for name, value in chosen.items() if value is not None}
+        planned = PlanConfig(planner, **given)  # type: ignore[arg-type]
         _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
         return
     on_interrupt("what was built is kept, and the same command continues from there")
@@ -156,10 +155,6 @@ def render(
 
         save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
     print_built(result, output, "renderings")
-
-
-def _given_or(given: T | None, default: T) -> T:
-    return default if given is None else given
 
 
 def _refuse_given(options: Mapping[str, object], advice: str) -> None:

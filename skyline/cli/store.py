@@ -11,7 +11,6 @@ from typer import Argument, Option
 
 from skyline.cli.console import AsJson, print_line
 from skyline.errors import InputError, printable
-from skyline.report.geopackage import write_geopackage
 from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
 
 _DAMAGED = 2
@@ -65,6 +64,8 @@ def export(
     ],
 ) -> None:
     """Write the locations of the places as a GeoPackage for QGIS, with its style (extra `geo`)."""
+    from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
+
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
     print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")

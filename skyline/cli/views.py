@@ -27,11 +27,16 @@ from skyline.geodesy import Curvature
 from skyline.report.landscape import PanoramaConfig
 from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
-from skyline.solar.local_horizons import DEFAULT_STEP_DEG, LocalHorizons, horizons_of
-from skyline.terrain.dem import DemOptions, read_blocks, read_dem
+from skyline.solar.local_horizons import (
+    DEFAULT_STEP_DEG,
+    SUFFIXES,
+    LocalHorizons,
+    horizon_csv,
+    horizons_of,
+    write_horizons,
+)
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem, read_surface
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -76,8 +81,7 @@ def horizon(
             "--output",
             "-o",
             metavar="FILE",
-            help=f"{', '.join(SUFFIXES)}: a table, JSON, PVGIS' format or a plot. CSV is printed "
-            "by default.",
+            help=f"{', '.join(SUFFIXES)} (PVGIS' horizon file). CSV is printed by default.",
         ),
     ] = None,
     surface: Surfaces = None,

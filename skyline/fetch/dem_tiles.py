@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -44,7 +44,6 @@ MAX_BYTES = 4 << 30
 """Greatest size of a fetch, unpacked."""
 
 _ARC_SECOND_BYTES = 4 * 3600**2
-_MAX_BLOCK_BYTES = 256 << 20
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
@@ -52,83 +51,6 @@ _SLACK = 1e-6
 _FIELD = re.compile(r"\{(lat|lon|ns|ew)(?::(\d{1,2}d))?\}")
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class TileSource:
-    """A template of addresses.
-
-    Raises `InputError` unless the template is an http(s) address with only the fields below.
-    """
-
-    template: str
-    """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
-    tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
-    width, as in ``{lat:02d}``. Without any of them the address is one file over all."""
-
-    def __post_init__(self) -> None:
-        try:
-            url = self.url(0, 0)
-            address = urlsplit(url)
-            usable = address.scheme in ("http", "https") and bool(address.hostname)
-            usable &= not set(url) & {"{", "}"}
-        except ValueError:
-            usable = False
-        if not usable:
-            raise InputError(
-                f"source is {self.template!r}; expected {', '.join(SOURCES)}, or an http or https "
-                "address with no other fields than {lat}, {lon}, {ns}, {ew}, e.g. "
-                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
-            )
-
-    @classmethod
-    def named(cls, name: str) -> Self:
-        """Return the source of that name in `SOURCES`; any other name is taken for a template."""
-        return cls(SOURCES.get(name, name))
-
-    @property
-    def tiled(self) -> bool:
-        """True if there is one file for each degree, False if one file covers all."""
-        return bool(_FIELD.search(self.template))
-
-    def url(self, lat: int, lon: int) -> str:
-        """Return the address of the tile with this south-west corner, degrees."""
-        ns, ew = _hemispheres(lat, lon)
-        values = {"lat": abs(lat), "lon": abs(lon), "ns": ns, "ew": ew}
-        return _FIELD.sub(lambda field: format(values[field[1]], field[2] or ""), self.template)
-
-    def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
-        """Return latitude and longitude of the south-west corners of the tiles within bounds.
-
-        They are whole degrees, from the south-west, row by row.
-
-        Raises `InputError` for bounds that are not numbers in order, or that need more than
-        `MAX_TILES`.
-        """
-        west, south, east, north = check_bounds(bounds_deg)
-        if not self.tiled:
-            return [(math.floor(south), math.floor(west))]
-        lats = range(math.floor(south), math.ceil(north))
-        lons = range(math.floor(west), math.ceil(west + width_deg(bounds_deg)))
-        count = len(lats) * len(lons)
-        if count > MAX_TILES:
-            size_gb = (north - south) * width_deg(bounds_deg) * _ARC_SECOND_BYTES / 1e9
-            raise InputError(
-                f"bounds {west:g},{south:g},{east:g},{north:g} need {count} tiles, about "
-                f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
-                "time: choose smaller bounds"
-            )
-        return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
-
-
-def _hemispheres(lat: int, lon: int) -> tuple[str, str]:
-    return "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
-
-
-def _tile_name(lat: int, lon: int) -> str:
-    """Return the name of a tile, as SRTM names it: N46E009, S01W070."""
-    ns, ew = _hemispheres(lat, lon)
-    return f"{ns}{abs(lat):02d}{ew}{abs(lon):03d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +100,9 @@ def fetch_dem(
         W, S, E, N in degrees. A skyline needs the terrain around its viewpoints: give the area to
         build and all terrain around it that can be seen from there.
     source : str
-        A name of `SOURCES` or a template, see `TileSource`.
+        A name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand for the
+        whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
+        hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``.
     folder : str or Path
         The folder, which is made if it does not exist. Files are named by their tile:
         ``N46E009.tif``.
@@ -197,8 +121,9 @@ def fetch_dem(
     FetchError
         A server still fails after the retries. Nothing of its tile is written.
     """
-    origin = TileSource.named(source)
-    tiles = origin.tiles(bounds_deg)
+    template = SOURCES.get(source, source)
+    _check_template(template)
+    corners = tile_corners(bounds_deg)
     folder = Path(folder)
     for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
@@ -206,11 +131,12 @@ def fetch_dem(
     cuts: list[_Cut] = []
     files: list[Path] = []
     missing: list[str] = []
-    for tile in tiles:
-        name = _tile_name(*tile)
-        path = folder / f"{name if origin.tiled else 'dem'}.tif"
+    for corner in corners:
+        # As SRTM names tiles.
+        name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
+        path = folder / f"{name}.tif"
         try:
-            cut = _plan(origin.url(*tile), path, bounds_deg, retries, timeout_s)
+            cut = _plan(address(template, *corner), path, bounds_deg, retries, timeout_s)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -220,8 +146,8 @@ def fetch_dem(
             cuts.append(cut)
     if not files:
         raise InputError(
-            f"the source has none of {', '.join(missing)} ({shown(origin.url(*tiles[0]))}, for "
-            "one, is not there); check the bounds, or the source's template"
+            f"the source has none of {', '.join(missing)} ({shown(address(template, *corners[0]))}"
+            ", for one, is not there); check the bounds, or the source's template"
         )
     _check_together(cuts)
     folder.mkdir(parents=True, exist_ok=True)
@@ -232,6 +158,49 @@ def fetch_dem(
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
+
+
+def address(template: str, lat: int, lon: int) -> str:
+    """Return the address of the tile with a south-west corner at these degrees."""
+    ns, ew = "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
+    values = {"lat": abs(lat), "lon": abs(lon), "ns": ns, "ew": ew}
+    return _FIELD.sub(lambda field: format(values[field[1]], field[2] or ""), template)
+
+
+def _check_template(template: str) -> None:
+    try:
+        parts = urlsplit(address(template, 0, 0))
+        usable = parts.scheme in ("http", "https") and bool(parts.hostname)
+        usable &= not set(parts.geturl()) & {"{", "}"}
+        usable &= {"lat", "lon"} <= {name for name, _ in _FIELD.findall(template)}
+    except ValueError:
+        usable = False
+    if not usable:
+        raise InputError(
+            f"source is {template!r}; expected {', '.join(SOURCES)}, or an http or https "
+            "address with the fields {lat} and {lon}, and no others than {ns} and {ew} beside "
+            "them, e.g. https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
+        )
+
+
+def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
+    """Return latitude and longitude of the south-west corners of the tiles within bounds.
+
+    They are whole degrees, from the south-west, row by row. Raises `InputError` for bounds that
+    are not numbers in order, or that need more than `MAX_TILES`.
+    """
+    west, south, east, north = check_bounds(bounds_deg)
+    lats = range(math.floor(south), math.ceil(north))
+    lons = range(math.floor(west), math.ceil(west + width_deg(bounds_deg)))
+    count = len(lats) * len(lons)
+    if count > MAX_TILES:
+        size_gb = (north - south) * width_deg(bounds_deg) * _ARC_SECOND_BYTES / 1e9
+        raise InputError(
+            f"bounds {west:g},{south:g},{east:g},{north:g} need {count} tiles, about "
+            f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
+            "time: choose smaller bounds"
+        )
+    return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
 def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int) -> _Cut | None:
@@ -248,9 +217,8 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
 
     def look(file: Any) -> _Cut:
         _check_usable(url, file)
-        window = _window(url, file, bounds_deg)
         step_deg = (file.transform.a, -file.transform.e)
-        return _Cut(url, path, tag, window, step_deg, file.dtypes[0])
+        return _Cut(url, path, tag, _window(url, file, bounds_deg), step_deg, file.dtypes[0])
 
     return with_remote(url, look, retries, timeout_s)
 
@@ -265,7 +233,7 @@ def _tag_of(path: Path) -> str | None:
 
 
 def _check_usable(url: str, file: Any) -> None:
-    """Raise `InputError` unless a file is a DEM in degrees whose parts can be read alone."""
+    """Raise `InputError` unless a file is a north-up DEM in degrees."""
     where, transform = shown(url), file.transform
     if file.count != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
@@ -278,12 +246,6 @@ def _check_usable(url: str, file: Any) -> None:
         raise InputError(
             f"{where} is not north-up (geotransform {transform.to_gdal()}); expected rows from "
             "north to south and columns from west to east"
-        )
-    block_bytes = math.prod(file.block_shapes[0]) * np.dtype(file.dtypes[0]).itemsize
-    if block_bytes > _MAX_BLOCK_BYTES:
-        raise InputError(
-            f"{where} is stored in blocks of {block_bytes >> 20} MiB, so no part of it can be read "
-            "alone; expected a cloud-optimized GeoTIFF"
         )
 
 

@@ -11,13 +11,10 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, RequestError, repeated
+from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.rasters import shown
-
-_MOST_BYTES = 1 << 26
-_PASSING = (429, 500, 502, 503, 504)
 
 
 def fetch_peaks(
@@ -78,40 +75,30 @@ def fetch_peaks(
 
 
 def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
-    """Return the body of the answer; raises `RequestError`."""
+    """Return the whole answer, which must arrive in time; raises `RequestError`."""
+    request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
+    deadline = time.monotonic() + timeout_s
+    body = bytearray()
     may_pass = True
     try:
-        return _post(server, query, timeout_s)
+        with urlopen(request, timeout=timeout_s) as answer:
+            promised = answer.length
+            # Piece by piece, since a server that sends a byte a second never times out.
+            while piece := answer.read1(1 << 16):
+                body += piece
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"incomplete after {timeout_s} s")
+        if promised is None or len(body) == promised:
+            return bytes(body)
+        reason = f"no whole answer ({len(body)} of {promised} bytes)"
     except HTTPError as error:
-        reason, may_pass = f"the server answers HTTP {error.code}", error.code in _PASSING
+        reason, may_pass = f"the server answers HTTP {error.code}", error.code in PASSING
     except URLError as error:
         reason = f"no answer ({error.reason})"
     except (OSError, http.client.HTTPException) as error:
         reason = f"no whole answer ({error or type(error).__name__})"
     # Outside the handlers, so that the error does not keep the connection open.
     raise RequestError(reason, "check the address, or give the same command again later", may_pass)
-
-
-def _post(server: str, query: bytes, timeout_s: float) -> bytes:
-    """Send a query; return the whole answer, which must arrive in time and within a limit."""
-    request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
-    deadline = time.monotonic() + timeout_s
-    body = bytearray()
-    with urlopen(request, timeout=timeout_s) as answer:
-        promised = answer.length
-        while piece := answer.read1(1 << 16):
-            body += piece
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"incomplete after {timeout_s} s")
-            if len(body) > _MOST_BYTES:
-                raise RequestError(
-                    f"the answer is larger than {_MOST_BYTES >> 20} MiB",
-                    "choose smaller bounds",
-                    False,
-                )
-    if promised is not None and len(body) < promised:
-        raise http.client.IncompleteRead(bytes(body), promised - len(body))
-    return bytes(body)
 
 
 def _elements(server: str, answer: bytes) -> list[Any]:

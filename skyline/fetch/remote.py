@@ -1,13 +1,8 @@
-"""Requests to servers, repeated where that may help; the error of a failed one is one line.
+"""Requests to servers, repeated where that may help; the error of a failed one is one line."""
 
-GeoTIFFs are read through GDAL's HTTP client.
-"""
-
-import logging
 import re
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import rasterio
@@ -21,13 +16,11 @@ RETRIES = 4
 TIMEOUT_S = 30
 """Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
 
+PASSING = (429, 500, 502, 503, 504)
+"""Codes of HTTP for failures that may pass."""
+
 _FIRST_DELAY_S = 1.0
 """Delay before the first repetition; it doubles before each further one."""
-_STALLED_BYTES_A_S = 1000
-_PASSING = re.compile(
-    r"HTTP response code: (429|5\d\d)|CURL error|[Rr]ead (error|failed)|IReadBlock"
-)
-"""Failures of GDAL that may pass; others are the same every time."""
 
 _T = TypeVar("_T")
 
@@ -73,8 +66,7 @@ def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
 def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: int) -> _T:
     """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
-    After a failed connection ``work`` is called again with the file opened anew: GDAL itself
-    repeats only requests that are answered 429, 500, 502, 503 or 504.
+    After a failure that may pass ``work`` is called again with the file opened anew.
 
     Raises
     ------
@@ -83,12 +75,23 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
     FetchError
         The server fails, is too slow, breaks off, or sends something that is not a GeoTIFF.
     """
+    settings = {
+        "GDAL_HTTP_MAX_RETRY": 0,
+        "GDAL_HTTP_CONNECTTIMEOUT": timeout_s,
+        "GDAL_HTTP_LOW_SPEED_TIME": timeout_s,
+        "GDAL_HTTP_LOW_SPEED_LIMIT": 1000,
+        # No requests for the folder or for side-car files.
+        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+        "GDAL_PAM_ENABLED": "NO",
+        # A failure must not be remembered when the request is repeated.
+        "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/",
+    }
 
     def read() -> _T:
         try:
             # Only the GTiff driver may read: others follow references in an untrusted file.
             with (
-                _environment(retries, timeout_s),
+                rasterio.Env(**settings),
                 rasterio.open(f"/vsicurl/{url}", driver="GTiff") as file,
             ):
                 return work(file)
@@ -98,31 +101,6 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
     return repeated(url, read, retries)
 
 
-@contextmanager
-def _environment(retries: int, timeout_s: int) -> Iterator[None]:
-    """Configure GDAL's HTTP client; the error at the end replaces its log messages."""
-    settings = {
-        "GDAL_HTTP_MAX_RETRY": retries,
-        "GDAL_HTTP_RETRY_DELAY": _FIRST_DELAY_S,
-        "GDAL_HTTP_CONNECTTIMEOUT": timeout_s,
-        "GDAL_HTTP_LOW_SPEED_TIME": timeout_s,
-        "GDAL_HTTP_LOW_SPEED_LIMIT": _STALLED_BYTES_A_S,
-        # No requests for the folder or for side-car files.
-        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
-        "GDAL_PAM_ENABLED": "NO",
-        # A failure must not be remembered when the request is repeated.
-        "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/",
-    }
-    log = logging.getLogger("rasterio")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        with rasterio.Env(**settings):
-            yield
-    finally:
-        log.setLevel(level)
-
-
 def _failure(url: str, error: RasterioError) -> Exception:
     """Return the error for a failure of GDAL, from its message and those of its causes."""
     messages: list[str] = []
@@ -130,32 +108,26 @@ def _failure(url: str, error: RasterioError) -> Exception:
     while cause is not None:
         messages.append(" ".join(str(cause).split()))
         cause = cause.__cause__
-    text = "; ".join(dict.fromkeys(messages)).replace(f"/vsicurl/{url}", shown(url))
-    text = text.replace(" - Failure writing output to destination", "")
-    may_pass = bool(_PASSING.search(text))
-    advice = "check the address and the source's template"
+    text = "; ".join(messages).replace(f"/vsicurl/{url}", shown(url))
+    again = "give the same command again: fetched tiles are kept"
     if status := re.search(r"HTTP response code: (\d+)", text):
         code = int(status[1])
         if code == 404:
             return AbsentError(f"{shown(url)}: there is no such file (HTTP 404)")
-        if code in (401, 403):
+        advice = "check the address and the source's template"
+        if code in PASSING:
+            advice = again
+        elif code in (401, 403):
             advice = (
                 "check that the source is open to you (some servers answer this for absent files)"
             )
-        elif code == 429 or code >= 500:
-            advice = "give the same command again later: fetched tiles are kept"
-        return RequestError(f"the server answers HTTP {code}", advice, may_pass)
-    if curl := re.search(r"CURL error: (.*?)(;|$)", text):
-        advice = (
-            "check the address and the connection, then give the same command: fetched tiles are "
-            "kept"
-        )
-        return RequestError(f"no answer ({curl[1]})", advice, may_pass)
+        return RequestError(f"the server answers HTTP {code}", advice, code in PASSING)
+    if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
+        advice = f"check the address and the connection, then {again}"
+        return RequestError(f"no answer ({curl[1]})", advice, may_pass=True)
     if "not recognized as being in" in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
-        return RequestError(reason, advice, may_pass)
-    return RequestError(
-        f"the file breaks off or is damaged ({text.rpartition('; ')[2]})",
-        "give the same command again: fetched tiles are kept",
-        may_pass,
-    )
+        advice = "check the address and the source's template"
+        return RequestError(reason, advice, may_pass=False)
+    reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
+    return RequestError(reason, again, may_pass=True)

@@ -22,7 +22,6 @@ from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
 from skyline.store import Store
 from skyline.store.format import PLACES
-from skyline.store.stored_dem import curvature_of
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
@@ -69,7 +68,7 @@ class FullMatcher(Ranker):
         ground = edge = None
         if terrain is not None:
             ground = ground_of(terrain)
-            edge = DataEdge.of(terrain, curvature_of(store.header)) if scene is None else scene.edge
+            edge = DataEdge.of(terrain, store.header.curvature) if scene is None else scene.edge
         return cls(Retriever(store.places(), ground, edge), scene)
 
     def eyes(self) -> Viewpoints:

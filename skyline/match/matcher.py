@@ -27,16 +27,15 @@ from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
 from skyline.match.scene import RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
+from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.render.thread import RenderThread
 from skyline.store import open_store
 from skyline.store.format import PLACES
-from skyline.store.stored_dem import curvature_of
-from skyline.terrain.surface import Dem, read_surface
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
 _VIEW_WIDTH = 360
@@ -108,7 +107,7 @@ class Matcher:
                     )
                 if refine and self.terrain is not None:
                     over = None if surface is None else read_surface(surface, self.terrain)
-                    rendering = RenderConfig(_VIEW_WIDTH, curvature=curvature_of(self.header))
+                    rendering = RenderConfig(_VIEW_WIDTH, curvature=self.header.curvature)
                     self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
             self._ranker = kind.open(file, self.terrain, self._scene)
         self.render_thread = render_thread

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from skyline.build.cluster import Runner, in_order
+from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query
@@ -214,7 +214,7 @@ def match_many(
     if len(parts) > 1:
         of_parts = [(query, part) for query in jobs for part in parts]
         names = [f"screen-{index}" for index in range(len(of_parts))]
-        found = list(in_order(runner(partial(_screen, opening), of_parts, names)))
+        found = list(runner(partial(_screen, opening), of_parts, names))
         each = range(0, len(found), len(parts))
         screened = [_joined(found[start : start + len(parts)]) for start in each]
     left = [
@@ -223,7 +223,7 @@ def match_many(
         if not isinstance(alike, SkylineError)
     ]
     names = [f"query-{index}" for index in range(len(left))]
-    matched = in_order(runner(partial(_match, opening), left, names))
+    matched = runner(partial(_match, opening), left, names)
     for query, alike in zip(queries, screened, strict=True):
         result = alike if isinstance(alike, SkylineError) else next(matched)
         yield replace(result, name=query.path) if isinstance(result, MatchResult) else result

@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 
 from skyline.errors import SkylineError
 from skyline.files import is_file
+from skyline.render.context import RenderThread
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.render.thread import RenderThread
 from skyline.skylines import Views
 from skyline.store import StoreHeader
-from skyline.store.stored_dem import check_dem, read_dem_of
+from skyline.terrain.dem import Dem
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.surface import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
@@ -40,7 +39,7 @@ class RenderedScene:
         Thread that renders for all others, piece by piece; without one only the thread that makes
         the scene may render.
     surface : HeightField, optional
-        Surface of what may stand on the terrain; see `skyline.terrain.surface`.
+        Surface of what may stand on the terrain; see `skyline.terrain.dem`.
     """
 
     def __init__(
@@ -124,7 +123,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
         )
         return None
     try:
-        return read_dem_of(header)
+        return header.read_dem()
     except SkylineError as error:
         _log.warning("%s: the store's DEM cannot be used: %s", otherwise, error)
         return None
@@ -133,8 +132,8 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
 def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
     """Return a given terrain, read with the options of the store's build; None if none is given."""
     if isinstance(dem, HeightField):
-        check_dem(header, dem)
+        header.check_dem(dem)
         return dem
     if dem is None:
         return None
-    return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
+    return header.read_dem([dem] if isinstance(dem, str | Path) else dem)

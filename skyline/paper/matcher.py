@@ -18,14 +18,15 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileRanker, Profiles
 from skyline.match.query_rays import QueryCurves, QueryRays
-from skyline.paper.affine import align_curves, plausible, ransac_maps
-from skyline.paper.chamfer import (
+from skyline.paper.curves import (
     MIN_OVERLAP,
     QueryCurve,
     StoredCurves,
-    mean_squared_px2,
+    align_curves,
     nearest_patches,
     patch_offsets,
+    plausible,
+    ransac_maps,
 )
 from skyline.paper.shortlist import Shortlist
 
@@ -81,9 +82,8 @@ def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
     """Return the fits of one assumed pitch at some locations."""
     if not stored.bins.shape[1] or not len(query.bins):
         return Fits.none(len(stored))
-    squared = mean_squared_px2(query.patches, stored.patches, query.min_known)
     step_px = stored.bin_px * float(np.diff(patch_offsets(stored.bin_px))[0])
-    nearest, distance = nearest_patches(query.patches, stored.patches, squared, step_px)
+    nearest, distance = nearest_patches(query.patches, stored.patches, query.min_known, step_px)
     raw_shift = np.take_along_axis(stored.bins, nearest, axis=1) - query.bins
     left = np.isfinite(distance)
     directions = []

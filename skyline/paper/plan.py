@@ -15,20 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress
-from skyline.build.grid import map_bounds
 from skyline.build.parts import BuildResult, finished_store
-from skyline.build.plans import rendering_columns, rendering_header
+from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, named
 from skyline.geodesy import Bounds, Rectangle
-from skyline.paper.coverage import Candidates, Coverage
 from skyline.paper.reprojection import (
     displacements_m,
     moved,
     skyline_points_m,
     tolerance_errors_px,
 )
-from skyline.paper.strategies import STRATEGIES, Problem
+from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
@@ -337,23 +335,22 @@ def lay_out(
     A candidate is valid where an eye can stand off the holes and off the map's border. Raises
     `InputError` for a spacing larger than the area, or an area wholly in holes.
     """
-    west, south, east, north = bounds_m or field.bounds_m
+    bounds_m = bounds_m or field.bounds_m
+    west, south, east, north = bounds_m
     if config.coarse_m > max(east - west, north - south):
         raise InputError(
             f"spacing of {config.coarse_m:g} m is larger than the area of {east - west:.0f} x "
             f"{north - south:.0f} m; choose a smaller spacing or a larger area"
         )
-    apart = config.candidate_m
-    col = np.arange(np.ceil(west / apart), np.floor(east / apart) + 1.0)
-    row = np.arange(np.floor(north / apart), np.ceil(south / apart) - 1.0, -1.0)
-    if len(row) * len(col) > _MOST_CANDIDATES:
+    easting_m, northing_m = lattice_m(bounds_m, config.candidate_m)
+    if len(easting_m) * len(northing_m) > _MOST_CANDIDATES:
         raise InputError(
-            f"{len(row) * len(col)} candidates {apart:g} m apart are too many to plan at once; "
-            "plan smaller bounds one after the other, or put the candidates further apart"
+            f"{len(easting_m) * len(northing_m)} candidates {config.candidate_m:g} m apart are too "
+            "many to plan at once; plan smaller bounds one after the other, or put the candidates "
+            "further apart"
         )
-    easting, northing = np.meshgrid(col * apart, row * apart)
-    valid = _can_stand(field, easting, northing)
-    return Candidates(valid, col * apart, row * apart, int(_REACH_M // apart))
+    valid = _can_stand(field, *np.meshgrid(easting_m, northing_m))
+    return Candidates(valid, easting_m, northing_m, int(_REACH_M // config.candidate_m))
 
 
 def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:

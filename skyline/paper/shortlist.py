@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
-from skyline.paper.chamfer import MIN_OVERLAP, QueryCurve, StoredCurves
+from skyline.paper.curves import MIN_OVERLAP, QueryCurve, StoredCurves
 
 _AT_ONCE = 32
 """Locations whose patches are compared together; keeps a product in the cache."""

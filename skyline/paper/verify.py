@@ -12,7 +12,6 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
 from skyline.camera import HEADINGS, columns_u, pixel_size
 from skyline.errors import InputError
-from skyline.paper.coverage import Coverage
 from skyline.paper.reprojection import (
     IDENTITY,
     affine_least_squares,
@@ -21,6 +20,7 @@ from skyline.paper.reprojection import (
     non_affine,
     skyline_points_m,
 )
+from skyline.paper.strategies import Coverage
 from skyline.skylines import Views
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ _MIN_SHARE = 0.5
 _OUTLIER_PX = 3.0
 """Huber's threshold: a column farther off counts by its distance, a nearer one by its square."""
 
-_DAMPING = 1e-3
+_ROUNDS, _DAMPING = 6, 1e-3
 _RIDGE = 1e-9
 
 _STEEPEST = 0.3
@@ -193,7 +193,7 @@ def block_means(rows: FloatArray, blocks: int) -> Float32Array:
 
 
 def fitted_warps(
-    curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int, rounds: int = 6
+    curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int
 ) -> tuple[Float64Array, Float64Array]:
     """Fit affine maps within bounds that warp curves onto others.
 
@@ -205,8 +205,6 @@ def fitted_warps(
         Warps to begin with. NaN is none.
     width : int
         Columns W of the view; a px is 2 / W.
-    rounds : int
-        Gauss-Newton steps.
 
     Returns
     -------
@@ -219,7 +217,7 @@ def fitted_warps(
     pair = _Pair(curves, targets, pixel)
     state = pair.state(np.clip(np.nan_to_num(starts.reshape(-1, 6)), *_BOUNDS))
     damping = np.full(len(starts), _DAMPING)
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         trial = pair.state(pair.step(state, damping))
         better = trial.error < state.error
         state = state.replaced(better, trial)

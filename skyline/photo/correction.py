@@ -64,10 +64,8 @@ class Stroke:
     radius_px : float
         Radius of the brush; 0 for a line.
 
-    Raises
-    ------
-    InputError
-        There are no points, a coordinate is not finite, or the radius is negative.
+    Raises `InputError` if there are no points, a coordinate is not finite, or the radius is
+    negative.
     """
 
     kind: StrokeKind
@@ -154,9 +152,10 @@ class Correction:
         extraction = self._extraction
         if found is None:
             return extraction.row_px, extraction.confidence
-        check_of_image(found, extraction.shape)
-        inside = slice(extraction.content.left, extraction.content.right)
-        return found.row_px[inside] - extraction.content.top, found.confidence[inside].copy()
+        content = extraction.content
+        check_of_image(found, (content.height, content.width))
+        inside = slice(content.left, content.right)
+        return found.row_px[inside] - content.top, found.confidence[inside].copy()
 
     def _solve_again(
         self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array

@@ -10,7 +10,6 @@ runs along the path.
 """
 
 import gzip
-import logging
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -24,8 +23,6 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
-
-_log = logging.getLogger(__name__)
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
@@ -91,21 +88,16 @@ _network_lock = Lock()
 
 
 def extract_skyline(image: UInt8Array) -> QuerySkyline:
-    """Find the skyline of a photo.
+    """Find the skyline of a photo (H, W, 3) uint8 RGB.
 
     Uniform borders and caption bars are cut off. Columns whose skyline is unclear, on the photo's
-    edge or hidden are masked, not guessed. Raises `InputError` if the image is not (H, W, 3) uint8
-    RGB, too small, or shows no skyline.
+    edge or hidden are masked, not guessed. Raises `InputError` if the image is too small, a sliver,
+    or shows no skyline.
     """
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-        raise InputError(
-            f"image has shape {image.shape} and type {image.dtype}; expected (H, W, 3) uint8 RGB"
-        )
     extraction = Extraction.of(image)
     query = extraction.query(extraction.row_px, extraction.confidence)
     content = extraction.content
     share = float(query.trusted[content.left : content.right].mean())
-    _log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
     if share < MIN_TRUSTED_SHARE:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
@@ -117,8 +109,10 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """The part of an image inside its borders: half-open ranges of rows and columns."""
+    """The part of an image (``height``, ``width``) inside its borders: half-open ranges."""
 
+    height: int
+    width: int
     top: int
     bottom: int
     left: int
@@ -128,19 +122,16 @@ class Content:
         """Return the photo inside its borders as a view of the image."""
         return image[self.top : self.bottom, self.left : self.right]
 
-    def skyline(
-        self, row_px: Float64Array, confidence: Float64Array, shape: tuple[int, ...]
-    ) -> QuerySkyline:
-        """Return the skyline of an image of a shape (H, W, ...) from the rows (w,) of its photo.
+    def skyline(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
+        """Return the skyline of the image from the rows (w,) of its photo.
 
         Columns without a row (NaN) and columns beside the photo are masked.
         """
-        height, width = shape[:2]
-        rows, confidences = np.full(width, np.nan), np.zeros(width)
+        rows, confidences = np.full(self.width, np.nan), np.zeros(self.width)
         inside = slice(self.left, self.right)
         rows[inside] = row_px + self.top
         confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
-        return QuerySkyline(rows, confidences, width, height)
+        return QuerySkyline(rows, confidences, self.width, self.height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,8 +162,6 @@ class Evidence:
 class Extraction:
     """A photo's skyline with the evidence and the path from which it was found."""
 
-    shape: tuple[int, int]
-    """Height and width of the image."""
     content: Content
     """The part of the image that is photo."""
     photo: UInt8Array
@@ -193,13 +182,12 @@ class Extraction:
         evidence = gather_evidence(photo)
         path = shortest_path(evidence.cost, *STEPS)
         row_px, confidence = on_photo(photo, evidence, path)
-        height, width = image.shape[:2]
-        return cls((height, width), content, photo, evidence, path, row_px, confidence)
+        return cls(content, photo, evidence, path, row_px, confidence)
 
     def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
         """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
         trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
-        return self.content.skyline(trusted_px, confidence, self.shape)
+        return self.content.skyline(trusted_px, confidence)
 
 
 def on_photo(
@@ -303,7 +291,7 @@ def content_of(image: UInt8Array) -> Content:
     sideways = image[top:bottom].transpose(1, 0, 2)
     left = _bar_length(sideways)
     right = len(sideways) - _bar_length(sideways[::-1])
-    content = Content(top, bottom, left, right)
+    content = Content(height, width, top, bottom, left, right)
     if min(bottom - top, right - left) < MIN_CONTENT_PX:
         raise InputError(
             f"the photo has {width} x {height} px, {max(right - left, 0)} x "

@@ -24,9 +24,8 @@ from PIL.ExifTags import IFD
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.exif import NotedPlace, place_from_exif
+from skyline.photo.exif import MAX_PINHOLE_ASPECT, Lens, NotedPlace, camera_of, place_from_exif
 from skyline.photo.extract import extract_skyline
-from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import (
@@ -116,7 +115,6 @@ def read_query(
     InputError
         The file cannot be used, or no skyline is found in it.
     """
-    check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
         return read_trace(path, fov_deg, projection)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
@@ -158,7 +156,6 @@ def read_photo(
 
     Parameters
     ----------
-    path : str or Path
     fov_deg, projection
         As in `read_query`.
 
@@ -170,17 +167,28 @@ def read_photo(
         The file cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
-    with opened_image(Path(path)) as image:
-        photo = _photo(Path(path), image)
-    # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
-    is_as_noted = projection is None or projection.is_panorama == photo.projection.is_panorama
-    lens = photo.lens if fov_deg is None and is_as_noted else None
-    if lens is not None:
-        fov_deg = lens.fov_deg
-    height, width = photo.rgb.shape[:2]
-    if min(height, width) < 2:
+    path = Path(path)
+    with opened_image(path) as image:
+        width, height = image.size
+        _require_bounded(path, image)
+        upright = ImageOps.exif_transpose(image)
+        # Decoders differ: some have already turned the pixels, some the size as well, and each
+        # leaves other tags. The upright picture shows whether the file's size is upright.
+        if (upright.width < upright.height) != (width < height):
+            width, height = height, width
+        exif = image.getexif()
+        xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
+        text = xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp)
+        noted, lens = camera_of({**exif, **exif.get_ifd(IFD.Exif)}, text, (width, height))
+        place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
+        rgb = _to_rgb(upright)
+    if min(rgb.shape[:2]) < 2:
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    return replace(photo, fov_deg=fov_deg, projection=projection or photo.projection, lens=lens)
+    # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
+    is_as_noted = projection is None or projection.is_panorama == noted.is_panorama
+    if fov_deg is not None or not is_as_noted:
+        return Photo(rgb, fov_deg, projection or noted, place)
+    return Photo(rgb, lens.fov_deg, projection or noted, place, lens)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
@@ -261,36 +269,6 @@ def opened_image(path: Path) -> Iterator[Image.Image]:
             f"{path} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
             "open and save it as PNG"
         ) from error
-
-
-def _photo(path: Path, image: Image.Image) -> Photo:
-    width, height = image.size
-    _require_bounded(path, image)
-    upright = ImageOps.exif_transpose(image)
-    # Decoders differ: some have already turned the pixels, some the size as well, and each leaves
-    # other tags. The upright picture shows whether the file's size is upright.
-    if (upright.width < upright.height) != (width < height):
-        width, height = height, width
-    exif = image.getexif()
-    projection, lens = _camera(image, exif, (width, height))
-    place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
-    return Photo(_to_rgb(upright), lens.fov_deg, projection, place, lens)
-
-
-def _camera(
-    image: Image.Image, exif: Image.Exif, size_px: tuple[int, int]
-) -> tuple[Projection, Lens]:
-    """Return the projection and the lens that a file of an upright size notes."""
-    xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
-    text = xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp)
-    panorama = panorama_of_xmp(text, size_px)
-    if panorama is not None:
-        return panorama
-    tags = {**exif, **exif.get_ifd(IFD.Exif)}
-    swept = swept_lens_of(tags, size_px)
-    if swept is not None:
-        return Projection.CYLINDRICAL, swept
-    return Projection.PERSPECTIVE, lens_of(tags, size_px)
 
 
 @contextmanager

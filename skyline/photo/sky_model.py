@@ -68,7 +68,7 @@ def model_skyline(image: UInt8Array, session: Any) -> QuerySkyline:
     # Beside a masked column the row is NaN, since there is nothing to interpolate to.
     share = at - left
     row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
-    query = content.skyline(row, np.minimum(confidence[left], confidence[right]), image.shape)
+    query = content.skyline(row, np.minimum(confidence[left], confidence[right]))
     if not query.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")
     return query

@@ -1,4 +1,4 @@
-"""The OpenGL context without a display: one per process, made on first use, for all renderers.
+"""The OpenGL context without a display, one per process, and a thread that renders for all others.
 
 OpenGL 4.3 is required, for its compute shaders. The order is EGL on a GPU, EGL on Mesa's software
 rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of them alone.
@@ -6,39 +6,55 @@ rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of th
 Threads: the context belongs to the thread that first acquired it, and `acquire` refuses any other
 thread. Processes: drivers keep threads of their own, which a fork does not copy, so a child forked
 after the context was made is refused as well (measured: Mesa hangs there). Start workers with
-multiprocessing's "spawn" method, or fork before anything is rendered.
+multiprocessing's "spawn" method, or fork before anything is rendered. A program of many threads
+gives all its rendering to a `RenderThread`.
 """
 
 import atexit
-import logging
+import ctypes
+import itertools
 import os
+import queue
 import re
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from ctypes import POINTER, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import moderngl
 
 from skyline.errors import ContextError, InputError
-from skyline.render.osmesa import OsMesaContext
+
+T = TypeVar("T")
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = ("egl", "osmesa")
 """The backends in the order of attempts."""
 
 _DEBIAN_PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-_DRIVER_FACTS = ("VENDOR", "RENDERER", "VERSION")
 _VERSION_CODE = 430
 _EGL_LIBRARY = "libEGL.so.1"
+_OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6")
 _BEYOND_ALL_DEVICES = 1 << 30
 _SOFTWARE = re.compile(
     r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software", re.IGNORECASE
 )
 
-_log = logging.getLogger(__name__)
+# GL/gl.h and GL/osmesa.h of Mesa 12 and later.
+_GL_RGBA = 0x1908
+_GL_UNSIGNED_BYTE = 0x1401
+_OSMESA_FORMAT = 0x22
+_OSMESA_PROFILE = 0x33
+_OSMESA_CORE_PROFILE = 0x34
+_OSMESA_CONTEXT_MAJOR_VERSION = 0x36
+_OSMESA_CONTEXT_MINOR_VERSION = 0x37
+
+_URGENT, _USUAL, _LAST = 0, 1, 2
+"""Ranks of a render thread's tasks; the last one ends it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +63,7 @@ class GlContext:
 
     ctx: moderngl.Context
     native: Any
-    """The context of glcontext, or the `OsMesaContext`, under ``ctx``."""
+    """The context of glcontext, or OSMesa's, under ``ctx``."""
     backend: str
     """``egl`` or ``osmesa``."""
     device: str
@@ -64,7 +80,7 @@ class GlContext:
     @property
     def software(self) -> bool:
         """True if the CPU does the rendering."""
-        return is_software(self.renderer)
+        return _SOFTWARE.search(self.renderer) is not None
 
     @property
     def reason(self) -> str:
@@ -91,16 +107,10 @@ class _SharedContext:
         """Return the process's OpenGL context, current in this thread; make it on first use.
 
         Calling again is cheap, and makes the context current again where other code has put its
-        own in place.
-
-        Raises
-        ------
-        ContextError
-            No backend gives OpenGL 4.3 (the message names all attempts and the packages to
-            install), or the context belongs to another thread or to the process that this one was
-            forked from.
-        InputError
-            ``SKYLINE_GL`` names no backend.
+        own in place. Raises `ContextError` if no backend gives OpenGL 4.3 (the message names all
+        attempts and the packages to install), or if the context belongs to another thread or to
+        the process that this one was forked from, and `InputError` if ``SKYLINE_GL`` names no
+        backend.
         """
         # This comes before the lock, which another thread of the parent may have held during the
         # fork.
@@ -115,7 +125,6 @@ class _SharedContext:
                 self._context = _choose_context()
                 self._process = os.getpid()
                 self._thread = threading.current_thread()
-                _log.info("OpenGL context: %s (%s)", self._context.renderer, self._context.reason)
             elif self._thread is not threading.current_thread():
                 raise self._refuse_thread()
             else:
@@ -182,11 +191,6 @@ def describe_context() -> dict[str, str | bool | list[str]]:
     }
 
 
-def is_software(renderer: str) -> bool:
-    """Return whether a GL_RENDERER is a rasterizer on the CPU."""
-    return _SOFTWARE.search(renderer) is not None
-
-
 def _choose_context() -> GlContext:
     """Return a context on the best device of the first backend that gives one."""
     forced = os.environ.get(ENVIRONMENT_VARIABLE, "")
@@ -197,10 +201,11 @@ def _choose_context() -> GlContext:
         )
     backends = (forced,) if forced else BACKENDS
     attempts: list[str] = []
-    with _quiet_drivers():
-        for backend in backends:
-            if (found := _best_device(backend, attempts, bool(forced))) is not None:
-                return found
+    # EGL's warnings about failing devices stay off stderr; the attempts hold the errors.
+    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
+    for backend in backends:
+        if (found := _best_device(backend, attempts, bool(forced))) is not None:
+            return found
     packages = " ".join(_DEBIAN_PACKAGES[backend] for backend in backends)
     raise ContextError(
         f"no OpenGL context of version 4.3 or newer; tried {'; '.join(attempts)}; on Debian or "
@@ -235,7 +240,7 @@ def _best_device(backend: str, attempts: list[str], forced: bool) -> GlContext |
 def _devices(backend: str) -> list[tuple[str, Callable[[], Any]]]:
     """Return the name of each device of a backend, and a function that makes a context on it."""
     if backend == "osmesa":
-        return [("Mesa off-screen library", partial(OsMesaContext, _VERSION_CODE))]
+        return [("Mesa off-screen library", _OsMesaContext)]
     count = 1
     try:
         _egl_context(_BEYOND_ALL_DEVICES)
@@ -271,7 +276,7 @@ def _wrap(native: Any, backend: str, device: str, attempts: list[str], forced: b
         native.__exit__(None, None, None)
         native.release()
         raise ContextError(f"moderngl refuses it: {error}") from error
-    vendor, renderer, version = (ctx.info[f"GL_{key}"] for key in _DRIVER_FACTS)
+    vendor, renderer, version = (ctx.info[f"GL_{key}"] for key in ("VENDOR", "RENDERER", "VERSION"))
     return GlContext(ctx, native, backend, device, vendor, renderer, version, attempts, forced)
 
 
@@ -282,13 +287,127 @@ def _destroy(context: GlContext) -> None:
     context.ctx.release()
 
 
-@contextmanager
-def _quiet_drivers() -> Iterator[None]:
-    """Keep EGL's warnings about failing devices off stderr; the attempts hold the errors."""
-    before = os.environ.get("EGL_LOG_LEVEL")
-    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["EGL_LOG_LEVEL"]
+class _OsMesaContext:
+    """OpenGL by Mesa's off-screen library: a native context for moderngl, current once made.
+
+    Raises `ContextError` where the library cannot be loaded, or has no core profile of OpenGL 4.3.
+    """
+
+    def __init__(self) -> None:
+        library = _osmesa()
+        self._proc_address = _bind(library.OSMesaGetProcAddress, c_void_p, ctypes.c_char_p)
+        self._make_current = _bind(
+            library.OSMesaMakeCurrent, c_ubyte, c_void_p, c_void_p, c_uint, c_int, c_int
+        )
+        self._destroy = _bind(library.OSMesaDestroyContext, None, c_void_p)
+        # OSMesa makes a context current only with a framebuffer, though nothing is drawn there.
+        self._pixel = (c_ubyte * 4)()
+        major, minor = divmod(_VERSION_CODE // 10, 10)
+        wanted = (
+            *(_OSMESA_FORMAT, _GL_RGBA, _OSMESA_PROFILE, _OSMESA_CORE_PROFILE),
+            *(_OSMESA_CONTEXT_MAJOR_VERSION, major, _OSMESA_CONTEXT_MINOR_VERSION, minor, 0),
+        )
+        create = _bind(library.OSMesaCreateContextAttribs, c_void_p, POINTER(c_int), c_void_p)
+        self._context: int | None = create((c_int * len(wanted))(*wanted), None)
+        if not self._context:
+            raise ContextError(
+                f"OSMesaCreateContextAttribs gave no core profile of OpenGL {major}.{minor}"
+            )
+        self.__enter__()
+
+    def load_opengl_function(self, name: str) -> int:
+        """Return the address of an OpenGL function, 0 where there is none."""
+        return self._proc_address(name.encode()) or 0
+
+    def __enter__(self) -> Self:
+        if not self._make_current(self._context, self._pixel, _GL_UNSIGNED_BYTE, 1, 1):
+            raise ContextError("OSMesaMakeCurrent failed")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
+
+    def release(self) -> None:
+        """Destroy the context, which must not be current; harmless when repeated."""
+        if self._context:
+            self._destroy(self._context)
+            self._context = None
+
+
+def _osmesa() -> ctypes.CDLL:
+    errors = []
+    for name in _OSMESA_LIBRARIES:
+        try:
+            return ctypes.CDLL(name)
+        except OSError as error:
+            errors.append(str(error))
+    raise ContextError("; ".join(errors))
+
+
+def _bind(function: Any, result: Any, *arguments: Any) -> Any:
+    """Give a foreign function its C signature."""
+    function.restype = result
+    function.argtypes = arguments
+    return function
+
+
+class RenderThread:
+    """Runs tasks one after another on one thread, the urgent ones first.
+
+    Long work is given piece by piece, so that an urgent task waits for one piece at most.
+    Renderers that are made in tasks are used and released in tasks alone.
+    """
+
+    def __init__(self) -> None:
+        # Numbers keep the order within a rank, and futures from being compared.
+        self._tasks: queue.PriorityQueue[tuple[int, int, Future[Any], Callable[[], Any] | None]] = (
+            queue.PriorityQueue()
+        )
+        self._numbers = itertools.count()
+        self._closing = threading.Lock()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="rendering", daemon=True)
+        self._thread.start()
+
+    def run(self, task: Callable[[], T], urgent: bool = False) -> T:
+        """Run a task on the thread and return its result; raises the task's errors.
+
+        An urgent task is run before all that are not urgent. Raises `ContextError` if the thread
+        was closed.
+        """
+        if threading.current_thread() is self._thread:
+            return task()
+        future: Future[T] = Future()
+        with self._closing:
+            if self._closed:
+                raise ContextError("the render thread is closed; make another")
+            self._tasks.put((_URGENT if urgent else _USUAL, next(self._numbers), future, task))
+        return future.result()
+
+    def close(self) -> None:
+        """Finish the tasks that wait, release the OpenGL context and end the thread."""
+        with self._closing:
+            if not self._closed:
+                self._closed = True
+                self._tasks.put((_LAST, next(self._numbers), Future(), None))
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        while True:
+            _, _, future, task = self._tasks.get()
+            if task is None:
+                with suppress(ContextError):  # The context belongs to another thread.
+                    release_context()
+                return
+            try:
+                future.set_result(task())
+            except BaseException as error:  # The caller of `run` handles it.
+                future.set_exception(error)
+            # The result must not live on until the next task.
+            del future, task

@@ -2,7 +2,8 @@
 
 For each heading the height field is drawn as a grid of triangles into a W x W image of inverse
 depth. The skyline of a column is its first pixel from the top with a finite depth. It is quantized:
-within half a pixel of the exact skyline, about 0.3 px rms.
+within half a pixel of the exact skyline, about 0.3 px rms. An image does not show why a column is
+empty, so only columns without a skyline inside the image are flagged.
 """
 
 import math
@@ -14,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pyrr import matrix44
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size, rotation
+from skyline.arrays import Float32Array, Float64Array
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.eyes import in_four_views
 from skyline.render.shaders import compile_program
-from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
+from skyline.skylines import FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 
 TILE_CELLS = 64
@@ -41,19 +41,9 @@ QUANTIZATION_PX = 0.5 + 2.0 / 256.0
 class DepthRenderer:
     """Renders depth images and skylines of one height field.
 
-    Parameters
-    ----------
-    width : int
-        Columns and rows W of a depth image.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-
-    Raises
-    ------
-    InputError
-        The width is out of range, or the field is larger than one texture of this OpenGL.
-    ContextError
-        No OpenGL context can be made.
+    ``width`` is the number W of columns and of rows of a depth image. Raises `InputError` if it is
+    out of range or the field is larger than one texture of this OpenGL, and `ContextError` if no
+    OpenGL context can be made.
     """
 
     def __init__(
@@ -73,7 +63,6 @@ class DepthRenderer:
                 f"a DEM of {field.cols} x {field.rows} samples at width {width} does not fit this "
                 f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
             )
-        self._rims_m = _rims_m(field)
         holes = {"HOLES": "", "HOLE_HEIGHT_M": f"{_HOLE_HEIGHT_M:.1e}"} if field.has_holes else {}
         self._terrain = compile_program(
             ctx, "terrain.vert", "depth.frag", {"TILE": str(TILE_CELLS), **holes}
@@ -101,7 +90,10 @@ class DepthRenderer:
         return f"depth {self.width} px; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints) -> Views:
-        """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn."""
+        """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn.
+
+        Of the flags only `FLAG_OUT_OF_IMAGE` is set.
+        """
         parts = [Views.empty(self.width)]
         for start in range(0, len(viewpoints), _VIEWPOINTS_A_READ):
             parts.append(self._render_batch(viewpoints[start : start + _VIEWPOINTS_A_READ]))
@@ -145,45 +137,19 @@ class DepthRenderer:
         count = len(HEADINGS) * len(viewpoints)
         read = self._rows_target.read((0, 0, self.width, count), components=3, dtype="f4")
         pixels = np.frombuffer(read, dtype=np.float32).reshape(count, self.width, 3)
-        covered = pixels[..., 2]
-        seen = covered >= 0.0
-        tan = np.where(seen, pixels[..., 0], np.float32(np.nan))
-        depth = np.where(seen, pixels[..., 1], np.float32(np.nan))
+        covered_row = pixels[..., 2]
+        seen = covered_row >= 0.0
+        outside = ~seen | (covered_row == self.width - 1)
         eyes, headings = in_four_views(viewpoints)
         return Views(
             eyes.easting_m,
             eyes.northing_m,
             eyes.eye_elevation_m,
             headings,
-            tan,
-            depth,
-            self._flags(viewpoints, covered, tan),
+            np.where(seen, pixels[..., 0], np.float32(np.nan)),
+            np.where(seen, pixels[..., 1], np.float32(np.nan)),
+            np.where(outside, np.uint8(FLAG_OUT_OF_IMAGE), np.uint8(0)),
         )
-
-    def _flags(
-        self, viewpoints: Viewpoints, row: Float32Array, tan: Float32Array
-    ) -> NDArray[np.uint8]:
-        """Return the flags of (N, W) columns from their covered rows, skylines and rims."""
-        eyes = (viewpoints.easting_m, viewpoints.eye_elevation_m, viewpoints.northing_m)
-        met = []
-        for eye_m in np.stack(eyes, axis=-1):
-            offset_m = self._rims_m - eye_m
-            square_m2 = offset_m[..., 0] ** 2 + offset_m[..., 2] ** 2
-            offset_m[..., 1] -= self.curvature.drop_per_m2 * square_m2
-            met += [_rims_met(offset_m, heading, self.width) for heading in HEADINGS]
-        border, over_hole = (np.stack(columns) for columns in zip(*met, strict=True))
-        # A column that meets a border crosses data, which end at that border.
-        meets_data = np.isfinite(border)
-        # A skyline no higher than the rim behind which the data end may hide more terrain. A
-        # border as high as the skyline may be, given its quantization, may be the skyline itself.
-        lowest = np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(self.width)
-        flags = (
-            (border >= lowest) * FLAG_TRUNCATED
-            + over_hole * FLAG_HOLE
-            + ((row < 0.0) & ~meets_data) * FLAG_NO_DATA
-            + ((row == self.width - 1) | ((row < 0.0) & meets_data)) * FLAG_OUT_OF_IMAGE
-        )
-        return np.asarray(flags, dtype=np.uint8)
 
     def _drawn(self, viewpoints: Viewpoints, index: int) -> Iterator[int]:
         """Draw the depth images of an eye in turn into the inverse-depth texture; yield headings.
@@ -283,68 +249,3 @@ def _tiles_in_view(
     # A cell's margin keeps rounding on the safe side.
     in_view = forward.max(axis=1) + field.spacing_m > nearest_aside
     return np.ascontiguousarray(tiles[in_view])
-
-
-def _rims_m(field: HeightField) -> Float64Array:
-    """Return the ends of the surface's rims in the field's frame, (E, 2, 3): east, up, north."""
-    rims = Triangles.of(field.heights_m).rims()
-    easting_m, northing_m = field.to_map(*rims)
-    return np.stack([easting_m, field.heights_m[rims].astype(np.float64), northing_m], axis=-1)
-
-
-def _rims_met(offset_m: Float64Array, heading: int, width: int) -> tuple[Float64Array, BoolArray]:
-    """Return the rims that the W columns of one view meet.
-
-    Parameters
-    ----------
-    offset_m : (E, 2, 3) float64
-        East, up, north of the rims' ends minus the eye, curvature taken off.
-
-    Returns
-    -------
-    border_tan : (W,) float64
-        Greatest v over the rims behind which the data end; -inf where there is none.
-    over_hole : (W,) bool
-        The column crosses a rim from its bare side: it enters the surface again.
-    """
-    east, north = offset_m[..., 0], offset_m[..., 2]
-    # The eye is left of the way along an edge, on its bare side, where this is positive.
-    entered = np.diff(north)[:, 0] * east[:, 0] - np.diff(east)[:, 0] * north[:, 0] > 0.0
-    ends = offset_m @ rotation(heading).T
-    edge, column = _columns_crossed(ends[..., 0], ends[..., 2], width)
-    v = _ordinate(ends[edge], columns_u(width)[column])
-    border_tan = np.full(width, -np.inf)
-    leaving = ~entered[edge]
-    np.maximum.at(border_tan, column[leaving], v[leaving])
-    over_hole = np.zeros(width, dtype=bool)
-    over_hole[column[~leaving & np.isfinite(v)]] = True
-    return border_tan, over_hole
-
-
-def _columns_crossed(x: Float64Array, z: Float64Array, width: int) -> tuple[Int64Array, Int64Array]:
-    """Return the pairs (edge, column) whose half-planes cross edges with ends (E, 2) ahead."""
-    # An end behind the eye is moved along its edge to just before it.
-    ahead = np.maximum(np.abs(z).max(axis=1, keepdims=True) * 1e-12, 1e-12)
-    behind = z < ahead
-    step = np.where(behind, (ahead - z) / _nonzero(z[:, ::-1] - z), 0.0)
-    u = (x + step * (x[:, ::-1] - x)) / np.maximum(z + step * (z[:, ::-1] - z), ahead)
-    position = np.clip(((u + 1.0) * width - 1.0) / 2.0, -1.0, width)
-    first = np.ceil(position.min(axis=1) - 1e-9).astype(np.int64).clip(0)
-    last = np.floor(position.max(axis=1) + 1e-9).astype(np.int64).clip(max=width - 1)
-    count = np.where(behind.all(axis=1), 0, (last - first + 1).clip(0))
-    edge = np.repeat(np.arange(len(x)), count)
-    within = np.arange(count.sum()) - np.repeat(count.cumsum() - count, count)
-    return edge, first[edge] + within
-
-
-def _ordinate(ends: Float64Array, u: Float64Array) -> Float64Array:
-    """Return v where half-planes at ``u`` cross edges with ``ends`` (M, 2, 3); -inf if behind."""
-    offset = ends[..., 0] - u[:, np.newaxis] * ends[..., 2]
-    share = np.clip(offset[:, 0] / _nonzero(offset[:, 0] - offset[:, 1]), 0.0, 1.0)
-    crossing = ends[:, 0] + share[:, np.newaxis] * (ends[:, 1] - ends[:, 0])
-    in_front = crossing[:, 2] > 0.0
-    return np.where(in_front, crossing[:, 1] / np.where(in_front, crossing[:, 2], 1.0), -np.inf)
-
-
-def _nonzero(value: Float64Array) -> Float64Array:
-    return np.where(value == 0.0, 1.0, value)

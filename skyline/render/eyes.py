@@ -36,11 +36,7 @@ _ROUNDING = 3.0 * 2.0**-24
 class Eyes:
     """The eyes of N views, sorted so that marches of one kind lie together.
 
-    Parameters
-    ----------
-    heading : (N,) uint8
-    turn_rad : (N,) float64
-        Angle by which all columns of an eye are turned clockwise.
+    ``turn_rad`` (N,) is the angle by which all columns of an eye are turned clockwise.
     """
 
     def __init__(

@@ -1,18 +1,23 @@
-"""The horizon rasterizer: skylines in views of 90 degrees, exact to float32, without an image."""
+"""The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round."""
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from skyline.camera import DEFAULT_WIDTH, check_width, columns_u, pixel_size
+from skyline.arrays import Int64Array
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.geodesy import Curvature
 from skyline.render.eyes import in_four_views
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
-from skyline.skylines import Views
+from skyline.skylines import Horizons, Views, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+
+DEFAULT_TOLERANCE_DEG = 0.01
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,21 +42,9 @@ class RenderConfig:
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
-    Parameters
-    ----------
-    width : int
-        Columns W of a view.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-    tolerance_px : float
-        Greatest amount by which v may be less than the exact one; with 0 it is exact to float32.
-
-    Raises
-    ------
-    InputError
-        The width or the tolerance is out of range, or samples are much longer than wide.
-    ContextError
-        No OpenGL context can be made.
+    The parameters are the fields of `RenderConfig`; here the skyline is exact by default. Raises
+    `InputError` if the width or the tolerance is out of range or samples are much longer than
+    wide, and `ContextError` if no OpenGL context can be made.
     """
 
     def __init__(
@@ -83,37 +76,24 @@ class HorizonRenderer(ColumnRenderer):
         return f"horizon {self.width} columns{tolerance}; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
-        """Render skylines.
+        """Render the skylines of N eyes, in order.
 
-        Parameters
-        ----------
-        viewpoints : Viewpoints
-            N eyes.
-        headings : (N,) array_like of int, optional
-            One heading for each eye; by default all four.
-
-        Returns
-        -------
-        Views
-            N views in order, or 4 N: the four headings of a viewpoint follow one another.
+        ``headings`` (N,) gives each eye one view. By default there are 4 N: the four headings of
+        an eye follow one another.
         """
         if headings is None:
             eyes, heading = in_four_views(viewpoints)
         else:
             eyes, heading = viewpoints, np.asarray(headings, dtype=np.uint8)
-        return Views.concatenate(
-            [
-                Views(
-                    eyes.easting_m[part],
-                    eyes.northing_m[part],
-                    eyes.eye_elevation_m[part],
-                    heading[part],
-                    rows.elevation_tan,
-                    rows.depth_m,
-                    rows.flags,
-                )
-                for part, rows in self._batches(eyes, heading, np.zeros(len(eyes)))
-            ]
+        rows = self._skylines(eyes, heading, np.zeros(len(eyes)))
+        return Views(
+            eyes.easting_m,
+            eyes.northing_m,
+            eyes.eye_elevation_m,
+            heading,
+            rows.elevation_tan,
+            rows.depth_m,
+            rows.flags,
         )
 
 
@@ -124,3 +104,83 @@ def render_views(
     config = config or RenderConfig()
     with HorizonRenderer.of(terrain, config) as renderer:
         return renderer.render(viewpoints)
+
+
+class PanoramaRenderer(ColumnRenderer):
+    """Renders the horizons of eyes on one height field.
+
+    Parameters
+    ----------
+    bins : int
+        Steps B of azimuth to a turn, a multiple of 8; `skyline.skylines.bin_azimuths_rad`.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+    tolerance_deg : float
+        Greatest angle by which a skyline level with the eye may lie too low; above and below it
+        the angle is smaller. With 0 the skyline is exact to float32.
+
+    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        bins: int,
+        curvature: Curvature | None = None,
+        tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
+    ) -> None:
+        self.bins = check_bins(bins)
+        self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
+        azimuth = quadrant_azimuths_rad(bins)
+        self._azimuth_rad = azimuth
+        super().__init__(
+            field,
+            np.tan(azimuth),
+            np.radians(self.tolerance_deg) / np.cos(azimuth),
+            NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH),
+            curvature or Curvature(),
+        )
+
+    @property
+    def description(self) -> str:
+        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
+        tolerance = f", tolerance {self.tolerance_deg:g} degrees" if self.tolerance_deg else ""
+        return f"horizon {self.bins} azimuths{tolerance}; {self._context.renderer}"
+
+    def render(
+        self, viewpoints: Viewpoints, first_azimuth_rad: ArrayLike | None = None
+    ) -> Horizons:
+        """Render the horizons of N eyes, in order.
+
+        Parameters
+        ----------
+        first_azimuth_rad : (N,) array_like, optional
+            Grid azimuth of each eye's bin 0; the other bins follow clockwise: the negative of the
+            meridian convergence makes azimuths count from true north. By default that of
+            `skyline.skylines.bin_azimuths_rad`.
+        """
+        count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
+        first = np.full(count, 0.5 * step_rad)
+        if first_azimuth_rad is not None:
+            first[:] = first_azimuth_rad
+        first_bin = np.floor(first / step_rad)
+        # Within half a step a column stays in its view of 90 degrees.
+        turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
+        eyes, heading = in_four_views(viewpoints)
+        rows = self._skylines(eyes, heading, turn)
+        cosine = np.cos(self._azimuth_rad + turn[:, np.newaxis]).astype(np.float32)
+        bins = (np.arange(self.bins) + first_bin[:, np.newaxis]).astype(np.int64) % self.bins
+        return Horizons(
+            viewpoints.easting_m,
+            viewpoints.northing_m,
+            viewpoints.eye_elevation_m,
+            self._turned(rows.elevation_tan * cosine, bins),
+            self._turned(rows.depth_m / cosine, bins),
+            self._turned(rows.flags, bins),
+        )
+
+    def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
+        """Return (4 N, B/4) values of views in the order of bins (N, B)."""
+        # The first view begins an eighth of a turn before bin 0.
+        turned = values.reshape(-1, self.bins)
+        return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)

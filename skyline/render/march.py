@@ -5,9 +5,7 @@ each column's ray over a tree of upper bounds and evaluates only what can still 
 only v, depth and flags of W columns a view come back.
 """
 
-import logging
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -15,7 +13,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, Rows
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
@@ -25,8 +23,6 @@ from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-_log = logging.getLogger(__name__)
 
 MAX_SPACING_RATIO = 64.0
 
@@ -45,7 +41,7 @@ _MANY_EYES = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Results:
+class Results(Rows):
     """The skylines of N views in W columns, (N, W) each; v and depth are NaN without data."""
 
     elevation_tan: Float32Array
@@ -56,8 +52,6 @@ class Results:
 class ColumnRenderer:
     """Renders skylines of one height field in columns at any abscissas.
 
-    A lane of the shader is a column, and takes many columns in turn.
-
     Parameters
     ----------
     u, tolerance : (W,) float64
@@ -66,12 +60,8 @@ class ColumnRenderer:
     near_error : float
         Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
 
-    Raises
-    ------
-    InputError
-        Samples are much longer than wide.
-    ContextError
-        No OpenGL context can be made.
+    Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
+    context can be made.
     """
 
     def __init__(
@@ -93,7 +83,7 @@ class ColumnRenderer:
         self._context = acquire_context()
         self._ctx = self._context.ctx
         self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
-        self._max_views = _MAX_RESULT_BYTES // (12 * self.width)
+        self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
         self._programs: dict[frozenset[tuple[str, str]], moderngl.ComputeShader] = {}
         aims = np.stack([*split_float(u), tolerance.astype(np.float32)], axis=-1)
         self._aims = self._ctx.texture((len(u), 1), 3, aims, dtype="f4", alignment=1)
@@ -119,40 +109,23 @@ class ColumnRenderer:
     def __exit__(self, *_: object) -> None:
         self.release()
 
-    def _batches(
+    def _skylines(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
-    ) -> Iterator[tuple[slice, Results]]:
-        """Render in batches that fit the GPU; where one does not, in halves of it.
+    ) -> Results:
+        """Render N views, in batches whose results fit the GPU; columns without data are flagged.
 
-        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view. Yields
-        the slice of the views in each batch and their skylines; at least one batch, which may be
-        empty. Skylines without data are flagged.
+        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
         """
-        stop = -1
-        while stop < len(viewpoints):
-            start = max(stop, 0)
-            part = slice(start, min(start + self._max_views, len(viewpoints)))
-            try:
-                rows = self._batch(viewpoints[part], heading[part], turn_rad[part])
-            except moderngl.Error as error:
-                if self._max_views == 1:
-                    raise ContextError(
-                        f"the GPU cannot hold one view of {self.width} columns over "
-                        f"{self.field.cols} x {self.field.rows} samples ({error}); free its memory "
-                        "or choose a smaller width"
-                    ) from error
-                self._max_views //= 2
-                _log.warning(
-                    "out of GPU memory (%s); going on with %d views a batch", error, self._max_views
-                )
-            else:
-                yield part, rows
-                stop = part.stop
+        starts = range(0, max(len(viewpoints), 1), self._max_views)
+        parts = [slice(start, start + self._max_views) for start in starts]
+        return Results.concatenate(
+            [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
+        )
 
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Results:
-        """Render one batch; see `_batches`."""
+        """Render one batch; see `_skylines`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._reserve(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
@@ -178,7 +151,13 @@ class ColumnRenderer:
         self._results = ()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
         size = max(4 * rows * self.width, 4)
-        self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
+        try:
+            self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
+        except moderngl.Error as error:
+            raise ContextError(
+                f"the GPU has no room for skylines of {rows} x {self.width} columns ({error}); "
+                "free its memory, or choose a smaller width"
+            ) from error
 
     def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
         """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""

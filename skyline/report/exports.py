@@ -1,19 +1,19 @@
-"""Matches as files that other programs read, by the file's suffix.
+"""Matches and places as files that other programs read.
 
 Candidates are points, views and ellipses in degrees of WGS 84 as GeoJSON (RFC 7946); places, views,
-and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); waypoints, which navigation
-devices and hiking maps read, as GPX 1.1; and cameras in UTM as plain JSON, for monoplotting and
-photogrammetry.
+and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); and waypoints, which navigation
+devices and hiking maps read, as GPX 1.1. The places of a store are a GeoPackage with a style.
 """
 
+import contextlib
 import io
 import json
 import math
 import os
+import sqlite3
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from urllib.parse import quote
 from xml.etree import ElementTree as Xml
 
@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.errors import InputError, printable
-from skyline.files import write_with_folders
+from skyline.errors import InputError, named, printable
+from skyline.files import write_whole, write_with_folders
 from skyline.geodesy import Frame
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import Candidate
@@ -30,6 +30,7 @@ from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
+from skyline.store import Store
 
 VIEW_REACH_M = 2000.0
 """Radius of the wedge drawn for a view; a camera sees farther, but longer wedges would overlap."""
@@ -40,21 +41,63 @@ _KML, _GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
 _PHOTO_AT_M = 300.0
 """Distance from the camera at which a PhotoOverlay shows its photo."""
+_STYLES_TABLE = """
+CREATE TABLE layer_styles (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256),
+    f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256),
+    styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description TEXT,
+    owner TEXT(30), ui TEXT(30), update_time DATETIME
+);
+INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES
+    ('layer_styles', 'attributes', 'layer_styles');
+"""
+_ADD_STYLE = """
+INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
+    styleName, styleQML, useAsDefault, update_time)
+VALUES ('', '', 'places', 'geom', 'places', ?, 1, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+"""
+_STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<qgis version="3.22" styleCategories="Symbology">
+<renderer-v2 type="singleSymbol"><symbols><symbol name="0" type="marker">
+<layer class="SimpleMarker" enabled="1" locked="0" pass="0">
+  <Option type="Map">
+    <Option name="name" type="QString" value="square"/>
+    <Option name="color" type="QString" value="31,95,191,50"/>
+    <Option name="outline_color" type="QString" value="31,95,191,255"/>
+    <Option name="outline_style" type="QString" value="solid"/>
+    <Option name="outline_width" type="QString" value="0.2"/>
+    <Option name="outline_width_unit" type="QString" value="MM"/>
+    <Option name="scale_method" type="QString" value="diameter"/>
+    <Option name="size" type="QString" value="80"/>
+    <Option name="size_unit" type="QString" value="RenderMetersInMapUnits"/>
+  </Option>
+  <data_defined_properties><Option type="Map">
+    <Option name="name" type="QString" value=""/>
+    <Option name="properties" type="Map"><Option name="size" type="Map">
+      <Option name="active" type="bool" value="true"/>
+      <Option name="field" type="QString" value="spacing_m"/>
+      <Option name="type" type="int" value="2"/>
+    </Option></Option>
+    <Option name="type" type="QString" value="collection"/>
+  </Option></data_defined_properties>
+</layer>
+</symbol></symbols></renderer-v2>
+</qgis>
+"""
+"""Draws each place as a square as wide as its field `spacing_m`; QGIS applies it at once."""
 
 Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
 
-def write_geojson(path: Path, results: Sequence[MatchResult], frame: Frame) -> None:
-    """Write the candidates of results as a FeatureCollection; ``frame`` is that of the candidates.
+def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
+    """Return the candidates of results as a FeatureCollection.
 
     Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
     (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
     ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
     2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
     and ``semi_minor_m``. A shape that the antimeridian cuts is a MultiPolygon.
-
-    Raises `InputError` where the file cannot be written.
     """
     features = [
         feature
@@ -63,7 +106,7 @@ def write_geojson(path: Path, results: Sequence[MatchResult], frame: Frame) -> N
         for feature in _features(printable(one.name), candidate, frame)
     ]
     collection = {"type": "FeatureCollection", "features": features}
-    write_with_folders(path, json.dumps(collection, indent=1, allow_nan=False) + "\n")
+    return json.dumps(collection, indent=1, allow_nan=False) + "\n"
 
 
 def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
@@ -83,7 +126,7 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
         axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
-        shapes.append(("ellipse95", _polygon(ellipse.outline_m(), frame), axes))
+        shapes.append(("ellipse95", _polygon(ellipse.outline_m, frame), axes))
     return [
         {
             "type": "Feature",
@@ -107,107 +150,55 @@ def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
     return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
-def write_cameras(path: Path, results: Sequence[MatchResult]) -> None:
-    """Write the candidates of results as cameras.
+def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | None]) -> bytes:
+    """Return results as KML, with a PhotoOverlay of each photo whose address is given.
 
-    A point X (easting, northing, elevation) is seen at the pixel ``matrix @ rotation @ (X -
-    position)``, divided by its third component: columns to the right and rows down, the middle of
-    the first pixel at 0.5, 0.5. A panorama has no matrix. A wide lens may bend what it shows by
-    `Candidate.distortion`.
-
-    Raises `InputError` where the file cannot be written.
+    Each candidate is a place and a view of 2 km; the first of each photo has the PhotoOverlay.
     """
-    photos = [
-        {
-            "photo": printable(result.name),
-            "width_px": result.query.width_px,
-            "height_px": result.query.height_px,
-            "cameras": [_camera(result.query, one) for one in result.candidates],
-        }
-        for result in results
-    ]
-    write_with_folders(path, json.dumps({"photos": photos}, indent=1).encode())
-
-
-def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
-    """Return a candidate as a camera in UTM."""
-    zone = int((candidate.lon + 180.0) % 360.0 // 6.0) + 1
-    crs = f"EPSG:{(32600 if candidate.lat >= 0.0 else 32700) + zone}"
-    utm = Frame.from_crs(crs)
-    easting_m, northing_m = (float(at) for at in utm.from_lonlat(candidate.lon, candidate.lat))
-    grid_deg = candidate.heading_deg - float(
-        utm.convergence_deg(easting_m=easting_m, northing_m=northing_m)
-    )
-    return {
-        "crs": crs,
-        "position_m": [easting_m, northing_m, candidate.eye_elevation_m],
-        "rotation": _rotation(grid_deg, candidate.pitch_deg, candidate.roll_deg).tolist(),
-        "matrix": _matrix(query, candidate.fov_deg),
-        "distortion": candidate.distortion,
-        "confidence": candidate.confidence,
-        "rank": candidate.rank,
-        "origin": candidate.origin,
-    }
-
-
-def _rotation(heading_deg: float, pitch_deg: float, roll_deg: float) -> Float64Array:
-    """Return the camera's axes, right, down and forward, as rows in easting, northing and up."""
-    heading, pitch, roll = np.radians((heading_deg, pitch_deg, roll_deg))
-    ahead = np.array([np.sin(heading), np.cos(heading), 0.0])
-    zenith = np.array([0.0, 0.0, 1.0])
-    level = np.array([np.cos(heading), -np.sin(heading), 0.0])
-    forward = ahead * np.cos(pitch) + zenith * np.sin(pitch)
-    upright = zenith * np.cos(pitch) - ahead * np.sin(pitch)
-    right = level * np.cos(roll) - upright * np.sin(roll)
-    return np.stack([right, np.cross(forward, right), forward])
-
-
-def _matrix(query: QuerySkyline, fov_deg: float) -> list[list[float]] | None:
-    if query.projection is not Projection.PERSPECTIVE:
-        return None
-    focal_px = 0.5 * query.width_px / math.tan(math.radians(0.5 * fov_deg))
-    middle = 0.5 * query.width_px, 0.5 * query.height_px
-    return [[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]]
-
-
-def write_kml(
-    path: Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None = None
-) -> None:
-    """Write results as KML, or with their photos in it as KMZ where that is the file's suffix.
-
-    Each candidate is a place and a view of 2 km. The first of each photo has a PhotoOverlay. Its
-    picture is the photo in the KMZ. In a KML it is the path from the KML's folder to the photo's
-    file; if ``photos`` are given, it is the file's name, and the file should be put beside the KML.
-
-    Raises `InputError` where the file cannot be written.
-    """
-    packed = path.suffix.lower() == ".kmz"
-    pictures: dict[str, UInt8Array] = {}
     root = Xml.Element("kml", xmlns=_KML)
     folder = _child(root, "Document")
     _child(folder, "name", "Where these were taken")
-    for number, result in enumerate(results, start=1):
-        href = None
-        if packed:
-            picture = None if photos is None else photos[number - 1]
-            if photos is None and result.name:
-                picture = read_picture(result.name)
-            if picture is not None:
-                href = f"files/{number:02d}.jpg"
-                pictures[href] = picture
-        elif result.name and Path(result.name).suffix.lower() != ".csv":
-            href = _href(Path(result.name), path.parent if photos is None else None)
-        _add_match(folder, result, frame, href)
-    content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
-    if packed:
-        held = io.BytesIO()
-        with zipfile.ZipFile(held, "w") as archive:
-            archive.writestr("doc.kml", content, zipfile.ZIP_DEFLATED)
-            for name, picture in pictures.items():
-                jpeg = cv2.imencode(".jpg", picture[..., ::-1], _QUALITY)[1].tobytes()
-                archive.writestr(name, jpeg)
-        content = held.getvalue()
-    write_with_folders(path, content)
+    for result, href in zip(results, hrefs, strict=True):
+        name = Path(result.name).name
+        for candidate in result.candidates:
+            _add_candidate(folder, name, candidate, frame)
+        is_flat = result.query.projection is Projection.PERSPECTIVE
+        if href is not None and result.candidates and is_flat:
+            _add_photo(folder, name, result.query, result.candidates[0], href)
+    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _linked_kml(
+    path: Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None
+) -> bytes:
+    """Return KML that links to photos.
+
+    The address is the path from the KML's folder to the photo's file. If ``photos`` are given, it
+    is the file's name, and the file should be put beside the KML.
+    """
+    folder = path.parent if photos is None else None
+    names = [Path(one.name) for one in results]
+    hrefs = [
+        None if not one.name or one.suffix.lower() == ".csv" else _href(one, folder)
+        for one in names
+    ]
+    return _kml(results, frame, hrefs)
+
+
+def _kmz(results: Sequence[MatchResult], frame: Frame, photos: Photos | None) -> bytes:
+    """Return KML and its photos as a KMZ; photos that are not given are read from their files."""
+    if photos is None:
+        photos = [read_picture(one.name) if one.name else None for one in results]
+    pictures = {f"files/{n:02d}.jpg": photo for n, photo in enumerate(photos, start=1)}
+    hrefs = [None if photo is None else href for href, photo in pictures.items()]
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("doc.kml", _kml(results, frame, hrefs), zipfile.ZIP_DEFLATED)
+        for href, photo in pictures.items():
+            if photo is not None:
+                jpeg = cv2.imencode(".jpg", photo[..., ::-1], _QUALITY)[1].tobytes()
+                archive.writestr(href, jpeg)
+    return file.getvalue()
 
 
 def _href(photo: Path, folder: Path | None) -> str:
@@ -219,21 +210,15 @@ def _href(photo: Path, folder: Path | None) -> str:
     return quote(os.fsencode(os.path.relpath(file, folder.resolve())))
 
 
-def _add_match(folder: Xml.Element, result: MatchResult, frame: Frame, href: str | None) -> None:
-    """Add a result's candidates, and the photo at the first, to a KML folder."""
-    name = Path(result.name).name
-    for candidate in result.candidates:
-        mark = _child(folder, "Placemark")
-        _child(mark, "name", f"{name}: {candidate.name}")
-        _child(mark, "description", _described(candidate))
-        shapes = _child(mark, "MultiGeometry")
-        _add_point(shapes, candidate)
-        for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
-            ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
-            _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
-    is_flat = result.query.projection is Projection.PERSPECTIVE
-    if href is not None and result.candidates and is_flat:
-        _add_photo(folder, name, result.query, result.candidates[0], href)
+def _add_candidate(folder: Xml.Element, name: str, candidate: Candidate, frame: Frame) -> None:
+    mark = _child(folder, "Placemark")
+    _child(mark, "name", f"{name}: {candidate.name}")
+    _child(mark, "description", _described(candidate))
+    shapes = _child(mark, "MultiGeometry")
+    _add_point(shapes, candidate)
+    for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
+        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
+        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
 
 
 def _add_photo(
@@ -287,11 +272,8 @@ def _described(candidate: Candidate) -> str:
     )
 
 
-def write_gpx(path: Path, results: Sequence[MatchResult]) -> None:
-    """Write the candidates of results as waypoints.
-
-    Raises `InputError` where the file cannot be written.
-    """
+def _gpx(results: Sequence[MatchResult]) -> bytes:
+    """Return the candidates of results as waypoints."""
     root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
     for result in results:
         name = Path(result.name).name
@@ -301,7 +283,7 @@ def write_gpx(path: Path, results: Sequence[MatchResult]) -> None:
             _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
             _child(point, "name", f"{name}: {candidate.name}")
             _child(point, "desc", _described(candidate))
-    write_with_folders(path, Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
@@ -311,26 +293,22 @@ def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> 
     return element
 
 
-Writer = Callable[[Path, Sequence[MatchResult], Frame, Photos | None], None]
-
-EXPORTS: Mapping[str, Writer] = MappingProxyType(
-    {
-        ".geojson": lambda path, results, frame, _: write_geojson(path, results, frame),
-        ".kml": write_kml,
-        ".kmz": write_kml,
-        ".gpx": lambda path, results, *_: write_gpx(path, results),
-        ".json": lambda path, results, *_: write_cameras(path, results),
-    }
-)
-"""The function that writes a file of each suffix."""
+EXPORTS: Mapping[
+    str, Callable[[Path, Sequence[MatchResult], Frame, Photos | None], str | bytes]
+] = {
+    ".geojson": lambda _, results, frame, __: _geojson(results, frame),
+    ".kml": _linked_kml,
+    ".kmz": lambda _, results, frame, photos: _kmz(results, frame, photos),
+    ".gpx": lambda _, results, *__: _gpx(results),
+}
+"""The function that returns the content of a file of each suffix."""
 
 
-def check_export(path: str | Path) -> Writer:
-    """Return the writer for a file's suffix; raises `InputError` for an unknown one."""
+def check_export(path: str | Path) -> str:
+    """Return the suffix of a file to write; raises `InputError` for one not in `EXPORTS`."""
     suffix = Path(path).suffix.lower()
-    if suffix not in EXPORTS:
-        raise InputError(f"{path}: the suffix is {suffix!r}; expected one of {', '.join(EXPORTS)}")
-    return EXPORTS[suffix]
+    named(f"the suffix of {path}", suffix, EXPORTS)
+    return suffix
 
 
 def export_matches(
@@ -339,7 +317,7 @@ def export_matches(
     frame: Frame,
     photos: Photos | None = None,
 ) -> None:
-    """Write the candidates of results by the suffix: GeoJSON, KML, KMZ, GPX, or cameras in JSON.
+    """Write the candidates of results by the suffix: GeoJSON, KML, KMZ or GPX.
 
     Parameters
     ----------
@@ -358,4 +336,39 @@ def export_matches(
     InputError
         The suffix is not known, a photo cannot be read, or the file cannot be written.
     """
-    check_export(path)(Path(path), results, frame, photos)
+    path = Path(path)
+    content = EXPORTS[check_export(path)](path, results, frame, photos)
+    write_with_folders(path, content)
+
+
+def write_geopackage(store: Store, path: Path) -> int:
+    """Write the places of a store as points, with spacing and tolerance; return their number.
+
+    Parameters
+    ----------
+    store : Store
+        A store of places.
+    path : Path
+        Ends in ``.gpkg``; written whole or not at all.
+
+    Raises
+    ------
+    InputError
+        The store holds renderings, the suffix is another, the file cannot be written, or GeoPandas
+        is not installed.
+    StoreError
+        The store's data are damaged.
+    """
+    if path.suffix.lower() != ".gpkg":
+        raise InputError(f"--output is {path}; expected a name that ends in .gpkg")
+    table = store.to_geodataframe()
+    # The file is made in memory: SQLite needs file locks, which some network folders lack.
+    held = io.BytesIO()
+    table.to_file(held, layer="places", driver="GPKG")
+    with contextlib.closing(sqlite3.connect(":memory:")) as file:
+        file.deserialize(held.getvalue())
+        file.executescript(_STYLES_TABLE)
+        file.execute(_ADD_STYLE, (_STYLE,))
+        file.commit()
+        write_whole(path, file.serialize())
+    return len(table)

@@ -24,8 +24,8 @@ from skyline.report.landscape import (
     row_count,
 )
 from skyline.report.peaks import Peaks
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField, TerrainBlocks
-from skyline.terrain.surface import Dem, read_surface
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"
@@ -103,34 +103,32 @@ def save_panorama_of(
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
     view = panorama_view(blocks, lonlat, peaks, config, surface)
-    figure = draw_panorama(view)
+    figure, unnamed = draw_panorama(view)
     write_whole(path, encode_figure(figure, path.suffix[1:].lower(), _DPI))
-    return view, len(view.sightings) - _count_names(figure)
+    return view, unnamed
 
 
-def draw_panorama(view: PanoramaView) -> Figure:
-    """Draw a panorama in rows, with one scale for azimuth and elevation."""
+def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
+    """Draw a panorama in rows, with one scale for azimuth and elevation.
+
+    Returns the figure and the number of peaks without room for their names.
+    """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
     rows = [_Row.of(view, row, figure) for row in range(row_count(view.config.fov_deg))]
     total_in = _TITLE_IN + sum(row.total_in for row in rows)
     figure.set_size_inches(_WIDTH_IN, total_in)
     left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
-    top_in, colours = total_in - _TITLE_IN, _colours(view)
+    top_in, colours, unnamed = total_in - _TITLE_IN, _colours(view), len(view.sightings)
     for row in rows:
         bottom_in = top_in - row.names_in - row.high_in
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
         _draw_row(axis, view, row, colours)
-        _draw_names(axis, row)
+        unnamed -= _draw_names(axis, row)
         top_in -= row.total_in
-    title = _title(view) + unnamed_in_words(len(view.sightings) - _count_names(figure), "; ")
+    title = _title(view) + unnamed_in_words(unnamed, "; ")
     figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
-    return figure
-
-
-def _count_names(figure: Figure) -> int:
-    """Return the number of summits with names in a panorama."""
-    return len(figure.findobj(lambda one: one.get_gid() == SUMMIT))
+    return figure, unnamed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,8 +282,8 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
         axis.spines[side].set_visible(False)
 
 
-def _draw_names(axis: Axes, row: _Row) -> None:
-    """Write upright names above the landscape, with lines down to their summits."""
+def _draw_names(axis: Axes, row: _Row) -> int:
+    """Write upright names above the landscape, with lines to their summits; return their number."""
     (begin, end), in_a_deg = row.ends_deg, row.in_a_deg
     placed = place_labels(
         [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
@@ -313,17 +311,15 @@ def _draw_names(axis: Axes, row: _Row) -> None:
             parse_math=False,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
+    return len(placed)
 
 
 def _title(view: PanoramaView) -> str:
-    eye = view.landscape.eye
-    lon, lat = (
-        float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
-    )
-    surface_m = float(
-        view.landscape.terrain.height_at(easting_m=eye.easting_m, northing_m=eye.northing_m)[0]
-    )
-    ground_m = view.landscape.ground_m
+    landscape, eye = view.landscape, view.landscape.eye
+    place = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
+    lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*place.values()))
+    surface_m = float(landscape.terrain.height_at(**place))
+    ground_m = landscape.ground_m
     beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
     return (
         f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "

@@ -21,6 +21,8 @@ from skyline.report.peaks import (
     UNDERFOOT_SAMPLES,
     Peaks,
     Sighting,
+    elevation_deg,
+    highest_between_deg,
     most_prominent_first,
     visible_peaks,
 )
@@ -37,7 +39,6 @@ _LEAST_FOV_DEG = 5.0
 _SURFACE_STEP_DEG = 0.1
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
-_SAMPLES_A_STEP = 1.0
 _RINGS_SAMPLES = (300.0, 1000.0, math.inf)
 """Outer radii of rings around the eye; terrain seen in one ring hides terrain of the next."""
 _HIDDEN_DEG = HIDDEN_DEG + 0.05
@@ -284,7 +285,7 @@ class _Look:
     """Follows columns of azimuth outwards; see `Landscape`."""
 
     def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
-        self._blocks, self._curvature = blocks, Curvature()
+        self._blocks, self._eye, self._curvature = blocks, eye, Curvature()
         self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
         self._eye_m = float(eye.eye_elevation_m[0])
         turn_deg = float(
@@ -304,7 +305,13 @@ class _Look:
                 part = slice(first, min(first + _STEPS_AT_ONCE, end))
                 open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
                 columns = start + np.flatnonzero(open_)
-                up_deg = self._up_deg(terrain, columns, self._distance_m[part])
+                up_deg = elevation_deg(
+                    terrain,
+                    self._eye,
+                    self._curvature,
+                    self._grid_rad[columns],
+                    self._distance_m[part],
+                ).astype(np.float32)
                 up_deg = np.concatenate([self._so_far_deg[columns, np.newaxis], up_deg], axis=1)
                 np.maximum.accumulate(up_deg, axis=1, out=up_deg)
                 self._so_far_deg[columns] = up_deg[:, -1]
@@ -327,51 +334,21 @@ class _Look:
         behind_m[np.append(np.diff(column) > 0, True)] = np.inf
         samples_m = _RIDGE_SAMPLES * terrain.spacing_m
         is_ridge = behind_m > _RIDGE_JUMP * distance_m + samples_m
-        crest_deg = self._crest_deg(terrain, column[is_ridge], step[is_ridge])
-        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg)
+        ridge = step[is_ridge]
+        crest_deg = highest_between_deg(
+            terrain,
+            self._eye,
+            self._curvature,
+            self._grid_rad[column[is_ridge]],
+            self._distance_m[np.maximum(ridge - 1, 0)],
+            self._distance_m[np.minimum(ridge + 1, len(self._distance_m) - 1)],
+        )
+        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg.astype(np.float32))
         # A raised ridge may hide points found behind it.
         highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
         seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
         begins = np.searchsorted(column[seen], np.arange(len(self._so_far_deg) + 1))
         return begins, distance_m[seen], up_deg[seen], is_ridge[seen]
-
-    def _crest_deg(
-        self, terrain: HeightField, column: Int64Array, step: Int64Array
-    ) -> Float32Array:
-        """Return the highest elevation angle between the steps before and after each ridge step.
-
-        It lies where the ray crosses an edge of the surface, which is a plane between two edges.
-        """
-        last = len(self._distance_m) - 1
-        ends_m = self._distance_m[np.stack([np.maximum(step - 1, 0), np.minimum(step + 1, last)])]
-        row, col = terrain.to_grid(easting_m=self._place[0], northing_m=self._place[1])
-        down = -np.cos(self._grid_rad[column]) / terrain.spacing_north_m
-        right = np.sin(self._grid_rad[column]) / terrain.spacing_east_m
-        crossings_m = []
-        for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
-            ends = start + a_metre * ends_m
-            first, count = np.ceil(ends.min(axis=0)), int(np.ceil(np.ptp(ends, axis=0).max())) + 1
-            edge = first[:, np.newaxis] + np.arange(count)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                crossings_m.append((edge - start) / a_metre[:, np.newaxis])
-        # Crossings beyond the steps, or of parallel edges, become the first step.
-        away_m = np.concatenate(crossings_m, axis=1)
-        near_m, far_m = ends_m[..., np.newaxis]
-        away_m = np.where((away_m >= near_m) & (away_m <= far_m), away_m, near_m)
-        return np.asarray(self._up_deg(terrain, column, away_m).max(axis=1))
-
-    def _up_deg(
-        self, terrain: HeightField, columns: Int64Array, distance_m: Float64Array
-    ) -> Float32Array:
-        """Return the ground's elevation angles in K columns at distances (D,) or (K, D)."""
-        east, north = (turn(self._grid_rad[columns])[:, np.newaxis] for turn in (np.sin, np.cos))
-        ground_m = terrain.height_at(
-            easting_m=self._place[0] + distance_m * east,
-            northing_m=self._place[1] + distance_m * north,
-        )
-        drop_m = self._eye_m + self._curvature.drop_m(distance_m)
-        up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
-        return np.nan_to_num(up_deg, nan=_NOTHING_DEG).astype(np.float32)
 
     def may_be_seen(self, near_m: float) -> tuple[BoolArray, Float64Array]:
         """Return which blocks (R, C) beyond a distance the nearer terrain leaves unhidden.
@@ -407,7 +384,7 @@ class _Look:
 def _steps_m(blocks: TerrainBlocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
     """Return distances from underfoot to the farthest corner of the terrain."""
     reach_m = float(np.hypot(*blocks.around_m(*place)).max()) + blocks.radius_m
-    step_m = _SAMPLES_A_STEP * blocks.spacing_m
+    step_m = blocks.spacing_m
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
     near = np.arange(UNDERFOOT_SAMPLES * blocks.spacing_m, turn_m, step_m)
     wider = math.ceil(math.log(reach_m / turn_m) / pixel_rad) + 1

@@ -8,21 +8,20 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LightSource, LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float32Array
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
 from skyline.report.figures import save_figure, unnamed_in_words
 from skyline.report.peaks import Sighting
-from skyline.report.relief_tiles import DARKEST, TINTS
+from skyline.report.relief_tiles import relief, tint_range_m
 from skyline.report.shapes import Ellipse, view_wedge_m
-from skyline.report.surroundings import Surroundings
 from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -40,7 +39,6 @@ _INK_SHARE = 0.35
 """Share of the picture that all points together cover."""
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
 _MOST_SAMPLES = 900
-_TINT = LinearSegmentedColormap.from_list("height", TINTS).with_extremes(bad="#e8eef5")
 _NO_TERRAIN = "#eef0ee"
 _EDGE_POINTS = 65
 
@@ -102,27 +100,26 @@ class Area:
         }
 
 
-def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
-    """Return the area around all candidates, or around the store's viewpoints if there are none."""
-    places: Sequence[Candidate | Viewpoints] = candidates or [surroundings.viewpoints]
+def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> Area:
+    """Return the area around places, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
-    area = Area.around(easting, northing, 2.0 * _LEAST_SIDE_M)
-    return area.within(surroundings.terrain)
+    return Area.around(easting, northing, 2.0 * _LEAST_SIDE_M).within(terrain)
 
 
-def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
+def detail_area(candidate: Candidate, terrain: HeightField | None) -> Area:
     """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    area = Area.around([candidate.easting_m], [candidate.northing_m], side_m)
-    return area.within(surroundings.terrain)
+    return Area.around([candidate.easting_m], [candidate.northing_m], side_m).within(terrain)
 
 
 def draw_match_map(
     candidates: Sequence[Candidate],
-    surroundings: Surroundings,
     area: Area,
+    frame: Frame,
+    viewpoints: Viewpoints,
+    terrain: HeightField | None,
     sightings: Sequence[Sighting] = (),
 ) -> Figure:
     """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
@@ -131,6 +128,12 @@ def draw_match_map(
     ----------
     candidates : sequence of Candidate
         The first is drawn over the others, in another colour.
+    frame : Frame
+        Frame of the area and of everything drawn in it.
+    viewpoints : Viewpoints
+        The store's viewpoints, drawn as dots.
+    terrain : HeightField or None
+        None leaves the map without relief.
     sightings : sequence of Sighting
         Peaks visible from the first candidate.
     """
@@ -138,15 +141,15 @@ def draw_match_map(
         figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
     )
     axis = figure.subplots()
-    draw_relief(axis, surroundings.terrain, area)
-    shown = _draw_viewpoints(axis, surroundings.viewpoints, area)
+    draw_relief(axis, terrain, area)
+    shown = _draw_viewpoints(axis, viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
     peaks = [peak for peak in sightings if area.holds(peak.easting_m, peak.northing_m)]
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
-    draw_bearings(axis, surroundings.frame, area)
+    draw_bearings(axis, frame, area)
     title = f"{shown} viewpoints of the store (dots)"
     title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS), "; ")
     axis.set_title(title, fontsize=9, loc="left")
@@ -173,9 +176,9 @@ def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: f
     axis.add_patch(wedge)
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
-        outline = ellipse.outline_m()
-        axis.plot(*outline.T, color="white", linewidth=3.0, zorder=order + 0.1)
-        axis.plot(*outline.T, color=colour, linewidth=1.4, zorder=order + 0.2)
+        outline = ellipse.outline_m.T
+        axis.plot(*outline, color="white", linewidth=3.0, zorder=order + 0.1)
+        axis.plot(*outline, color=colour, linewidth=1.4, zorder=order + 0.2)
     axis.annotate(
         "×" if candidate.rank is None else str(candidate.rank),
         (candidate.easting_m, candidate.northing_m),
@@ -256,22 +259,14 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
         axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
         return
     heights, extent, step = crop
-    low, high = np.nanpercentile(heights, [0.5, 99.5])
-    tint = Normalize(low, max(high, low + 1.0))
-    shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(
-        np.nan_to_num(heights, nan=low),
-        dx=terrain.spacing_east_m * step,
-        dy=terrain.spacing_north_m * step,
-    )
-    light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
-    rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
-    picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
+    pixel_m = terrain.spacing_east_m * step, terrain.spacing_north_m * step
+    picture = relief(np.pad(heights, 1, "edge"), *pixel_m, tint_range_m(heights))
     axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
 
 
 def _crop(
     terrain: HeightField, area: Area
-) -> tuple[Float64Array, tuple[float, float, float, float], int] | None:
+) -> tuple[Float32Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, their extent (west, east, south, north) and their step."""
     top, left = (
         math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.west_m, northing_m=area.north_m)
@@ -283,7 +278,7 @@ def _crop(
     cols = slice(max(left, 0), min(right, terrain.cols))
     longest = max(rows.stop - rows.start, cols.stop - cols.start)
     step = max(1, math.ceil(longest / _MOST_SAMPLES))
-    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float64)
+    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float32)
     if min(heights.shape, default=0) < 2 or np.isnan(heights).all():
         return None
     # A sample is the middle of its pixel.

@@ -1,35 +1,28 @@
 """Reports of matches: a folder with one page, its pictures, and GeoJSON."""
 
+import contextlib
 import datetime
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from skyline.arrays import UInt8Array
-from skyline.camera import HEADINGS
+from skyline.errors import MissingFileError, OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate
 from skyline.match.matcher import Matcher
-from skyline.match.scene import RenderedScene, terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
-from skyline.render.horizon import RenderConfig
-from skyline.report.exports import write_geojson
+from skyline.report.exports import export_matches
 from skyline.report.figures import encode_figure, unnamed_in_words
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import HIDDEN_DEG, Peaks, Sighting, most_prominent_first, visible_peaks
+from skyline.report.peaks import HIDDEN_DEG, Peaks, Sighting
 from skyline.report.shapes import Ellipse
-from skyline.report.surroundings import Surroundings
-from skyline.report.viewer import Panorama, gap_deg
+from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import package_version
-from skyline.store.stored_dem import curvature_of
 
-_PICTURE_WIDTH = 2048
-"""Columns of a view drawn over a photo: about one a pixel at 1600 px and 60 degrees."""
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
@@ -43,7 +36,10 @@ def report_matches(
     photos: Iterable[UInt8Array | None] | None = None,
     done: str = "",
 ) -> Path:
-    """Write a page of results, its pictures and GeoJSON into a folder; return the page.
+    """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
+
+    The page holds its pictures itself, so that it can be sent as one file. A photo's own position,
+    should it be in its EXIF, does not get into any of them.
 
     Parameters
     ----------
@@ -68,50 +64,27 @@ def report_matches(
     InputError
         A photo cannot be read, or a file cannot be written.
     """
-    folder, around = Path(folder), Surroundings(matcher.frame, matcher.viewpoints)
-    made_by = f"skyline {package_version()}"
-    terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
-    if terrain is None:
-        return write_match_report(folder, results, around, photos, done, made_by)
-    curvature = curvature_of(matcher.header)
-    config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
-    scene = RenderedScene(terrain, config, matcher.render_thread)
-    try:
-        around = Surroundings(
-            around.frame, around.viewpoints, terrain, scene.render, peaks, curvature
-        )
-        return write_match_report(folder, results, around, photos, done, made_by)
-    finally:
-        scene.release()
-
-
-def write_match_report(
-    folder: Path,
-    results: Iterable[MatchResult],
-    surroundings: Surroundings,
-    photos: Iterable[UInt8Array | None] | None = None,
-    done: str = "",
-    made_by: str = "",
-) -> Path:
-    """Write ``index.html``, its pictures, and ``matches.geojson`` into a folder; return the page.
-
-    As `report_matches`. The page holds its pictures itself, so that it can be sent as one file. A
-    photo's own position, should it be in its EXIF, does not get into any of them. ``made_by`` is
-    the program and its version.
-    """
-    results = list(results)
+    folder, results = Path(folder), list(results)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
-    sections = [
-        _section(folder, number, one, photo, surroundings, done)
-        for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
-    ]
-    lead = _answered(results) + _about(surroundings)
+    try:
+        viewer = Viewer(matcher, peaks)
+    except MissingFileError:
+        viewer = None
+    try:
+        sections = [
+            _section(folder, number, one, photo, matcher, viewer, done)
+            for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
+        ]
+    finally:
+        if viewer is not None:
+            viewer.release()
+    lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-    content = page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
-    write_geojson(folder / "matches.geojson", results, surroundings.frame)
+    made_by = f"skyline {package_version()} {today}"
+    export_matches(folder / "matches.geojson", results, matcher.frame)
     path = folder / "index.html"
-    write_with_folders(path, content)
+    write_with_folders(path, page("Where these were taken", lead, sections, made_by))
     return path
 
 
@@ -122,16 +95,16 @@ def _answered(results: Sequence[MatchResult]) -> str:
     return f"{answered} of {len(searched)} queries answered. " if searched else ""
 
 
-def _about(surroundings: Surroundings) -> str:
-    if surroundings.terrain is None:
+def _about(viewer: Viewer | None) -> str:
+    if viewer is None:
         return (
             "There was no elevation model at hand: the maps have no relief, no skyline could be "
             "rendered for the candidates and no peak is named (give --dem)."
         )
-    if surroundings.peaks is None:
+    if viewer.peaks is None:
         return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
     return (
-        f"Of {len(surroundings.peaks)} peaks given, those are named that the camera sees: "
+        f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
         "nothing on the line to them stands more than "
         f"{HIDDEN_DEG:g}° above them in the elevation model."
     )
@@ -142,20 +115,25 @@ def _section(
     number: int,
     result: MatchResult,
     photo: UInt8Array | None,
-    surroundings: Surroundings,
+    matcher: Matcher,
+    viewer: Viewer | None,
     done: str,
 ) -> str:
     """Return the section of one result: its words, pictures, maps and candidates."""
-    best = result.best
-    panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
-    overlay, unnamed = draw_overlay(result.query, photo, best, panorama, sightings)
-    caption = _overlay_caption(result.query, best, panorama, unnamed)
+    query, best, sight, sightings, peaks = result.query, result.best, None, [], []
+    if best is not None and viewer is not None:
+        with contextlib.suppress(OffMapError):
+            sight = viewer.look(best, query)
+        sightings = viewer.sightings(best)
+        peaks = peaks_in_picture(best, query, sightings)
+    overlay, unnamed = draw_overlay(query, photo, best, sight, peaks)
+    caption = _overlay_caption(query, best, sight, unnamed)
     parts = [
         text(result.summary, _kind(result), None if best is None else _map_link(best)),
         figures(
             [
                 picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
-                *_maps(folder, number, result.candidates, surroundings, sightings),
+                *_maps(folder, number, result.candidates, matcher, viewer, sightings),
             ]
         ),
     ]
@@ -171,42 +149,27 @@ def _keep(path: Path, data: bytes) -> bytes:
     return data
 
 
-def _view_of(best: Candidate, surroundings: Surroundings) -> tuple[Panorama | None, list[Sighting]]:
-    """Return the skyline rendered at a candidate and its visible peaks, as far as is possible."""
-    eye = surroundings.eye_of(best)
-    if eye is None or surroundings.terrain is None:
-        return None, []
-    panorama: Panorama | None = None
-    sightings: list[Sighting] = []
-    if surroundings.render is not None:
-        four = eye[np.zeros(len(HEADINGS), dtype=np.intp)]
-        panorama = Panorama.of(surroundings.render(four, HEADINGS))
-    if surroundings.peaks is not None:
-        terrain = surroundings.terrain
-        seen = visible_peaks(terrain, eye, surroundings.peaks, surroundings.curvature)
-        sightings = most_prominent_first(terrain, seen)
-    return panorama, sightings
-
-
 def _maps(
     folder: Path,
     number: int,
     candidates: Sequence[Candidate],
-    surroundings: Surroundings,
+    matcher: Matcher,
+    viewer: Viewer | None,
     sightings: Sequence[Sighting],
 ) -> list[str]:
     """Draw all candidates, and the first from nearby if that shows more."""
-    whole = overview_area(candidates, surroundings)
+    terrain, viewpoints = None if viewer is None else viewer.terrain, matcher.viewpoints
+    whole = overview_area(candidates or [viewpoints], terrain)
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
-        near = detail_area(candidates[0], surroundings)
+        near = detail_area(candidates[0], terrain)
         if near.width_m < _DETAIL_SHARE * whole.width_m:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
             title = candidates[0].title
             areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))
     pictures = []
     for name, area, caption in areas:
-        figure = draw_match_map(candidates, surroundings, area, sightings)
+        figure = draw_match_map(candidates, area, matcher.frame, viewpoints, terrain, sightings)
         data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
         pictures.append(picture(data, f"{caption}. The arrow points to true north.", wide=False))
     return pictures
@@ -226,17 +189,16 @@ def _map_link(candidate: Candidate) -> tuple[str, str]:
 
 
 def _overlay_caption(
-    query: QuerySkyline, pose: Candidate | None, panorama: Panorama | None, unnamed: int
+    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: int
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
     without_name = unnamed_in_words(unnamed, "; ")
-    if pose is None or panorama is None:
+    if pose is None or sight is None or sight.median_gap_deg is None:
         return f"{caption}; no skyline was rendered to compare it with{without_name}."
-    apart_deg = np.median(np.abs(gap_deg(pose, query, panorama)))
     return (
         f"{caption}, and the skyline rendered at {pose.title}; they are "
-        f"{apart_deg:.2f}° apart in the median column, up or down{without_name}."
+        f"{sight.median_gap_deg:.2f}° apart in the median column, up or down{without_name}."
     )
 
 

@@ -15,8 +15,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.match.candidate import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import Placed, encode_figure, extent_px, place_labels
-from skyline.report.peaks import Sighting
-from skyline.report.viewer import AROUND, Panorama, peaks_in_picture, pixels_of
+from skyline.report.viewer import SeenPeak, Sight
 
 _FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
@@ -35,8 +34,8 @@ def draw_overlay(
     query: QuerySkyline,
     photo: UInt8Array | None = None,
     pose: Candidate | None = None,
-    panorama: Panorama | None = None,
-    sightings: Sequence[Sighting] = (),
+    sight: Sight | None = None,
+    peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, int]:
     """Draw skylines and peaks over a query's picture.
 
@@ -45,28 +44,28 @@ def draw_overlay(
     photo : (H, W, 3) uint8, optional
         RGB, of the query's size; None draws on a blank canvas.
     pose : Candidate, optional
-        The pose from which ``panorama`` and ``sightings`` are seen.
-    panorama : Panorama, optional
+        The pose from which ``sight`` and ``peaks`` are seen.
+    sight : Sight, optional
         The rendered skyline.
-    sightings : sequence of Sighting
-        Visible peaks, the most important first.
+    peaks : sequence of SeenPeak
+        Peaks in the picture, the most important first.
 
     Returns
     -------
     bytes, int
-        A JPEG with the query's picture at most 1600 px wide and high, and the number of peaks in
-        the picture without room for their names.
+        A JPEG with the query's picture at most 1600 px wide and high, and the number of peaks
+        without room for their names.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    peaks = [] if pose is None else _peaks_drawn(query, pose, sightings)
     width, height = (max(8.0, side * _scale(query)) for side in (query.width_px, query.height_px))
-    widths = [extent_px(figure, name, _LABEL_POINTS)[0] for name, _, _ in peaks]
-    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    widths = [extent_px(figure, one.label, _LABEL_POINTS)[0] for one in peaks]
+    anchors = [float(_drawn(query, one.column_px)) for one in peaks]
+    labels = place_labels(anchors, widths, width, _MOST_ROWS)
     axis = _draw_picture(figure, photo, (width, height), labels)
     _draw_masked(axis, query, height)
-    if pose is not None and panorama is not None:
-        _draw_rendered(axis, query, pose, panorama)
+    if pose is not None and sight is not None:
+        _draw_rendered(axis, query, pose, sight)
     axis.plot(
         _drawn(query, np.arange(query.width_px)),
         _drawn(query, query.row_px),
@@ -76,8 +75,8 @@ def draw_overlay(
         label="skyline found in the query",
     )
     for label in labels:
-        name, column, row = peaks[label.index]
-        _draw_label(axis, name, label, (column, row))
+        peak = peaks[label.index]
+        _draw_label(axis, peak.label, label, float(_drawn(query, peak.row_px)))
     axis.legend(
         loc="lower left", fontsize=9, frameon=False, ncols=_keys_across(width), borderpad=0.1
     )
@@ -98,17 +97,6 @@ def _scale(query: QuerySkyline) -> float:
 def _drawn(query: QuerySkyline, pixel: ArrayLike) -> Float64Array:
     """Convert pixel centres of the query to coordinates of the drawn picture."""
     return (np.asarray(pixel, dtype=np.float64) + 0.5) * _scale(query)
-
-
-def _peaks_drawn(
-    query: QuerySkyline, pose: Candidate, sightings: Sequence[Sighting]
-) -> list[tuple[str, float, float]]:
-    """Return the label, column and row of each peak in the drawn picture."""
-    peaks: list[tuple[str, float, float]] = []
-    for sighting, *place_px in peaks_in_picture(pose, query, sightings):
-        column, row = _drawn(query, place_px).tolist()
-        peaks.append((sighting.label, column, row))
-    return peaks
 
 
 def _keys_across(width: float) -> int:
@@ -155,20 +143,17 @@ def _draw_masked(axis: Axes, query: QuerySkyline, height: float) -> None:
         )
 
 
-def _draw_rendered(axis: Axes, query: QuerySkyline, pose: Candidate, panorama: Panorama) -> None:
+def _draw_rendered(axis: Axes, query: QuerySkyline, pose: Candidate, sight: Sight) -> None:
     """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
-    panorama = panorama.facing(pose.grid_heading_deg)
-    column, row = pixels_of(pose, query, panorama.azimuth_deg, panorama.elevation_tan)
-    near = np.abs(column - query.width_px / 2.0) <= AROUND * query.width_px
     for sure, style, label in (
         (True, "-", f"skyline rendered at {pose.title}"),
         (False, ":", "the same, where the elevation data end"),
     ):
-        drawn = near & (panorama.is_sure == sure)
-        if np.isfinite(row[drawn]).any():
+        row = np.where(sight.is_sure == sure, sight.row_px, np.nan)
+        if np.isfinite(row).any():
             axis.plot(
-                _drawn(query, column),
-                np.where(drawn, _drawn(query, row), np.nan),
+                _drawn(query, sight.column_px),
+                _drawn(query, row),
                 style,
                 color=_RENDERED_COLOUR,
                 linewidth=1.5,
@@ -177,8 +162,9 @@ def _draw_rendered(axis: Axes, query: QuerySkyline, pose: Candidate, panorama: P
             )
 
 
-def _draw_label(axis: Axes, text: str, label: Placed, peak_px: tuple[float, float]) -> None:
-    column, row = peak_px
+def _draw_label(axis: Axes, text: str, label: Placed, row: float) -> None:
+    """Write a label, with a line down to its peak in a row of the drawn picture."""
+    column = label.anchor_px
     foot = -8.0 - label.row * _ROW_PX
     leader = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
     axis.plot([column, column], [foot, row - 3.0], "-w", linewidth=0.9, path_effects=leader)

@@ -105,23 +105,31 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"gazetteer {path} cannot be read as CSV ({error}); {_EXPECTED}") from None
     header = tuple(cell.strip() for cell in rows[0]) if rows else ()
-    columns = ("name", "height_m")
-    places = next((pair for pair in _PLACES if {"name", *pair} <= set(header)), None)
-    if places is None or set(header) - {*columns, *places} or len(set(header)) < len(header):
+    place = next((pair for pair in _PLACES if {"name", *pair} <= set(header)), None)
+    if (
+        place is None
+        or set(header) - {"name", "height_m", *place}
+        or len(set(header)) < len(header)
+    ):
         raise InputError(f"gazetteer {path} has the columns `{','.join(header)}`; {_EXPECTED}")
-    records = [_record(path, number, header, row) for number, row in enumerate(rows[1:], 2)]
-    first, second, height = (
-        np.array([_number(path, record, name) for record in records])
-        for name in (*places, "height_m")
-    )
-    if places == ("lon", "lat"):
+    names, numbers = [], np.empty((len(rows) - 1, 3))
+    for index, row in enumerate(rows[1:]):
+        if len(row) != len(header):
+            raise InputError(
+                f"gazetteer {path}, row {index + 2} has {len(row)} cells; expected {len(header)} "
+                f"for `{','.join(header)}`"
+            )
+        record = dict(zip(header, (" ".join(cell.split()) for cell in row), strict=True))
+        if not record["name"]:
+            raise InputError(
+                f"gazetteer {path}, row {index + 2} has no name; name the peak or remove it"
+            )
+        names.append(record["name"])
+        numbers[index] = [_number(path, record, column) for column in (*place, "height_m")]
+    first, second, height_m = numbers.T
+    if place == ("lon", "lat"):
         first, second = frame.from_lonlat(first, second)
-    return Peaks(
-        names=tuple(record["name"] for record in records),
-        easting_m=first,
-        northing_m=second,
-        height_m=height,
-    )
+    return Peaks(names=tuple(names), easting_m=first, northing_m=second, height_m=height_m)
 
 
 def _read_geojson(path: Path, frame: Frame) -> Peaks:
@@ -186,18 +194,6 @@ def height_of_ele(ele: object) -> float:
     return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
 
 
-def _record(path: Path, number: int, header: tuple[str, ...], row: list[str]) -> dict[str, str]:
-    if len(row) != len(header):
-        raise InputError(
-            f"gazetteer {path}, row {number} has {len(row)} cells; expected {len(header)} for "
-            f"`{','.join(header)}`"
-        )
-    record = dict(zip(header, (" ".join(cell.split()) for cell in row), strict=True))
-    if not record["name"]:
-        raise InputError(f"gazetteer {path}, row {number} has no name; name the peak or remove it")
-    return record
-
-
 def _number(path: Path, record: dict[str, str], column: str) -> float:
     """Return a number of a gazetteer within its range; NaN for a height that is empty."""
     text = record.get(column, "")
@@ -241,12 +237,42 @@ def visible_peaks(
 
     Peaks off the terrain are left out, since the terrain that may hide them is unknown.
     """
-    return [
-        sighting
-        for index in range(len(peaks))
-        if (sighting := _sight(terrain, eye, peaks, index, curvature)) is not None
-        and not _is_hidden(terrain, eye, sighting, curvature)
-    ]
+    seen = []
+    for index, name in enumerate(peaks.names):
+        summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
+        if summit is None:
+            continue
+        easting_m, northing_m, surface_m = summit
+        east_m = easting_m - float(eye.easting_m[0])
+        north_m = northing_m - float(eye.northing_m[0])
+        distance_m = math.hypot(east_m, north_m)
+        if distance_m <= 2.0 * SUMMIT_RADIUS_M:
+            continue  # The eye stands on this peak.
+        azimuth_rad = math.atan2(east_m, north_m)
+        up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
+        (highest_deg,) = highest_between_deg(
+            terrain,
+            eye,
+            curvature,
+            np.array([azimuth_rad]),
+            np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
+            np.array([distance_m - SUMMIT_RADIUS_M]),
+        )
+        if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
+            continue
+        height_m = peaks.height_m[index]
+        seen.append(
+            Sighting(
+                label=name if math.isnan(height_m) else f"{name} {height_m:.0f} m",
+                easting_m=easting_m,
+                northing_m=northing_m,
+                surface_m=surface_m,
+                azimuth_deg=math.degrees(azimuth_rad) % 360.0,
+                elevation_tan=up_m / distance_m,
+                distance_m=distance_m,
+            )
+        )
+    return seen
 
 
 def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
@@ -262,31 +288,6 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) ->
         return -prominent_m, -sighting.surface_m
 
     return sorted(sightings, key=rank)
-
-
-def _sight(
-    terrain: HeightField, eye: Viewpoints, peaks: Peaks, index: int, curvature: Curvature
-) -> Sighting | None:
-    """Return a peak as seen by an eye, hidden or not; None off the terrain, or at the eye."""
-    summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
-    if summit is None:
-        return None
-    easting, northing, surface = summit
-    east, north = easting - float(eye.easting_m[0]), northing - float(eye.northing_m[0])
-    distance = math.hypot(east, north)
-    if distance <= 2.0 * SUMMIT_RADIUS_M:
-        return None  # The eye stands on this peak.
-    up = surface - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance))
-    height = peaks.height_m[index]
-    return Sighting(
-        peaks.names[index] + ("" if math.isnan(height) else f" {height:.0f} m"),
-        easting,
-        northing,
-        surface,
-        math.degrees(math.atan2(east, north)) % 360.0,
-        up / distance,
-        distance,
-    )
 
 
 def _summit(
@@ -309,42 +310,61 @@ def _summit(
     return float(east), float(north), float(near[at_row, at_col])
 
 
-def _is_hidden(
-    terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
-) -> bool:
-    """Return whether terrain on the line to a peak stands above it by more than the tolerance."""
-    share = _crossings(terrain, eye, sighting)
-    distance = share * sighting.distance_m
-    near_m, far_m = UNDERFOOT_SAMPLES * terrain.spacing_m, sighting.distance_m - SUMMIT_RADIUS_M
-    distance = distance[(distance > near_m) & (distance < far_m)]
-    turn = math.radians(sighting.azimuth_deg)
-    ground = terrain.height_at(
-        easting_m=eye.easting_m[0] + distance * math.sin(turn),
-        northing_m=eye.northing_m[0] + distance * math.cos(turn),
-    )
-    up = ground - eye.eye_elevation_m[0] - curvature.drop_m(distance)
-    highest = float(np.fmax.reduce(up / distance, initial=-np.inf))
-    above_deg = math.degrees(math.atan(highest) - math.atan(sighting.elevation_tan))
-    return above_deg > HIDDEN_DEG
+def highest_between_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    near_m: Float64Array,
+    far_m: Float64Array,
+) -> Float64Array:
+    """Return the highest elevation angle of the terrain on K rays of one eye, (K,) float64.
 
+    It lies where a ray crosses an edge of the surface, which is a plane between two edges. A ray
+    without data has -90.
 
-def _crossings(terrain: HeightField, eye: Viewpoints, sighting: Sighting) -> Float64Array:
-    """Return the crossings of the line to a peak with edges of the surface, as shares of the line.
-
-    Between two edges the surface is a plane, so the highest point as seen from the eye lies on an
-    edge.
+    Parameters
+    ----------
+    grid_rad, near_m, far_m : (K,) float64
+        Grid azimuth of each ray, and the distances between which it is followed.
     """
-    row, col = (
-        float(at[0]) for at in terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    row, col = terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    down = -np.cos(grid_rad) / terrain.spacing_north_m
+    right = np.sin(grid_rad) / terrain.spacing_east_m
+    crossings_m = []
+    for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
+        ends = start + a_metre * np.stack([near_m, far_m])
+        first, count = np.ceil(ends.min(axis=0)), int(np.ceil(np.ptp(ends, axis=0).max())) + 1
+        edge = first[:, np.newaxis] + np.arange(count)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossings_m.append((edge - start) / a_metre[:, np.newaxis])
+    away_m = np.concatenate(crossings_m, axis=1)
+    is_between = (away_m > near_m[:, np.newaxis]) & (away_m < far_m[:, np.newaxis])
+    away_m = np.where(is_between, away_m, near_m[:, np.newaxis])
+    up_deg = elevation_deg(terrain, eye, curvature, grid_rad, away_m)
+    return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
+
+
+def elevation_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    distance_m: Float64Array,
+) -> Float64Array:
+    """Return elevation angles of the ground on K rays of one eye, (K, D); -90 without data.
+
+    Parameters
+    ----------
+    grid_rad : (K,) float64
+        Grid azimuth of each ray.
+    distance_m : (D,) or (K, D) float64
+        Horizontal distances.
+    """
+    ground_m = terrain.height_at(
+        easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],
+        northing_m=eye.northing_m[0] + distance_m * np.cos(grid_rad)[:, np.newaxis],
     )
-    to_row, to_col = (
-        float(at)
-        for at in terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
-    )
-    spans = ((row, to_row), (col, to_col), (col - row, to_col - to_row))
-    shares = [
-        (np.arange(math.ceil(min(span)), math.floor(max(span)) + 1) - span[0]) / (span[1] - span[0])
-        for span in spans
-        if span[0] != span[1]
-    ]
-    return np.concatenate(shares)
+    drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
+    up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
+    return np.asarray(np.nan_to_num(up_deg, nan=-90.0))

@@ -21,8 +21,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
-    from skyline.paper.coverage import Coverage
     from skyline.paper.plan import Plan
+    from skyline.paper.strategies import Coverage
 
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _PANEL_SQUARE_IN = 14.0
@@ -44,20 +44,11 @@ def save_depth_pictures(
                 picture = cv2.imencode(".tif", images[heading])[1].tobytes()
                 write_whole(folder / f"{index:04d}_heading_{heading}.tif", picture)
             views = renderer.render(viewpoints[index : index + 1])
-            save_depth_images(images, views, folder / f"{index:04d}.png")
+            save_figure(_depth_figure(images, views), folder / f"{index:04d}.png")
 
 
-def save_depth_images(images: Float32Array, views: Views, path: Path) -> None:
-    """Save the four depth images of one viewpoint side by side, with their skylines drawn.
-
-    Parameters
-    ----------
-    images : (4, W, W) float32, metres, top row first, inf = sky
-    views : Views
-        The four views of that viewpoint, in order of heading.
-    path : Path
-        A PNG.
-    """
+def _depth_figure(images: Float32Array, views: Views) -> Figure:
+    """Draw the depth images (4, W, W) of one viewpoint side by side, with their skylines."""
     size = images.shape[-1]
     finite = images[np.isfinite(images)]
     low, high = np.log10(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
@@ -78,7 +69,7 @@ def save_depth_images(images: Float32Array, views: Views, path: Path) -> None:
     ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]
     bar.set_ticks(np.log10(ticks), labels=[f"{tick:g} m" for tick in ticks])
     bar.set_label("forward depth")
-    save_figure(figure, path)
+    return figure
 
 
 def save_coverage_map(plan: "Plan", path: Path) -> None:

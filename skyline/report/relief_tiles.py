@@ -1,4 +1,4 @@
-"""Shaded relief as square tiles for map viewers, computed from an elevation model.
+"""Shaded relief: terrain lit from the north-west and tinted by height, also as tiles for viewers.
 
 A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the world, x counts from
 the west, y from the north.
@@ -9,14 +9,15 @@ import warnings
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.terrain.heightfield import HeightField
 
-TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
-"""Colours of heights on maps, low to high."""
-DARKEST = 0.35
+_TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
+"""Colours of heights, low to high."""
+_DARKEST = 0.35
 """Brightness of a slope facing away from the light, relative to level ground."""
 TILE_PX = 256
 MAX_ZOOM = 20
@@ -24,14 +25,49 @@ _MESH = 9
 """Points along a tile's side at which the projection is computed; between them it is
 interpolated."""
 _NOWHERE = -1e6
-_STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in TINTS])[:, ::-1]
-_AT = np.linspace(0.0, len(TINTS) - 1.0, 256)
-_TINTS = np.stack(
-    [np.interp(_AT, range(len(TINTS)), stop) for stop in _STOPS.T], axis=1, dtype=np.float32
+_STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in _TINTS])
+_AT = np.linspace(0.0, len(_TINTS) - 1.0, 256)
+_RGB = np.stack(
+    [np.interp(_AT, range(len(_TINTS)), stop) for stop in _STOPS.T], axis=1, dtype=np.float32
 )
-"""Blue, green, red (256, 3) from the lowest to the highest."""
+"""Colours (256, 3) from the lowest height to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 """Direction to the light (east, north, up): from the north-west, halfway up."""
+
+
+def relief(
+    heights: Float32Array, east_m: float, north_m: float, range_m: tuple[float, float]
+) -> UInt8Array:
+    """Return shaded relief as RGBA (H, W, 4) uint8, transparent where there is no height.
+
+    Parameters
+    ----------
+    heights : (H + 2, W + 2) float32, metres
+        Of the picture's pixels and of those one beyond; rows run south.
+    east_m, north_m : float
+        Size of a pixel.
+    range_m : (float, float)
+        Heights of the lowest and the highest tint.
+    """
+    east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * east_m)
+    north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * north_m)
+    up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
+    lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
+    inner, (low, high) = heights[1:-1, 1:-1], range_m
+    known = np.isfinite(inner)
+    share = np.clip((np.where(known, inner, low) - low) / (high - low), 0.0, 1.0)
+    tinted = _RGB[np.rint(share * (len(_RGB) - 1)).astype(np.uint8)]
+    shade = _DARKEST + (1.0 - _DARKEST) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
+    picture = np.empty((*inner.shape, 4), dtype=np.uint8)
+    picture[..., :3] = np.rint(tinted * shade[..., np.newaxis])
+    picture[..., 3] = np.where(known, 255, 0)
+    return picture
+
+
+def tint_range_m(heights: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the heights of the lowest and the highest tint of terrain: all but its extremes."""
+    low, high = np.nanpercentile(heights, [0.5, 99.5])
+    return float(low), max(float(high), float(low) + 1.0)
 
 
 class ReliefTiles:
@@ -42,8 +78,7 @@ class ReliefTiles:
         self._levels: list[Float32Array] = [np.asarray(terrain.heights_m, dtype=np.float32)]
         self._reducing = threading.Lock()
         coarse = self._level(max(0, int(np.log2(max(terrain.rows, terrain.cols) / 512.0))))
-        low, high = np.nanpercentile(coarse, [0.5, 99.5])
-        self._range_m = float(low), max(float(high), float(low) + 1.0)
+        self._range_m = tint_range_m(coarse)
         west, south, east, north = terrain.bounds_m
         self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         """West, south, east and north of the model, degrees; west > east across the
@@ -62,7 +97,7 @@ class ReliefTiles:
                 f"tile {zoom}/{x}/{y}; expected a zoom of 0 to {MAX_ZOOM}, x and y below 2**zoom"
             )
         heights, pixel_m = self._heights(zoom, x, y)
-        picture = self._drawn(heights, pixel_m)
+        picture = relief(heights, pixel_m, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
     def _heights(self, zoom: int, x: int, y: int) -> tuple[Float32Array, float]:
@@ -87,24 +122,6 @@ class ReliefTiles:
             while len(self._levels) <= level and min(self._levels[-1].shape) >= 4:
                 self._levels.append(_halved(self._levels[-1]))
         return self._levels[min(level, len(self._levels) - 1)]
-
-    def _drawn(self, heights: Float32Array, pixel_m: float) -> UInt8Array:
-        """Return the picture (T, T, 4) uint8, BGRA."""
-        # Rows run south, so that the rise to the north is upwards in the picture.
-        east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
-        north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
-        up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
-        lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
-        inner = heights[1:-1, 1:-1]
-        low, high = self._range_m
-        known = np.isfinite(inner)
-        share = np.clip((np.where(known, inner, low) - low) / (high - low), 0.0, 1.0)
-        tinted = _TINTS[np.rint(share * (len(_TINTS) - 1)).astype(np.uint8)]
-        shade = DARKEST + (1.0 - DARKEST) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
-        picture = np.empty((TILE_PX, TILE_PX, 4), dtype=np.uint8)
-        picture[..., :3] = np.rint(tinted * shade[..., np.newaxis])
-        picture[..., 3] = np.where(known, 255, 0)
-        return picture
 
 
 def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:

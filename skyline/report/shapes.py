@@ -16,17 +16,15 @@ _ON_EDGE_DEG, _SLIVER_DEG = 1e-9, 2e-7
 """A corner this near to the antimeridian lies on it; a part narrower than 2 cm is dropped."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Ellipse:
     """The ellipse that contains the true position with 95 % probability if errors are normal."""
 
-    easting_m: float
-    northing_m: float
-    """``easting_m``, ``northing_m``: centre."""
     semi_major_m: float
     semi_minor_m: float
-    azimuth_deg: float
-    """Grid azimuth of the major axis, in [0, 180)."""
+    outline_m: Float64Array
+    """(P, 2) float64. Easting and northing, counter-clockwise and closed, from one end of the major
+    axis on."""
 
     @classmethod
     def of(cls, candidate: Candidate) -> "Ellipse | None":
@@ -34,26 +32,15 @@ class Ellipse:
         if candidate.covariance_m2 is None:
             return None
         variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
-        minor, major = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0))
-        azimuth_deg = float(np.degrees(np.arctan2(axes[0, 1], axes[1, 1])) % 180.0)
-        return cls(
-            candidate.easting_m, candidate.northing_m, float(major), float(minor), azimuth_deg
-        )
-
-    def outline_m(self) -> Float64Array:
-        """Return the outline (P, 2), easting and northing, counter-clockwise and closed."""
+        minor_m, major_m = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)).tolist()
+        azimuth = np.arctan2(axes[0, 1], axes[1, 1]) % np.pi
+        sine, cosine = np.sin(azimuth), np.cos(azimuth)
         turn = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS + 1)
-        along, across = self.semi_major_m * np.cos(turn), self.semi_minor_m * np.sin(turn)
-        sine, cosine = np.sin(np.radians(self.azimuth_deg)), np.cos(np.radians(self.azimuth_deg))
-        outline = np.stack(
-            [
-                self.easting_m + along * sine - across * cosine,
-                self.northing_m + along * cosine + across * sine,
-            ],
-            axis=1,
-        )
+        along, across = major_m * np.cos(turn), minor_m * np.sin(turn)
+        east, north = along * sine - across * cosine, along * cosine + across * sine
+        outline = np.stack([candidate.easting_m + east, candidate.northing_m + north], axis=1)
         outline[-1] = outline[0]
-        return outline
+        return cls(major_m, minor_m, outline)
 
 
 def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:

@@ -1,4 +1,4 @@
-"""Rendered skylines and summits in the picture of a camera at a given pose.
+"""The view of a camera at a given pose: the rendered skyline and summits in its photo.
 
 A pose is a `Candidate`; a picture has the size and the projection of a query. Azimuths are grid
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
@@ -6,7 +6,7 @@ azimuths in degrees, elevations the tangent of the elevation angle: up over hori
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -14,63 +14,33 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, OffMapError
+from skyline.errors import MissingFileError, OffMapError
 from skyline.geodesy import in_turn
-from skyline.match.candidate import Candidate, Hypotheses, Ranking
+from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
 from skyline.match.query_rays import level, project
-from skyline.match.scene import RenderedScene
+from skyline.match.scene import RenderedScene, terrain_at_hand
 from skyline.photo.projection import distorted
 from skyline.photo.query import QuerySkyline
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
-from skyline.report.surroundings import Surroundings
 from skyline.skylines import Views
-from skyline.store.stored_dem import curvature_of
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, at_elevation, stand_at
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
+    at_elevation,
+    stand_at,
+    stand_on,
+)
 
-AROUND = 0.52
+_AROUND = 0.52
 """Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
 widths: just beyond the picture."""
 _WIDTH = 1024
 """Columns of a rendered 90 degree view: more than a screen shows of it."""
-_MARGIN_DEG = 8.0
-"""A view is rendered if the photo comes this near to it: a camera may be tilted."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Panorama:
-    """The skyline of one eye by azimuth."""
-
-    azimuth_deg: Float64Array
-    """(C,) float64. Grid azimuths in [0, 360), increasing from the first column on."""
-    elevation_tan: Float64Array
-    """(C,) float64. Tangent of the elevation angle; NaN where there is no data."""
-    is_sure: BoolArray
-    """(C,) bool. False where the data's border or a hole may hide farther, higher terrain."""
-
-    @classmethod
-    def of(cls, views: Views) -> "Panorama":
-        """Join the views of one eye."""
-        azimuth = views.azimuth_deg().ravel()
-        order = np.argsort(azimuth)
-        elevation = np.tan(np.radians(views.elevation_deg())).ravel()
-        return cls(azimuth[order], elevation[order], (views.flags.ravel() == 0)[order])
-
-    def facing(self, azimuth_deg: float) -> "Panorama":
-        """Return the columns in order from behind, so that a view ahead is one unbroken run."""
-        first = int(np.searchsorted(self.azimuth_deg, (azimuth_deg + 180.0) % 360.0))
-        turned = np.roll(np.arange(len(self.azimuth_deg)), -first)
-        return Panorama(self.azimuth_deg[turned], self.elevation_tan[turned], self.is_sure[turned])
-
-    def at(self, azimuth_deg: Float64Array) -> Float64Array:
-        """Return elevation tangents at azimuths, interpolated between columns."""
-        known = np.isfinite(self.elevation_tan)
-        if not known.any():
-            return np.full_like(azimuth_deg, np.nan)
-        return np.interp(
-            azimuth_deg, self.azimuth_deg[known], self.elevation_tan[known], period=360.0
-        )
+_MARGIN_DEG = 20.0
+"""A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
+is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
 
 
 def pixels_of(
@@ -88,38 +58,6 @@ def pixels_of(
         across * half_px + (query.width_px - 1.0) / 2.0,
         (query.height_px - 1.0) / 2.0 - above * half_px,
     )
-
-
-def directions_of(pose: Candidate, query: QuerySkyline) -> tuple[Float64Array, Float64Array]:
-    """Return azimuths and elevation tangents of the query's skyline in its trusted columns."""
-    u, v = query.image_plane(pose.fov_deg, pose.distortion)
-    is_panorama = query.projection.is_panorama
-    turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
-    return (np.degrees(turn) + pose.grid_heading_deg) % 360.0, y
-
-
-def gap_deg(pose: Candidate, query: QuerySkyline, panorama: Panorama) -> Float64Array:
-    """Return the angle from the rendered skyline up to the query's in its trusted columns."""
-    azimuth_deg, y = directions_of(pose, query)
-    return np.asarray(np.degrees(np.arctan(y) - np.arctan(panorama.at(azimuth_deg))))
-
-
-def peaks_in_picture(
-    pose: Candidate, query: QuerySkyline, sightings: Sequence[Sighting]
-) -> list[tuple[Sighting, float, float]]:
-    """Return the peaks within the picture, each with its column and row."""
-    column, row = pixels_of(
-        pose,
-        query,
-        [sighting.azimuth_deg for sighting in sightings],
-        [sighting.elevation_tan for sighting in sightings],
-    )
-    inside = (column >= 0.0) & (column < query.width_px) & (row >= 0.0) & (row < query.height_px)
-    return [
-        (sighting, float(column[index]), float(row[index]))
-        for index, sighting in enumerate(sightings)
-        if inside[index]
-    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +97,46 @@ class SeenPeak:
     distance_m: float
 
 
+def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
+    """Return the skyline of rendered views in the query's picture.
+
+    Parameters
+    ----------
+    views : Views
+        Views from the eye of the pose, at least in the directions around the photo.
+    """
+    azimuth_deg = views.azimuth_deg().ravel()
+    # In order from behind the camera, so that the columns ahead are one unbroken run.
+    order = np.argsort((azimuth_deg - pose.grid_heading_deg + 180.0) % 360.0)
+    azimuth_deg = azimuth_deg[order]
+    elevation_tan = np.tan(np.radians(views.elevation_deg())).ravel()[order]
+    is_sure = views.flags.ravel()[order] == 0
+    column, row = pixels_of(pose, query, azimuth_deg, elevation_tan)
+    near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
+    gap_deg, known = np.full(query.width_px, np.nan), np.isfinite(elevation_tan)
+    if known.any():
+        is_panorama = query.projection.is_panorama
+        u, v = query.image_plane(pose.fov_deg, pose.distortion)
+        turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
+        photo_deg = np.degrees(turn) + pose.grid_heading_deg
+        there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
+        gap_deg[query.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
+    return Sight(column[near], row[near], is_sure[near], gap_deg)
+
+
+def peaks_in_picture(
+    pose: Candidate, query: QuerySkyline, sightings: Sequence[Sighting]
+) -> list[SeenPeak]:
+    """Return the peaks within the picture, in the order given."""
+    azimuth_deg = [one.azimuth_deg for one in sightings]
+    column, row = pixels_of(pose, query, azimuth_deg, [one.elevation_tan for one in sightings])
+    return [
+        SeenPeak(one.label, x, y, one.distance_m)
+        for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
+        if 0.0 <= x < query.width_px and 0.0 <= y < query.height_px
+    ]
+
+
 class Viewer:
     """Renders the skylines of poses on a matcher's terrain, with priority over its own renderings.
 
@@ -171,18 +149,22 @@ class Viewer:
 
     Raises
     ------
-    InputError
-        The matcher has no elevation model.
+    MissingFileError
+        The matcher has no elevation model, and the store's is not at hand.
+    ContextError
+        No OpenGL context can be created.
     """
 
     def __init__(self, matcher: Matcher, peaks: Peaks | None = None) -> None:
-        if matcher.terrain is None:
-            raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
-        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
-        self.curvature = curvature_of(matcher.header)
+        terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief and no view")
+        if terrain is None:
+            raise MissingFileError(
+                "the store's DEM is not at hand, so that nothing can be rendered; give it"
+            )
+        self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
+        self.curvature = matcher.header.curvature
         config = RenderConfig(width=_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, config, matcher.render_thread)
-        self._around = Surroundings(self.frame, matcher.viewpoints, self.terrain)
 
     def release(self) -> None:
         """Free the textures and buffers on the GPU."""
@@ -216,21 +198,23 @@ class Viewer:
             The place is off the map or on a hole, or the eye is below the ground.
         """
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
-        place = ground.easting_m, ground.northing_m
-        eye = at_elevation(self.terrain, *place, ground.eye_elevation_m + eye_height_m)
-        easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
-        convergence_deg = float(self.frame.convergence_deg(easting_m=easting, northing_m=northing))
-        pose = Hypotheses.of_pose(
-            easting,
-            northing,
-            float(eye.eye_elevation_m[0]),
-            (heading_deg - convergence_deg) % 360.0,
-            pitch_deg,
-            roll_deg,
-            fov_deg,
-            0.0,
+        eye_m = ground.eye_elevation_m + eye_height_m
+        eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
+        easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])
+        convergence_deg = self.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+        return Candidate(
+            lon=lon,
+            lat=lat,
+            heading_deg=heading_deg % 360.0,
+            pitch_deg=pitch_deg,
+            roll_deg=roll_deg,
+            fov_deg=fov_deg,
+            easting_m=easting_m,
+            northing_m=northing_m,
+            eye_elevation_m=float(eye_m[0]),
+            convergence_deg=float(convergence_deg),
+            score=math.nan,
         )
-        return replace(Ranking(pose).candidates(self.frame)[0], rank=None, score=math.nan)
 
     def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
         """Return the skyline rendered at a pose, in pixels of the query's photo.
@@ -243,34 +227,40 @@ class Viewer:
             The pose is off the map or on a hole.
         """
         query.projection.check_fov_deg(pose.fov_deg)
-        panorama = self.panorama(pose)
-        ahead = panorama.facing(pose.grid_heading_deg)
-        column, row = pixels_of(pose, query, ahead.azimuth_deg, ahead.elevation_tan)
-        near = np.abs(column - query.width_px / 2.0) <= AROUND * query.width_px
-        gaps_deg = np.full(query.width_px, np.nan)
-        gaps_deg[query.trusted] = gap_deg(pose, query, panorama)
-        return Sight(column[near], row[near], ahead.is_sure[near], gaps_deg)
-
-    def panorama(self, pose: Candidate) -> Panorama:
-        """Return the skyline in the directions around the photo; raises as `look`."""
-        eye = self._around.eye_of(pose)
+        eye = self._eye_of(pose)
         if eye is None:
             raise OffMapError("the pose is off the map or on a hole; move it")
-        off_deg = 90.0 * np.array(HEADINGS) - pose.grid_heading_deg
-        away_deg = np.abs(in_turn(off_deg))
-        headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
-        views = self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
-        return Panorama.of(views)
+        return sight_of(pose, query, self._views(eye, pose))
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
         """Return the summits visible in the photo of a pose, the most prominent first."""
-        eye = self._around.eye_of(pose)
+        return peaks_in_picture(pose, query, self.sightings(pose, query))
+
+    def sightings(self, pose: Candidate, query: QuerySkyline | None = None) -> list[Sighting]:
+        """Return the peaks visible from a pose, the most prominent first.
+
+        With a query only those in its photo; ranking all takes longer.
+        """
+        eye = self._eye_of(pose)
         if eye is None or self.peaks is None:
             return []
         seen = visible_peaks(self.terrain, eye, self.peaks, self.curvature)
-        inside = [sighting for sighting, *_ in peaks_in_picture(pose, query, seen)]
-        ranked = most_prominent_first(self.terrain, inside)
-        return [
-            SeenPeak(sighting.label, column_px, row_px, sighting.distance_m)
-            for sighting, column_px, row_px in peaks_in_picture(pose, query, ranked)
-        ]
+        if query is not None:
+            seen = [one for one in seen if peaks_in_picture(pose, query, [one])]
+        return most_prominent_first(self.terrain, seen)
+
+    def _eye_of(self, pose: Candidate) -> Viewpoints | None:
+        """Return the eye of a pose, lifted to the ground from below it; None off the map."""
+        place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
+        try:
+            eye = stand_on(self.terrain, **place, eye_height_m=0.0)
+        except OffMapError:
+            return None
+        np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
+        return eye
+
+    def _views(self, eye: Viewpoints, pose: Candidate) -> Views:
+        """Render the views in the directions around the photo."""
+        away_deg = np.abs(in_turn(90.0 * np.array(HEADINGS) - pose.grid_heading_deg))
+        headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
+        return self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)

@@ -1,13 +1,16 @@
-"""Horizons of named places, the hours of sun above them, and their sky view factors.
+"""Horizons of named places, hours of sun above them, sky view factors, and files of horizons.
 
 Azimuths are degrees from true north, distances metres. The sun's position is PyEphem's (extra
 ``sun``).
 """
 
+import io
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,12 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows
 from skyline.camera import MAX_WIDTH
-from skyline.errors import InputError, library
+from skyline.errors import InputError, library, named
+from skyline.files import write_whole
 from skyline.geodesy import Curvature
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
 
 DEFAULT_STEP_DEG = 0.5
@@ -350,3 +354,91 @@ def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Flo
         return np.degrees([body.az, body.alt, body.radius])
 
     return position
+
+
+def write_horizons(horizons: LocalHorizons, path: Path) -> None:
+    """Write horizons to a file in the format of its suffix.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
+        elevation angles clockwise from north, one per line, none below 0) holds one.
+
+    Raises
+    ------
+    InputError
+        The suffix is unknown, the file cannot be written, or a ``.txt`` would hold several places,
+        a surface, or an unknown value.
+    """
+    write_whole(path, named("the suffix", path.suffix.lower(), _KINDS)(horizons))
+
+
+def horizon_csv(horizons: LocalHorizons) -> str:
+    """Return horizons as CSV: one row per place and azimuth; unknown values are empty."""
+    written, bins = _columns(horizons), horizons.azimuth_deg.shape[1]
+    columns = [np.repeat(horizons.lon, bins), np.repeat(horizons.lat, bins)]
+    columns += [getattr(horizons, name).ravel() for name in ("azimuth_deg", *written)]
+    digits = ["%.7f", "%.7f", "%.9g", *(f"%.{digits}f" for digits in written.values())]
+    text, header = io.StringIO(), ",".join(["lon", "lat", "azimuth_deg", *written])
+    np.savetxt(text, np.column_stack(columns), ",".join(digits), header=header, comments="")
+    return text.getvalue().replace("nan", "")
+
+
+def _columns(horizons: LocalHorizons) -> dict[str, int]:
+    """Return the columns written for each azimuth, with their number of decimals."""
+    return {"elevation_deg": 5, "distance_m": 1} | (
+        {"surface_deg": 5} if horizons.has_surface else {}
+    )
+
+
+def _json(horizons: LocalHorizons) -> str:
+    factors = horizons.sky_view_factor()
+    places = [
+        {
+            "lon": round(float(horizons.lon[index]), 7),
+            "lat": round(float(horizons.lat[index]), 7),
+            "eye_elevation_m": round(float(horizons.eye_elevation_m[index]), 2),
+            "sky_view_factor": _known(factors[index], 5),
+            "azimuth_deg": [round(value, 9) for value in horizons.azimuth_deg[index].tolist()],
+            **{
+                name: [_known(value, digits) for value in getattr(horizons, name)[index]]
+                for name, digits in _columns(horizons).items()
+            },
+        }
+        for index in range(len(horizons))
+    ]
+    return json.dumps({"places": places}, allow_nan=False) + "\n"
+
+
+def _known(value: Any, digits: int) -> float | None:
+    return round(float(value), digits) if np.isfinite(value) else None
+
+
+def _pvgis(horizons: LocalHorizons) -> str:
+    if len(horizons) != 1:
+        raise InputError(
+            f"the file would hold {len(horizons)} horizons, but .txt holds one; give one place, or "
+            "write .csv or .json"
+        )
+    if horizons.has_surface:
+        raise InputError(
+            "the file would hold two horizons, but .txt holds one; leave --surface out, or write "
+            ".csv or .json"
+        )
+    elevation_deg = np.maximum(horizons.elevation_deg[0], 0.0)
+    if not np.isfinite(elevation_deg).all():
+        raise InputError(
+            "the horizon is unknown at some azimuths; choose a place farther from the border of "
+            "the DEM, or write .csv or .json"
+        )
+    return "".join(f"{value:.2f}\n" for value in elevation_deg)
+
+
+_KINDS: dict[str, Callable[[LocalHorizons], str]] = {
+    ".csv": horizon_csv,
+    ".json": _json,
+    ".txt": _pvgis,
+}
+SUFFIXES = tuple(_KINDS)
+"""Suffixes of the files that `write_horizons` writes."""

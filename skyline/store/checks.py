@@ -1,7 +1,6 @@
 """Checks that an HDF5 file is a store, and neither damaged, foreign nor forged."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,19 @@ from skyline.store.format import (
 )
 from skyline.store.write import REBUILD
 
-_MAX_CHUNK_BYTES = 1 << 26
+_ATTRIBUTES = (
+    "frame",
+    "dem_digest",
+    "dem_files",
+    "config",
+    "renderer",
+    "package_version",
+    "rows",
+)
+"""Attributes beside the schema and the digest."""
 
-_CHECKSUMMED = frozenset({h5py.h5z.FILTER_FLETCHER32})
-_PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
+_FILTERS = {"fletcher32", "shuffle", "compression"}
+"""Settings of a layout that are HDF5 filters."""
 
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
@@ -33,25 +41,31 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     _check_version(path, file)
     if _text(path, file, "schema") != SCHEMA:
         raise _foreign(path)
-    config = json.loads(_text(path, file, "config"))
-    files = json.loads(_text(path, file, "dem_files"))
-    if not isinstance(config, dict):
-        raise StoreError(f"store {path} has a config that is not a JSON object; {REBUILD}")
-    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
-        raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
+    texts = {name: _text(path, file, name) for name in (*_ATTRIBUTES, "header_digest")}
+    rows = json.loads(texts["rows"])
+    holds = rows.get("rows") if isinstance(rows, dict) else None
+    if holds not in (RENDERINGS, PLACES):
+        raise StoreError(f"store {path} has rows {rows!r}, which skyline does not read; {REBUILD}")
+    if holds == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
+        raise StoreError(
+            f"store {path} has places that another release of skyline built, whose bytes mean "
+            "something else; build it again"
+        )
     try:
+        # A value of another JSON type is converted here, and so fails the comparison of digests.
         header = StoreHeader(
-            frame_wkt=_text(path, file, "frame"),
-            dem_digest=_text(path, file, "dem_digest"),
-            dem_files=tuple(files),
-            config=config,
-            renderer=_text(path, file, "renderer"),
-            package_version=_text(path, file, "package_version"),
-            **_layout(path, file),
+            frame_wkt=texts["frame"],
+            dem_digest=texts["dem_digest"],
+            dem_files=tuple(map(str, json.loads(texts["dem_files"]))),
+            config=dict(json.loads(texts["config"])),
+            renderer=texts["renderer"],
+            width=int(rows.get("width", 0)),
+            holds=holds,
+            package_version=texts["package_version"],
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
-    if _text(path, file, "header_digest") != header.digest:
+    if texts["header_digest"] != header.digest:
         raise StoreError(
             f"store {path} is damaged: its header (frame, DEM, config, renderer, rows) does not "
             f"have the digest that was written with it; {REBUILD}"
@@ -64,22 +78,6 @@ def _foreign(path: Path) -> StoreError:
         f"{path} is an HDF5 file but not a skyline store; "
         "name one made by `skyline build` or `skyline render`"
     )
-
-
-def _layout(path: Path, file: h5py.File) -> dict[str, Any]:
-    """Return the kind of rows that a file holds, and their width; raises `StoreError`."""
-    rows = json.loads(_text(path, file, "rows"))
-    kind = rows.get("rows") if isinstance(rows, dict) else None
-    if kind == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
-        raise StoreError(
-            f"store {path} has places that another release of skyline built, whose bytes mean "
-            "something else; build it again"
-        )
-    if kind == RENDERINGS and rows.keys() == {"rows", "width"} and type(rows["width"]) is int:
-        return {"holds": RENDERINGS, "width": rows["width"]}
-    if kind != PLACES:
-        raise StoreError(f"store {path} has rows {rows!r}, which skyline does not read; {REBUILD}")
-    return {"holds": PLACES}
 
 
 def _check_version(path: Path, file: h5py.File) -> None:
@@ -134,31 +132,23 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
     return node
 
 
-def checked_dataset(
-    path: Path, file: h5py.File, name: str, row: np.dtype[Any], header: StoreHeader
-) -> h5py.Dataset:
-    """Return a dataset if it has the schema's layout and its bytes lie in this file."""
+def checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader) -> h5py.Dataset:
+    """Return a dataset if it has the schema's layout and its bytes lie in this file.
+
+    Virtual, external, contiguous and compact storage have no chunks, so they are refused.
+    """
     dataset = _hard_linked(path, file, name)
-    for fault in _faults(dataset, row, header):
-        raise StoreError(f"store {path}: {name} {fault}; {REBUILD}")
+    if not isinstance(dataset, h5py.Dataset) or not dataset.shape:
+        raise StoreError(f"store {path}: {name} is not a dataset of rows; {REBUILD}")
+    layout = header.layout(name, len(dataset))
+    for setting, wanted in layout.items():
+        found = getattr(dataset, setting)
+        if found != wanted:
+            raise StoreError(
+                f"store {path}: {name} has {setting} {found}; expected {wanted}; {REBUILD}"
+            )
+    if dataset.id.get_create_plist().get_nfilters() != len(layout.keys() & _FILTERS):
+        raise StoreError(
+            f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
+        )
     return dataset
-
-
-def _faults(dataset: Any, row: np.dtype[Any], header: StoreHeader) -> Iterator[str]:
-    """Yield the faults of a dataset; each check assumes that those before it found none."""
-    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row.shape or not dataset.shape:
-        yield f"is not rows of shape {row.shape}"
-    if dataset.dtype != row.base:
-        yield f"is of type {dataset.dtype}, not {row.base.str.lstrip('|')}"
-    # Rules out virtual, external, contiguous and compact storage: none of them is chunked.
-    if dataset.chunks is None:
-        yield "is not chunked in this file"
-    if np.prod(dataset.chunks, dtype=float) * dataset.dtype.itemsize > _MAX_CHUNK_BYTES:
-        yield f"has chunks of {dataset.chunks}, too large"
-    created = dataset.id.get_create_plist()
-    filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
-    mapped = header.holds == PLACES
-    if mapped and dataset.chunks != (header.chunk_rows(len(dataset)), *row.shape):
-        yield f"has chunks of {dataset.chunks}"
-    if filters - (_PACKED if row.shape and not mapped else _CHECKSUMMED):
-        yield "is packed by a filter that skyline does not use"

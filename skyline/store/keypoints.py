@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.camera import pixel_size
-from skyline.errors import InputError
 from skyline.skylines import Views
 
 NO_KEYPOINT = 65535
@@ -37,9 +36,6 @@ def polyline_vertices(
     splits: the rest is the polyline of a coarser tolerance. The ends of runs come first, those of
     longer runs before others.
 
-    Raises `InputError` where the tolerance is not a finite number of at least 0, or
-    ``max_vertices`` is below 2.
-
     Parameters
     ----------
     curves : (N, W) floating
@@ -54,10 +50,6 @@ def polyline_vertices(
     (N, max_vertices) uint16
         Ascending columns, padded with `NO_KEYPOINT`.
     """
-    if not (np.isfinite(tolerance) and tolerance >= 0.0):
-        raise InputError(f"polyline tolerance is {tolerance}; expected a finite number, at least 0")
-    if max_vertices < 2:
-        raise InputError(f"{max_vertices} keypoints a skyline; expected at least 2")
     count, width = curves.shape
     flat = curves.astype(np.float64).reshape(-1)
     first, last = _runs(curves)

@@ -183,8 +183,8 @@ class Store:
                 self._file = opened.enter_context(h5py.File(self._raw, "r"))
                 self.header = read_header(path, self._file)
                 self._datasets = {
-                    name: checked_dataset(path, self._file, name, spec, self.header)
-                    for name, spec in self.header.specs.items()
+                    name: checked_dataset(path, self._file, name, self.header)
+                    for name in self.header.specs
                 }
                 self._rows = self._counted()
             self._resources = opened.pop_all()

@@ -39,12 +39,7 @@ UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowEr
 _LIBVER = ("v110", "v110")
 """Pinned, so that every release of HDF5 since 1.10 reads the file, and its bytes stay the same."""
 
-_PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
-"""Packing of renderings: a skyline of W = 640 with its depths takes 2.7 kB instead of 5.1 on Davos.
-Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
-can be mapped."""
-
-_ALIGNED_BYTES, _ALIGNED_FROM = 64, 1024
+_ALIGNED = {"alignment_threshold": 1024, "alignment_interval": 64}
 """Chunks of places begin at whole cache lines, for half a byte a place."""
 
 _ROWS_AT_ONCE = 1024
@@ -56,7 +51,6 @@ def write_store(
     header: StoreHeader,
     columns: Columns,
     order: NDArray[np.intp] | None = None,
-    partial: Path | None = None,
 ) -> None:
     """Write a store of some rows; the same rows, order and header give the same bytes.
 
@@ -68,8 +62,6 @@ def write_store(
         The rows, as `skyline.store.format.columns_of` returns them.
     order : (N,) intp, optional
         The rows to write, in this order; by default all.
-    partial : Path, optional
-        Name of the temporary file; by default one beside the store.
 
     Raises
     ------
@@ -80,16 +72,20 @@ def write_store(
     """
     path = Path(path).resolve()
     check_folder(path)
-    partial = partial or partial_beside(path)
+    partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
     with explained(path, "it cannot be written", "check the folder's rights and space"):
         try:
             with _Target(partial, "x+b") as target:
-                options = _alignment(header)
-                with h5py.File(target, "w", libver=_LIBVER, **options) as file:
+                aligned = _ALIGNED if header.holds == PLACES else {}
+                with h5py.File(target, "w", libver=_LIBVER, **aligned) as file:
                     _write_header(file, header)
-                    _create_datasets(file, header, len(order))
+                    for name, row in header.specs.items():
+                        # HDF5 has no chunks larger than a dataset may become.
+                        most = None if len(order) else (None, *row.shape)
+                        layout = header.layout(name, len(order))
+                        file.create_dataset(name, maxshape=most, **layout)
                     for first in range(0, len(order), _ROWS_AT_ONCE):
                         some = order[first : first + _ROWS_AT_ONCE]
                         block = {name: columns[name][some] for name in columns}
@@ -100,11 +96,6 @@ def write_store(
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
-
-
-def partial_beside(path: Path) -> Path:
-    """Return a temporary name that no other process uses."""
-    return path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
 
 
 def check_folder(path: Path) -> None:
@@ -129,12 +120,6 @@ def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]
         raise StoreError(f"store {path}: {problem} ({reason}); {advice}") from error
 
 
-def _alignment(header: StoreHeader) -> dict[str, int]:
-    if header.holds != PLACES:
-        return {}
-    return {"alignment_threshold": _ALIGNED_FROM, "alignment_interval": _ALIGNED_BYTES}
-
-
 def _write_header(file: h5py.File, header: StoreHeader) -> None:
     texts = {"schema": SCHEMA, **header.attributes, "header_digest": header.digest}
     file.attrs["schema_version"] = SCHEMA_VERSION
@@ -142,22 +127,6 @@ def _write_header(file: h5py.File, header: StoreHeader) -> None:
         # HDF5 guards texts of a fixed length alone with a checksum.
         data = text.encode() or b" "
         file.attrs.create(name, np.bytes_(data), dtype=h5py.string_dtype("utf-8", len(data)))
-
-
-def _create_datasets(file: h5py.File, header: StoreHeader, rows: int) -> None:
-    """Create the datasets of a store, chunked and packed as its kind of rows is."""
-    for name, row in header.specs.items():
-        packing = _PACKING if row.shape and header.holds != PLACES else {}
-        file.create_dataset(
-            name,
-            shape=(rows, *row.shape),
-            # HDF5 has no chunks larger than a dataset may become.
-            maxshape=None if rows else (None, *row.shape),
-            chunks=(header.chunk_rows(rows), *row.shape),
-            dtype=row.base,
-            fletcher32=True,
-            **packing,
-        )
 
 
 class _Target(io.FileIO):

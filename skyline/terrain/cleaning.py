@@ -1,7 +1,10 @@
 """Voids, fill and spikes: repair of a DEM's samples before anything is rendered from them.
 
-A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place and
-strip by strip: a field of hundreds of millions of samples costs little more than itself.
+A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place on
+heights (rows, cols), float32 and C-contiguous. They work strip by strip, so that a field of
+hundreds of millions of samples costs little more than itself; only for fill, which is rare, its
+places are labelled over the whole field. ``spacing_m`` is the coarser of the two sample spacings,
+metres on the ground.
 
 While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
 declare, and +inf a sample that no file covers, which is never a neighbour and never filled.
@@ -14,7 +17,7 @@ rim: terrain does not rise over water by `STEEPEST` along half of a shore.
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -79,14 +82,7 @@ def strips(grid: Any) -> Iterator[slice]:
 def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, int, int, int]:
     """Void fill, remove spikes and fill small voids, in place, as `skyline.read_dem` does.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        Marked as above; afterwards NaN marks every hole.
-    source : str
-        The name of the DEM in errors and warnings.
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
+    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
 
     Returns
     -------
@@ -121,7 +117,7 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
 
 
 def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, list[float]]:
-    """Turn voids that a file does not declare into declared ones, in place.
+    """Turn voids that a file does not declare into declared ones.
 
     These are all samples marked -inf (a customary void value that the file does not name), and
     every connected place of one value, `MIN_FILL_SAMPLES` or more of them, with walls on `WALLED`
@@ -129,18 +125,7 @@ def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, lis
     (`remove_spikes`), at most three samples from the rim. Samples between the rim and the highest
     wall are voids as well.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
-
-    Returns
-    -------
-    count : int
-        Samples that became voids.
-    values_m : list of float
-        The constants found.
+    Returns the number of samples that became voids, and the constants found.
     """
     count = 0
     for rows in strips(heights_m):
@@ -158,7 +143,7 @@ def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, lis
 
 
 def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
-    """Turn spikes, upward and downward, into voids, in place; return their number of samples.
+    """Turn spikes, upward and downward, into voids; return their number of samples.
 
     A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
     at most `MAX_SPIKE_SAMPLES` samples that
@@ -170,12 +155,7 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
       neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
       ground keeps its ruggedness.
 
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        NaN and +inf samples are no neighbours.
-    spacing_m : float
-        The coarser of the two sample spacings, metres on the ground.
+    NaN and +inf samples are no neighbours.
     """
     count = 0
     for rows in strips(heights_m):
@@ -193,16 +173,11 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
 
 
 def fill_voids(heights_m: Float32Array) -> int:
-    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples, in place; return the count.
+    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples; return the count.
 
     The filling solves Laplace's equation with the rim as its boundary (the shape of a soap film):
     smooth, and never higher or lower than the rim, so that no skyline is invented. Samples are
     connected by their sides, not by corners. At the border of the data the film ends level.
-
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32, C-contiguous
-        NaN marks voids, +inf samples that no file covers.
     """
     voids = _small_voids(heights_m)
     if voids.size == 0:
@@ -289,60 +264,28 @@ def _stand_out(own_m: NDArray[np.float64], firm_m: NDArray[np.float64]) -> BoolA
 
 def _small_voids(heights_m: Float32Array) -> Int64Array:
     """Return flat indices, ascending, of the samples of small voids that have a rim."""
-    row, start, stop = _runs_of(heights_m, np.isnan)
-    void = _connected_runs(row, start, stop, heights_m.shape[1])
-    size = np.bincount(void, weights=stop - start)
-    small = size[void] <= MAX_VOID_SAMPLES
-    first = row[small] * heights_m.shape[1] + start[small]
-    samples, run = _expand(first, (stop - start)[small])
-    void = void[small][run]
-    rim = np.isfinite(_heights(heights_m, _neighbours(samples, _BESIDE, heights_m.shape)))
-    has_rim = np.bincount(void, weights=rim.any(axis=1), minlength=size.size) > 0.0
-    return np.asarray(samples[has_rim[void]], dtype=np.int64)
+    from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  (slow to load, seldom needed)
 
-
-def _runs_of(
-    heights_m: Float32Array, chosen: Callable[[Float32Array], BoolArray]
-) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Return row, first column and column past the last of each run of chosen samples in a row.
-
-    Runs, unlike an image of labels, take memory only where there are such samples.
-    """
-    parts = []
+    found = [np.zeros(0, dtype=np.int64)]
     for rows in strips(heights_m):
-        some = chosen(heights_m[rows])
-        if not some.any():
-            some = some[:0]
-        edge = np.diff(some.astype(np.int8), axis=1, prepend=0, append=0)
-        row, start = np.nonzero(edge == 1)
-        stop = np.nonzero(edge == -1)[1]
-        parts.append((row + rows.start, start, stop))
-    row, start, stop = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return row, start, stop
-
-
-def _connected_runs(row: Int64Array, start: Int64Array, stop: Int64Array, cols: int) -> Int64Array:
-    """Return the number of the place, connected by sides, to which each run belongs."""
-    # Runs ascend by row and column, so those of the row above that touch one are consecutive.
-    width = cols + 2
-    above = (row - 1) * width
-    first = np.searchsorted(row * width + stop, above + start, side="right")
-    past = np.searchsorted(row * width + start, above + stop, side="left")
-    upper, lower = _expand(first, np.maximum(past - first, 0))
-    return _connected(lower, upper, row.size)
-
-
-def _expand(first: Int64Array, length: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Return the members of ranges of whole numbers, and the range to which each belongs."""
-    of_range = np.repeat(np.arange(first.size), length)
-    begins = np.cumsum(length) - length
-    return first[of_range] + np.arange(of_range.size) - begins[of_range], of_range
+        # A void that reaches past these rows from the strip has too many samples to be filled.
+        top = max(rows.start - MAX_VOID_SAMPLES, 0)
+        block = heights_m[top : rows.stop + MAX_VOID_SAMPLES]
+        inner = slice(rows.start - top, rows.stop - top)
+        voids = np.isnan(block)
+        if not voids[inner].any():
+            continue
+        void, count = label(voids)
+        wanted = np.zeros(count + 1, dtype=np.bool_)
+        wanted[void[binary_dilation(np.isfinite(block))]] = True
+        wanted &= np.bincount(void.ravel()) <= MAX_VOID_SAMPLES
+        wanted[0] = False
+        found.append(np.flatnonzero(wanted[void[inner]]) + rows.start * heights_m.shape[1])
+    return np.concatenate(found)
 
 
 def _connected(one: Int64Array, other: Int64Array, count: int) -> Int64Array:
     """Return the number of the connected part of a graph to which each of its nodes belongs."""
-    if not count:
-        return np.zeros(0, dtype=np.int64)
     from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
@@ -373,86 +316,69 @@ def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArra
 
 
 def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
-    """Return values that often stand twice in a row before a wall: they may be fill."""
+    """Return values that often stand twice in a row beside a jump: they may be fill."""
     counts: Counter[float] = Counter()
-    for view in (heights_m, heights_m.T):
-        for rows in strips(view):
+    around = np.arange(-_REACH, _REACH + 2)
+    for view_m in (heights_m, heights_m.T):
+        for rows in strips(view_m):
             with np.errstate(invalid="ignore"):
-                steep = (np.abs(np.diff(view[rows], axis=1)) > threshold_m).any(axis=1)
-            walled = view[rows][steep]
-            for line in (walled, walled[:, ::-1]):
-                before = _before_walls(line, threshold_m)
-                values, each = np.unique(
-                    line[:, 1 : 1 + before.shape[1]][before], return_counts=True
-                )
-                counts.update(dict(zip(values.tolist(), each.tolist(), strict=True)))
+                steep = (np.abs(np.diff(view_m[rows], axis=1)) > threshold_m).any(axis=1)
+            strip = view_m[rows][steep]
+            strip = np.pad(strip, ((0, 0), (_REACH, _REACH)), constant_values=np.nan)
+            strip[np.isinf(strip)] = np.nan
+            row, col = np.nonzero(np.abs(np.diff(strip, axis=1)) > threshold_m)
+            near = strip[row[:, np.newaxis], col[:, np.newaxis] + around]
+            repeated = near[:, 1:][near[:, 1:] == near[:, :-1]]
+            values, each = np.unique(repeated, return_counts=True)
+            counts.update(dict(zip(values.tolist(), each.tolist(), strict=True)))
     return sorted(value for value, number in counts.items() if number >= _MIN_RIM)
-
-
-def _before_walls(line: Float32Array, threshold_m: float) -> BoolArray:
-    """Return where the second of two equal samples ends their run before a wall."""
-    inner = max(line.shape[1] - 1 - _REACH, 0)
-    if inner == 0:
-        return np.zeros((line.shape[0], 0), dtype=np.bool_)
-    with np.errstate(invalid="ignore"):
-        rise = (np.diff(line[:, 1:], axis=1) > threshold_m) & np.isfinite(line[:, 2:])
-        wall = rise[:, :inner].copy()
-        for step in range(1, _REACH):
-            wall |= rise[:, step : step + inner]
-    wall &= line[:, 1 : 1 + inner] == line[:, :inner]
-    wall &= line[:, 1 : 1 + inner] != line[:, 2 : 2 + inner]
-    return np.asarray(wall, dtype=np.bool_)
 
 
 def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> int:
     """Turn the fill of one value into voids; return the number of its samples."""
-    # Spans are found along both axes before any is removed, since removed samples hide the rim.
-    views = heights_m, heights_m.T
-    spans = [(view, *_fill_spans(view, value, threshold_m)) for view in views]
-    count = 0
-    for view, rows, starts, stops in spans:
-        for row, start, stop in zip(rows, starts, stops, strict=True):
-            count += int(np.count_nonzero(np.isfinite(view[row, start:stop])))
-            view[row, start:stop] = np.nan
-    return count
+    from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
-
-def _fill_spans(
-    view: Float32Array, value: float, threshold_m: float
-) -> tuple[list[int], list[int], list[int]]:
-    """Return row, first column and column past the last of each run of fill along the rows."""
-    row, start, stop = _runs_of(view, lambda strip: strip == np.float32(value))
-    place = _connected_runs(row, start, stop, view.shape[1])
-    west = _walls(view, row, start - 1, -1, value, threshold_m)
-    east = _walls(view, row, stop, 1, value, threshold_m)
-    rim = np.bincount(place, weights=(start > 0).astype(float) + (stop < view.shape[1]))
-    walls = np.bincount(place, weights=(west > 0).astype(float) + (east > 0))
-    samples = np.bincount(place, weights=stop - start)
-    fill = (samples >= MIN_FILL_SAMPLES) & (rim >= _MIN_RIM) & (walls >= WALLED * rim)
-    start, stop = start - np.maximum(west - 1, 0), stop + np.maximum(east - 1, 0)
-    here = fill[place]
-    return row[here].tolist(), start[here].tolist(), stop[here].tolist()
+    has_value = heights_m == np.float32(value)
+    place, count = label(has_value)
+    # Turned and flipped are views of one array, so that the four sides of places are treated alike.
+    is_large = np.bincount(place.ravel()) >= MIN_FILL_SAMPLES
+    removed = np.zeros(heights_m.shape, dtype=np.bool_)
+    for turned in (np.asarray, np.transpose):
+        sides = []
+        for flipped in (np.asarray, np.fliplr):
+            field_m, inside, places, view = (
+                flipped(turned(grid)) for grid in (heights_m, has_value, place, removed)
+            )
+            row, col = np.nonzero(inside[:, :-1] & ~inside[:, 1:])
+            wall = _walls(field_m, row, col, value, threshold_m)
+            sides.append((view, places[row, col], row, col, wall))
+        of_rim = np.concatenate([of for _, of, *_ in sides])
+        has_wall = np.concatenate([wall > 0 for *_, wall in sides])
+        rim = np.bincount(of_rim, minlength=count + 1)
+        walls = np.bincount(of_rim[has_wall], minlength=count + 1)
+        is_fill = is_large & (rim >= _MIN_RIM) & (walls >= WALLED * rim)
+        removed |= is_fill[place]
+        for view, of, row, col, wall in sides:
+            for step in range(1, _REACH):
+                ramp = is_fill[of] & (wall > step)
+                view[row[ramp], col[ramp] + step] = True
+    removed &= np.isfinite(heights_m)
+    heights_m[removed] = np.nan
+    return int(np.count_nonzero(removed))
 
 
 def _walls(
-    view: Float32Array,
-    row: Int64Array,
-    first: Int64Array,
-    way: int,
-    value: float,
-    threshold_m: float,
+    heights_m: Float32Array, row: Int64Array, col: Int64Array, value: float, threshold_m: float
 ) -> Int64Array:
-    """Return the samples from each run to the end of its highest wall; 0 without a wall."""
+    """Return the samples from each of the rim's, eastward, to its highest wall; 0 without one."""
     wall = np.zeros(row.size, dtype=np.int64)
     before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
-    for step in range(_REACH):
-        col = first + way * step
-        inside = (col >= 0) & (col < view.shape[1])
-        here = view[row, np.where(inside, col, 0)].astype(np.float64)
-        here = np.where(inside & np.isfinite(here), here, np.nan)
-        with np.errstate(invalid="ignore"):
-            higher = here - before > highest
-        wall = np.where(higher, step + 1, wall)
+    cols = heights_m.shape[1]
+    for step in range(1, _REACH + 1):
+        here = heights_m[row, np.minimum(col + step, cols - 1)].astype(np.float64)
+        here[(col + step >= cols) | np.isinf(here)] = np.nan
+        higher = here - before > highest
+        wall = np.where(higher, step, wall)
         highest = np.where(higher, here - before, highest)
         before = here
     return wall

@@ -1,15 +1,18 @@
-"""Reading DEM files as a `HeightField`: on one grid, cleaned, in a metric frame."""
+"""Reading DEM files as a `HeightField`: on one grid, cleaned, in a metric frame.
+
+A second model may give the surface of trees and houses over a terrain (`read_surface`).
+"""
 
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import (
     Frame,
@@ -20,7 +23,7 @@ from skyline.geodesy import (
     parse_crs,
     to_wgs84,
 )
-from skyline.terrain.cleaning import clean
+from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
 from skyline.terrain.rasters import open_tile
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
@@ -34,6 +37,17 @@ TRUE_SCALE = 0.01
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
+
+UNKNOWN_M = 40.0
+"""Height above ground assumed where a surface model has no height: that of tall trees."""
+
+_CANOPY_MOST_M = 120.0
+"""The greatest height in a canopy model; a surface model of high ground has greater ones."""
+_OFFSET_M = (-10.0, 60.0)
+"""Lowest and highest plausible median of a surface above the ground."""
+
+Dem = str | Path | Sequence[str | Path] | HeightField
+"""A model: its file, its tiles, or the height field read from them."""
 
 _PROBES = 9
 """Rows and columns of places at which distortion is computed."""
@@ -127,7 +141,7 @@ def read_blocks(
     All samples are those of `read_dem`, to the bit. Parameters and errors are the same too.
     """
     mosaic = read_files(paths, options)
-    if _is_kept(mosaic, options):
+    if is_metric(mosaic.crs) and not options.reproject:
         return TerrainBlocks.of(_height_field(mosaic, options))
     warp, frame, provenance = _warp(mosaic, options)
 
@@ -154,14 +168,9 @@ def dem_of(tile: Tile, options: DemOptions) -> HeightField:
     return _height_field(read_mosaic([tile]), options)
 
 
-def _is_kept(mosaic: Mosaic, options: DemOptions) -> bool:
-    """Return whether the heights stay on their files' own grid."""
-    return is_metric(mosaic.crs) and not options.reproject
-
-
 def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
     """Clean heights on their files' own grid, and warp them if they need a metric frame."""
-    if not _is_kept(mosaic, options):
+    if not is_metric(mosaic.crs) or options.reproject:
         warp, frame, provenance = _warp(mosaic, options)
         return _field(warp.heights_m(), warp.target, frame, provenance)
     grid, frame, conventions = mosaic.grid, Frame.from_crs(mosaic.crs), _placed(mosaic)
@@ -249,3 +258,94 @@ def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
             frame.name,
             1.0 / worst,
         )
+
+
+def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
+    """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
+
+    Parameters
+    ----------
+    paths : path, paths or HeightField
+        A surface model, whose heights have the terrain's datum, or a canopy model, whose heights
+        are above the ground: a model that lies far below the ground is taken for a canopy model.
+        Any grid and CRS; files that name none have the CRS that was given for the terrain's.
+    terrain : HeightField
+        The bare ground.
+
+    Returns
+    -------
+    HeightField
+        On the terrain's samples, nowhere lower: the ground, plus the model's greatest height above
+        it within a sample's distance, or plus `UNKNOWN_M` where the model has no height.
+
+    Raises
+    ------
+    InputError
+        The model does not cover the terrain, its heights have another datum, or as `read_dem`.
+    """
+    if not isinstance(paths, HeightField):
+        crs = DemOptions.from_json(terrain.provenance.options).crs
+        paths = read_dem(paths, DemOptions(crs=crs))
+    above_m = _above_ground_m(paths, terrain)
+    wide = [
+        max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
+        for coarse, fine in (
+            (terrain.spacing_north_m, paths.spacing_north_m),
+            (terrain.spacing_east_m, paths.spacing_east_m),
+        )
+    ]
+    if max(wide) > 1:
+        from scipy.ndimage import maximum_filter  # noqa: PLC0415  (slow to load, seldom needed)
+
+        highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
+        above_m = np.where(np.isinf(highest), np.nan, highest)
+    rise = replace(paths, heights_m=above_m)
+    heights_m = np.empty_like(terrain.heights_m)
+    for rows in strips(heights_m):
+        easting, northing = _samples(terrain, rows, paths)
+        over_m = rise.height_at(easting_m=easting, northing_m=northing)
+        over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
+        heights_m[rows] = terrain.heights_m[rows] + over_m
+    heights_m.setflags(write=False)
+    return replace(terrain, heights_m=heights_m, provenance=paths.provenance)
+
+
+def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
+    """Return the heights of a model's samples above the ground, NaN where not known."""
+    above_m = np.empty(model.heights_m.shape)
+    west, south, east, north = terrain.bounds_m
+    reach_m = max(model.spacing_east_m, model.spacing_north_m)
+    for rows in strips(model.heights_m):
+        easting, northing = _samples(model, rows, terrain)
+        # Samples just outside are needed for the heights between them and the border.
+        for at, least, most in ((easting, west, east), (northing, south, north)):
+            beside = np.clip(at, least, most)
+            np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)
+        above_m[rows] = model.heights_m[rows] - terrain.height_at(
+            easting_m=easting, northing_m=northing
+        )
+    known = np.isfinite(above_m)
+    name = ", ".join(model.provenance.files) or "the surface"
+    if not known.any():
+        raise InputError(
+            f"{name} has no height over the DEM; give a surface model of the same area"
+        )
+    offset_m = float(np.median(above_m[known]))
+    if offset_m < _OFFSET_M[0] and model.height_range_m[1] <= _CANOPY_MOST_M:
+        return np.where(known, model.heights_m, np.nan)
+    if not _OFFSET_M[0] <= offset_m <= _OFFSET_M[1]:
+        raise InputError(
+            f"{name} is {offset_m:+.0f} m above the DEM in the median; expected {_OFFSET_M[0]:+g} "
+            f"to {_OFFSET_M[1]:+g}: give a surface model of the DEM's vertical datum, or a canopy "
+            "model in metres above ground"
+        )
+    return above_m
+
+
+def _samples(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
+    """Return easting and northing of the samples of some rows, in the frame of another field."""
+    row = np.arange(field.rows)[rows, np.newaxis]
+    place = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
+    if field.frame == other.frame:
+        return place
+    return other.frame.from_lonlat(*field.frame.to_lonlat(*place))

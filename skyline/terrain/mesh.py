@@ -28,7 +28,6 @@ LEAF_STRIPS = 2
 """Strips in a slab of the finest level."""
 
 MAX_LEVELS = 4
-MAX_STRIPS = LEAF_STRIPS * SLABS**MAX_LEVELS
 
 EMPTY = np.float32(-3e38)
 """The height of a hole, and the bound where there is no sample at all."""

@@ -10,7 +10,7 @@ import re
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +32,6 @@ from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, vertical_of
 from skyline.terrain.tiles import Grid, Tile
 
-MAX_UNPACKED_BYTES = 1 << 28
-"""The largest file behind a .gz; the largest .hgt, of half an arc-second, has 99 MiB."""
-
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
 
@@ -44,17 +41,17 @@ degrees are not exact."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
-# This cache is enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
-_GDAL_CACHE_BYTES = 64 << 20
-_COMPOUND = {"GTIFF_REPORT_COMPD_CS": "YES"}
-"""Without this option GDAL leaves out the vertical part of a GeoTIFF's CRS."""
-_ON_NETWORKS = {
+_SETTINGS = {
+    # Enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
+    "GDAL_CACHEMAX": 64 << 20,
+    # Otherwise GDAL leaves out the vertical part of a GeoTIFF's CRS.
+    "GTIFF_REPORT_COMPD_CS": "YES",
     "GDAL_HTTP_CONNECTTIMEOUT": "30",
+    # Reading fails if less than 1 kB a second arrives for 30 seconds.
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
-"""Options for servers: reading fails if less than 1 kB a second arrives for 30 seconds."""
 _NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 """Without this option GDAL asks a server for a dozen other files in the DEM's folder."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
@@ -102,22 +99,23 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"))
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
     vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
+    on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
+    # Once xarray has applied attributes, they are in the encoding instead.
+    scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
+    void_values = [attrs[name] for name in ("_FillValue", "missing_value") if name in attrs]
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
-        # Once xarray has applied attributes, they are in the encoding instead.
-        scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
         for rows in strips(band):
             voids = np.zeros(band[rows].shape, dtype=np.bool_)
-            for name in ("_FillValue", "missing_value"):
-                if name in attrs:
-                    voids |= band[rows] == attrs[name]
+            for value in void_values:
+                voids |= band[rows] == value
             yield rows, _heights_of(band[rows], voids, scale, offset, vertical.metres)
 
-    conventions = {**conventions_of(_on_map(source, crs)), **vertical.conventions}
-    return Tile(source, horizontal(crs), grid, north_up, vertical, conventions, read)
+    conventions = {**conventions_of(on_map), **vertical.conventions}
+    return Tile(source, on_map, grid, north_up, vertical, conventions, read)
 
 
 def absolute_name(path: str | Path) -> str:
@@ -152,9 +150,9 @@ def shown(text: str) -> str:
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
     """Open a raster; a failure while it is open becomes one error of one line."""
-    settings = _COMPOUND | _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
+    settings = _SETTINGS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), ExitStack() as held:
+        with rasterio.Env(**settings), ExitStack() as held:
             yield _dataset(source, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
@@ -176,29 +174,19 @@ def _dataset(source: str, held: ExitStack) -> Any:
     with warnings.catch_warnings():
         # `_grid_of` raises an error for it.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        if source.lower().endswith(".gz") and is_file(source):
-            # The .hgt driver reads the corner from the file's name and opens no .gz.
-            memory = rasterio.MemoryFile(_unpacked(source), filename=Path(source).stem)
-            return held.enter_context(held.enter_context(memory).open())
-        return held.enter_context(rasterio.open(source))
-
-
-def _unpacked(source: str) -> bytes:
-    """Return the content of a .gz file, up to a limit."""
-    try:
-        with gzip.open(source) as stream:
-            content = stream.read(MAX_UNPACKED_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(
-            f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
-            "fetch it again"
-        ) from error
-    if len(content) > MAX_UNPACKED_BYTES:
-        raise InputError(
-            f"{source} unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB; unpack it beforehand "
-            "(gunzip) and name the unpacked file"
-        )
-    return content
+        if not (source.lower().endswith(".gz") and is_file(source)):
+            return held.enter_context(rasterio.open(source))
+        # GDAL opens it as well, but does not compare the checksum.
+        try:
+            content = gzip.decompress(Path(source).read_bytes())
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(
+                f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
+                "fetch it again"
+            ) from error
+        # The .hgt driver reads the corner from the file's name.
+        memory = rasterio.MemoryFile(content, filename=Path(source).stem)
+        return held.enter_context(held.enter_context(memory).open())
 
 
 def _tile_of(
@@ -228,8 +216,9 @@ def _tile_of(
         nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
         if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
             nodata = "by a mask"
+        on_map = _on_map(source, crs)
         conventions = {
-            **conventions_of(_on_map(source, crs)),
+            **conventions_of(on_map),
             **vertical.conventions,
             "pixel_is": dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower(),
             "nodata": nodata,
@@ -244,7 +233,7 @@ def _tile_of(
                 voids = np.ma.getmaskarray(band)
                 yield rows, _heights_of(band.data, voids, scale, offset, vertical.metres)
 
-    return Tile(source, horizontal(crs), grid, north_up, vertical, conventions, read, files)
+    return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
 
 
 def _heights_of(
@@ -325,18 +314,14 @@ def _grid_of(
             "(gdalwarp)"
         )
     rows, cols = shape
-    west = transform.c + 0.5 * transform.a
-    north = transform.f + 0.5 * transform.e
-    flip_rows, flip_cols = transform.e > 0.0, transform.a < 0.0
-    if flip_rows:
-        north += (rows - 1) * transform.e
-    if flip_cols:
-        west += (cols - 1) * transform.a
+    west, north = transform.c + 0.5 * transform.a, transform.f + 0.5 * transform.e
+    row_way = col_way = 1
+    if transform.e > 0.0:
+        row_way, north = -1, north + (rows - 1) * transform.e
+    if transform.a < 0.0:
+        col_way, west = -1, west + (cols - 1) * transform.a
     grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
-    return grid, (
-        slice(None, None, -1 if flip_rows else 1),
-        slice(None, None, -1 if flip_cols else 1),
-    )
+    return grid, (slice(None, None, row_way), slice(None, None, col_way))
 
 
 def _dims_of(source: str, array: Any) -> tuple[str, str]:
@@ -373,43 +358,30 @@ def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
 
 def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: object) -> Affine:
     """Return the geotransform that rioxarray noted, if the coordinates agree; else of these."""
-    axes: list[Float64Array] = []
     for dim in dims:
         if dim not in array.coords:
             raise InputError(
                 f"{source} has no coordinates along {dim}, so its place on the map is unknown; "
                 "assign them"
             )
-        axes.append(np.asarray(array.coords[dim].values, dtype=np.float64))
-    y, x = axes
-    exact = _noted_transform(noted)
-    if exact is not None:
-        at_x = exact.c + (np.arange(x.size) + 0.5) * exact.a
-        at_y = exact.f + (np.arange(y.size) + 0.5) * exact.e
-        off_x, off_y = np.abs(x - at_x).max() / abs(exact.a), np.abs(y - at_y).max() / abs(exact.e)
-        if max(off_x, off_y) < EVEN:
+    y, x = (np.asarray(array.coords[dim].values, dtype=np.float64) for dim in dims)
+    with suppress(TypeError, ValueError):
+        exact = Affine.from_gdal(*(float(number) for number in str(noted).split()))
+        if all(
+            np.abs(at - (start + (np.arange(at.size) + 0.5) * step)).max() < EVEN * abs(step)
+            for at, start, step in ((x, exact.c, exact.a), (y, exact.f, exact.e))
+        ):
             return exact
-    step_x, step_y = _step(source, dims[1], x), _step(source, dims[0], y)
+    step_y, step_x = _step(source, dims[0], y), _step(source, dims[1], x)
     return Affine(step_x, 0.0, x[0] - 0.5 * step_x, 0.0, step_y, y[0] - 0.5 * step_y)
 
 
-def _noted_transform(noted: object) -> Affine | None:
-    """Return GDAL's six numbers, as rioxarray notes them, of a grid that is not rotated."""
-    try:
-        numbers = [float(number) for number in str(noted).split()]
-    except ValueError:
-        return None
-    if len(numbers) != 6 or numbers[2] or numbers[4] or not (numbers[1] and numbers[5]):
-        return None
-    return Affine.from_gdal(*numbers)
-
-
 def _step(source: str, dim: str, at: Float64Array) -> float:
+    """Return the distance of coordinates; `InputError` unless they are even."""
     if at.size < 2:
         raise InputError(f"{source} has {at.size} samples along {dim}; expected 2 or more")
     step = float(at[-1] - at[0]) / (at.size - 1)
-    even = at[0] + step * np.arange(at.size)
-    if not (step and np.abs(at - even).max() < EVEN * abs(step)):
+    if not np.abs(at - (at[0] + step * np.arange(at.size))).max() < EVEN * abs(step):
         raise InputError(
             f"{source} has coordinates along {dim} that are not even; resample it to a regular grid"
         )

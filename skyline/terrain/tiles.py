@@ -146,8 +146,8 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
             old = place[rows]
             known = np.isfinite(old)
             both = known & np.isfinite(fresh)
-            if both.any():
-                disagreement_m = max(disagreement_m, float(np.abs(old - fresh)[both].max()))
+            apart_m = np.abs(old[both] - fresh[both])
+            disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))
             np.copyto(old, fresh, where=~known)
         if disagreement_m > AGREEMENT_M:
             _log.warning(
@@ -174,56 +174,47 @@ def full_turn(crs: CRS) -> float | None:
 
 def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid, and the row and column on it of each tile's first sample."""
-    first = tiles[0]
-    offsets = []
+    first, base, turn = tiles[0], tiles[0].grid, full_turn(tiles[0].crs)
+    places = []
     for tile in tiles:
-        grid = _nearest_turn(tile, first)
-        _check_fits(tile, grid, first)
-        row = (first.grid.north - grid.north) / first.grid.step_north
-        col = (grid.west - first.grid.west) / first.grid.step_east
+        grid = tile.grid
+        if not tile.crs.equals(first.crs, ignore_axis_order=True):
+            raise InputError(
+                f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; "
+                "tiles must share one coordinate reference system: warp them beforehand (gdalwarp)"
+            )
+        drift_east = abs(grid.step_east / base.step_east - 1.0) * grid.cols
+        drift_north = abs(grid.step_north / base.step_north - 1.0) * grid.rows
+        if max(drift_east, drift_north) > GRID_TOLERANCE:
+            raise InputError(
+                f"{tile.source} has a sample spacing of {grid.step_east:.9g} x "
+                f"{grid.step_north:.9g} and {first.source} of {base.step_east:.9g} x "
+                f"{base.step_north:.9g}; tiles must share one grid: resample them beforehand "
+                "(gdalwarp -tr)"
+            )
+        west = grid.west
+        if turn is not None:
+            # Whole turns bring W180 east of E179.
+            west += turn * round((base.centre[0] - grid.centre[0]) / turn)
+        row = (base.north - grid.north) / base.step_north
+        col = (west - base.west) / base.step_east
         if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
             raise InputError(
                 f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
                 f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
                 "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
             )
-        offsets.append((round(row), round(col)))
-    top, left = (min(values) for values in zip(*offsets, strict=True))
-    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(offsets, tiles, strict=True)]
-    bottom, right = (max(values) for values in zip(*ends, strict=True))
-    grid = first.grid.part(slice(top, bottom), slice(left, right))
-    if grid.rows * grid.cols > MAX_SAMPLES:
+        places.append((round(row), round(col)))
+    top, left = (min(firsts) for firsts in zip(*places, strict=True))
+    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(places, tiles, strict=True)]
+    bottom, right = (max(lasts) for lasts in zip(*ends, strict=True))
+    common = base.part(slice(top, bottom), slice(left, right))
+    if common.rows * common.cols > MAX_SAMPLES:
         raise InputError(
-            f"the DEM spans {grid.rows} x {grid.cols} samples, more than {MAX_SAMPLES}; give "
+            f"the DEM spans {common.rows} x {common.cols} samples, more than {MAX_SAMPLES}; give "
             "fewer or adjacent tiles, or a coarser DEM"
         )
-    return grid, [(row - top, col - left) for row, col in offsets]
-
-
-def _nearest_turn(tile: Tile, first: Tile) -> Grid:
-    """Return the tile's grid moved by whole turns next to the first's: W180 is east of E179."""
-    turn = full_turn(tile.crs)
-    if turn is None:
-        return tile.grid
-    turns = round((first.grid.centre[0] - tile.grid.centre[0]) / turn)
-    return replace(tile.grid, west=tile.grid.west + turns * turn)
-
-
-def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
-    """Raise `InputError` unless a tile has the CRS and the lattice of the first."""
-    if not tile.crs.equals(first.crs, ignore_axis_order=True):
-        raise InputError(
-            f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; tiles "
-            "must share one coordinate reference system: warp them beforehand (gdalwarp)"
-        )
-    drift_east = abs(grid.step_east / first.grid.step_east - 1.0) * grid.cols
-    drift_north = abs(grid.step_north / first.grid.step_north - 1.0) * grid.rows
-    if max(drift_east, drift_north) > GRID_TOLERANCE:
-        raise InputError(
-            f"{tile.source} has a sample spacing of {grid.step_east:.9g} x {grid.step_north:.9g} "
-            f"and {first.source} of {first.grid.step_east:.9g} x {first.grid.step_north:.9g}; "
-            "tiles must share one grid: resample them beforehand (gdalwarp -tr)"
-        )
+    return common, [(row - top, col - left) for row, col in places]
 
 
 def _check_vertical(tiles: Sequence[Tile]) -> None:

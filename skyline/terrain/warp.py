@@ -47,10 +47,7 @@ def local_frame(grid: Grid, crs: CRS) -> Frame:
 
 
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
-    """Return the spacing of a grid at its centre, along rows and along columns, in metres.
-
-    ``frame`` is the local frame centred there, where map metres are metres on the ground.
-    """
+    """Return the spacing of a grid at its centre, the frame's origin, along rows and columns."""
     x, y = grid.centre
     half_east, half_north = 0.5 * grid.step_east, 0.5 * grid.step_north
     easting, northing = transformer(crs, frame.crs).transform(
@@ -260,21 +257,11 @@ def _nodes(count: int) -> Float64Array:
 
 
 def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float32Array:
-    """Return heights at fractional rows and columns by cubic convolution, NaN outside and on holes.
+    """Return heights at fractional rows and columns by cubic convolution (Keys 1981, a = -1/2).
 
-    Keys 1981, a = -1/2.
-
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32
-        NaN marks holes.
-    row, col : float64, of one shape
-
-    Returns
-    -------
-    float32 of that shape
-        None is above or below the four samples around its position. Where one of the 4 x 4 samples
-        is a hole it is interpolated bilinearly, and where the nearest is, it is a hole.
+    No height is above or below the four samples around its position. Where one of the 4 x 4
+    samples is a hole (NaN), the height is interpolated bilinearly; where the nearest sample is a
+    hole, and outside, it is NaN.
     """
     rows, cols = heights_m.shape
     # A source of a single row has no inside; its samples stand for their pixels.
@@ -370,16 +357,9 @@ def keep_summits(
 
     The nearest is looked for among the samples at the corners of the cell that the maximum lies
     in, and holes stay holes. So every summit is as high as it was, at most 0.71 of the target's
-    spacing aside, and nothing is higher than some sample of the source.
-
-    Parameters
-    ----------
-    warped_m : (rows, cols) float32
-        On ``target``.
-    heights_m : (rows, cols) float32
-        The source's, on ``grid``.
-    to_target : Transformer
-        From the source's CRS to the target's.
+    spacing aside, and nothing is higher than some sample of the source. ``warped_m`` lies on
+    ``target``, the source's ``heights_m`` on ``grid``; ``to_target`` leads from the CRS of the
+    source to that of the target.
     """
     row, col = local_maxima(heights_m)
     easting, northing = to_target.transform(

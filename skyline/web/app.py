@@ -37,6 +37,7 @@ from skyline.web.session import (
     Session,
     Sessions,
     candidate_json,
+    opened,
     saved,
     version_of,
 )
@@ -63,26 +64,20 @@ def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
     return _Pages(engine, started).app()
 
 
-def leaflet_folder() -> Path:
-    """Return the folder of the map viewer Leaflet; raises `InputError` if it is not installed."""
-    try:
-        folder = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
-    except PackageNotFoundError as error:
-        raise InputError(
-            "the page needs packages that are not installed; pip install 'skyline[web]'"
-        ) from error
-    return Path(str(folder))
-
-
 class _Pages:
     """The request handlers of the page, which share its engine and sessions."""
 
     def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
         self._started = started
-        self._running: set[asyncio.Task[None]] = set()
 
     def app(self) -> Starlette:
+        try:
+            leaflet = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
+        except PackageNotFoundError as error:
+            raise InputError(
+                "the page needs packages that are not installed; pip install 'skyline[web]'"
+            ) from error
         of_photo = "/session/{session}/photos/{photo}"
         routes = [
             Route("/", _page),
@@ -102,7 +97,7 @@ class _Pages:
             Route(f"{of_photo}/fit", self._fit, methods=["POST"]),
             Route(f"{of_photo}/save/{{kind}}", self._save, methods=["POST"]),
             Mount("/page", StaticFiles(directory=_PAGE)),
-            Mount("/leaflet", StaticFiles(directory=leaflet_folder())),
+            Mount("/leaflet", StaticFiles(directory=str(leaflet))),
         ]
         refused = dict.fromkeys((SkylineError, KeyError, IndexError, ClientDisconnect), _refused)
         return Starlette(routes=routes, exception_handlers=refused, lifespan=self._lifespan)
@@ -168,7 +163,7 @@ class _Pages:
 
     async def _first_look(self, session: Session, photo: PagePhoto) -> Response:
         try:
-            await self._engine.work("photos", self._sessions.opened.first_look, photo)
+            await self._engine.work("photos", photo.first_look)
         except SkylineError:
             session.remove(photo)
             raise
@@ -177,19 +172,17 @@ class _Pages:
     async def _remove(self, request: Request) -> Response:
         photo = self._photo(request)
         self._session(request).remove(photo)
-        self._sessions.opened.forget(photo)
         return JSONResponse({})
 
     async def _picture(self, request: Request) -> Response:
         photo = self._photo(request)
-        jpeg = await self._engine.work("photos", self._sessions.opened.jpeg, photo)
+        jpeg = await self._engine.work("photos", photo.jpeg)
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     async def _skyline(self, request: Request) -> Response:
         photo, asked = self._photo(request), await _json(request)
         if "strokes" in asked:
-            strokes = strokes_of(asked["strokes"])
-            await self._engine.work("strokes", self._sessions.opened.solve, photo, strokes)
+            await self._engine.work("strokes", photo.solve, strokes_of(asked["strokes"]))
         return _lines(photo)
 
     async def _trace(self, request: Request) -> Response:
@@ -197,20 +190,10 @@ class _Pages:
         path = session.path_for("trace.csv")
         try:
             await _received(request, path, "the trace", _MAX_TRACE_BYTES)
-            await self._engine.work("strokes", self._load_trace, photo, path)
+            await self._engine.work("strokes", _load_trace, photo, path)
         finally:
             path.unlink(missing_ok=True)
         return _lines(photo)
-
-    def _load_trace(self, photo: PagePhoto, path: Path) -> None:
-        try:
-            trace = read_trace(path)
-            _, correction = self._sessions.opened.open(photo)
-            correction.restarted(trace)
-        except SkylineError as error:
-            raise InputError(str(error).replace(str(path), "the trace")) from error
-        photo.trace = trace
-        self._sessions.opened.solve(photo, ())
 
     async def _match(self, request: Request) -> Response:
         """Match a photo; the response comes when the match has ended or was cancelled."""
@@ -253,7 +236,7 @@ class _Pages:
         if kind not in KINDS:
             return Response(status_code=404)
         candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine.viewer)
-        arguments = kind, self._engine, self._sessions.opened, photo, candidates, session.folder
+        arguments = kind, self._engine, photo, candidates, session.folder
         content = await self._engine.work("files", saved, *arguments)
         return Response(content, media_type=KINDS[kind][1])
 
@@ -379,6 +362,17 @@ def _gaps(gap_deg: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
 def _lines(photo: PagePhoto) -> Response:
     headers = {"ETag": f'"{version_of(photo.known())}"'}
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
+
+
+def _load_trace(photo: PagePhoto, path: Path) -> None:
+    """Take a photo's skyline from a trace; an error of the file calls it the trace."""
+    try:
+        trace = read_trace(path)
+        opened(photo)[1].restarted(trace)
+    except SkylineError as error:
+        raise InputError(str(error).replace(str(path), "the trace")) from error
+    photo.trace = trace
+    photo.solve(())
 
 
 async def _page(_: Request) -> Response:

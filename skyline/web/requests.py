@@ -8,8 +8,6 @@ from typing import Any
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
 from skyline.web.session import PagePhoto
 
-_MAX_STROKES = 2000
-_MAX_POINTS = 20_000
 _RANGES = {
     "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "km": (0.01, 20_000.0),
     "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
@@ -31,8 +29,8 @@ def number(asked: Mapping[str, Any], name: str) -> float:
 
 def strokes_of(asked: Any) -> list[Stroke]:
     """Return the strokes of a request."""
-    if not isinstance(asked, list) or len(asked) > _MAX_STROKES:
-        raise InputError(f"the strokes are no list of at most {_MAX_STROKES}; undo some strokes")
+    if not isinstance(asked, list):
+        raise InputError("the strokes are no list; reload the page")
     return [_stroke(stroke) for stroke in asked]
 
 
@@ -40,15 +38,13 @@ def _stroke(asked: Any) -> Stroke:
     if not isinstance(asked, Mapping) or asked.get("kind") not in set(StrokeKind):
         raise InputError(f"a stroke is none of {', '.join(StrokeKind)}")
     points = asked.get("points")
-    if not isinstance(points, list) or not 0 < len(points) <= _MAX_POINTS:
-        raise InputError(f"a stroke has no list of 1 to {_MAX_POINTS} points")
-    pairs = []
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2:
-            raise InputError("a point of a stroke is no pair of a column and a row")
-        at = dict(zip(("column", "row"), point, strict=True))
-        pairs.append((number(at, "column"), number(at, "row")))
-    return Stroke(StrokeKind(asked["kind"]), tuple(pairs), number(asked, "radius"))
+    if not isinstance(points, list) or not all(isinstance(p, list) and len(p) == 2 for p in points):
+        raise InputError("the points of a stroke are no list of pairs of a column and a row")
+    pairs = tuple(
+        (number({"column": column}, "column"), number({"row": row}, "row"))
+        for column, row in points
+    )
+    return Stroke(StrokeKind(asked["kind"]), pairs, number(asked, "radius"))
 
 
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:

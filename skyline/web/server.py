@@ -34,24 +34,13 @@ _ENDS_S = 3
 
 
 def serve(given: Given, host: str, port: int) -> None:
-    """Serve the page until Ctrl-C.
+    """Serve the page until Ctrl-C; port 0 takes any that is free.
 
-    Parameters
-    ----------
-    host : str
-        Address to listen on.
-    port : int
-        Port to listen on; 0 for any free port.
-
-    Raises
-    ------
-    InputError
-        The server cannot listen on the address.
-    SkylineError
-        The store cannot be used; see `Engine`.
+    Raises `InputError` if the address cannot be listened on, and `SkylineError` as `Engine`.
     """
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as opened:
-        listening = _listening(opened, host, port)
+        # Connections from now on wait until the server is ready.
+        listening = opened.enter_context(_listening(host, port))
         port = listening.getsockname()[1]
         engine = opened.enter_context(contextlib.closing(Engine(given)))
         config = uvicorn.Config(
@@ -62,7 +51,6 @@ def serve(given: Given, host: str, port: int) -> None:
             ws_max_size=_MAX_MESSAGE_BYTES,
             timeout_graceful_shutdown=_ENDS_S,
         )
-        listening.listen()  # Connections from now on wait until the server is ready.
         uvicorn.Server(config).run(sockets=[listening])
 
 
@@ -73,19 +61,15 @@ def _print_ready(host: str, port: int) -> None:
         print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
 
 
-def _listening(opened: contextlib.ExitStack, host: str, port: int) -> socket.socket:
+def _listening(host: str, port: int) -> socket.socket:
+    is_v6 = ":" in host
+    family = socket.AF_INET6 if is_v6 else socket.AF_INET
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        listening = opened.enter_context(socket.socket(family, kind, protocol))
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(address)
+        return socket.create_server((host, port), family=family, dualstack_ipv6=is_v6)
     except OSError as error:
         raise InputError(
             f"{host} port {port} cannot be listened on ({error}); name another with --port"
         ) from error
-    return listening
 
 
 class Guard:

@@ -7,11 +7,10 @@ import shutil
 import tempfile
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,43 +36,32 @@ from skyline.web.engine import Engine, shown_name
 
 MAX_UPLOAD_BYTES = 100_000_000
 MAX_SESSION_BYTES = 2_000_000_000
-MAX_PHOTOS = 300
-MAX_SESSIONS = 50
 _GONE_S = 900.0
 """Time for which a session is kept after its last page closed: the page may be opened again."""
 _UNATTENDED_S = 3.0
 """Time for which a match goes on without an open page."""
-MAX_PIXELS = 120_000_000
-"""Largest picture that browsers show."""
 _SHOWN_PX = 6000
 """Longest side of the picture sent to the page."""
 _KEPT = 4
 """Number of photos whose pixels and evidence stay in memory."""
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Beginning and end of each step of a match, as shares of the whole."""
-KINDS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "geojson": ("geojson", "application/geo+json"),
-        "kml": ("kml", "application/vnd.google-earth.kml+xml"),
-        "kmz": ("kmz", "application/vnd.google-earth.kmz"),
-        "gpx": ("gpx", "application/gpx+xml"),
-        "trace": ("csv", "text/csv"),
-        "report": ("html", "application/octet-stream"),
-        "photo": ("jpg", "image/jpeg"),
-    }
-)
+KINDS = {
+    "geojson": ("geojson", "application/geo+json"),
+    "kml": ("kml", "application/vnd.google-earth.kml+xml"),
+    "kmz": ("kmz", "application/vnd.google-earth.kmz"),
+    "gpx": ("gpx", "application/gpx+xml"),
+    "trace": ("csv", "text/csv"),
+    "report": ("html", "application/octet-stream"),
+    "photo": ("jpg", "image/jpeg"),
+}
 """Suffix and media type of each kind of file that the page saves."""
 
 
 class PagePhoto:
     """A photo on the page, with its skyline, its strokes and its results.
 
-    Parameters
-    ----------
-    path : Path
-        The photo's file, which is never changed.
-    name : str
-        The user's name of the file.
+    Its file at ``path`` is never changed; ``name`` is the user's name of it.
     """
 
     def __init__(self, path: Path, name: str) -> None:
@@ -114,6 +102,29 @@ class PagePhoto:
             }
         return record
 
+    def first_look(self) -> None:
+        """Open the new photo and find its skyline; raises as `opened`."""
+        read, correction = opened(self)
+        self.seen = replace(read, rgb=read.rgb[:0])
+        self.query, self.state = correction.solve(), "ready"
+
+    def solve(self, strokes: Sequence[Stroke]) -> None:
+        """Find the skyline again under all strokes."""
+        _, correction = opened(self)
+        if self.trace is not None:
+            correction = correction.restarted(self.trace)
+        with self.lock:
+            self.query, self.strokes = correction.solve(strokes), tuple(strokes)
+            self.fitted = None
+
+    def jpeg(self) -> bytes:
+        """Return the picture that the page draws, without the file's metadata."""
+        picture = Image.fromarray(opened(self)[0].rgb)
+        picture.thumbnail((_SHOWN_PX, _SHOWN_PX))
+        held = io.BytesIO()
+        picture.save(held, format="JPEG", quality=90)
+        return held.getvalue()
+
     def lines(self) -> bytes:
         """Return the skyline's rows, then its confidences, as float32; NaN and 0 if not trusted."""
         query = self.known()
@@ -133,62 +144,6 @@ class PagePhoto:
         return self.query
 
 
-class Opened:
-    """The photos opened last: their pixels, and the correction that finds their skylines."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[str, tuple[Photo, Correction]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def open(self, photo: PagePhoto) -> tuple[Photo, Correction]:
-        """Return a photo and its correction, read from the file if they are no longer in memory.
-
-        Raises `SkylineError` if the photo cannot be used; the message names it without its path.
-        """
-        with self._lock:
-            if photo.id in self._kept:
-                self._kept.move_to_end(photo.id)
-                return self._kept[photo.id]
-        with photo.lock:
-            opened = _read(photo)
-        with self._lock:
-            self._kept[photo.id] = opened
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        return opened
-
-    def forget(self, photo: PagePhoto) -> None:
-        """Drop a photo from memory."""
-        with self._lock:
-            self._kept.pop(photo.id, None)
-
-    def first_look(self, photo: PagePhoto) -> None:
-        """Open a new photo and find its skyline; raises as `open`."""
-        read, correction = self.open(photo)
-        query = correction.solve()
-        photo.seen = replace(read, rgb=read.rgb[:0])
-        photo.query, photo.state = query, "ready"
-
-    def solve(self, photo: PagePhoto, strokes: Sequence[Stroke]) -> QuerySkyline:
-        """Find a photo's skyline again under all its strokes."""
-        _, correction = self.open(photo)
-        if photo.trace is not None:
-            correction = correction.restarted(photo.trace)
-        with photo.lock:
-            photo.query, photo.strokes = correction.solve(strokes), tuple(strokes)
-            photo.fitted = None
-            return photo.query
-
-    def jpeg(self, photo: PagePhoto) -> bytes:
-        """Return the picture that the page draws, without the file's metadata."""
-        read, _ = self.open(photo)
-        picture = Image.fromarray(read.rgb)
-        picture.thumbnail((_SHOWN_PX, _SHOWN_PX))
-        held = io.BytesIO()
-        picture.save(held, format="JPEG", quality=90)
-        return held.getvalue()
-
-
 def version_of(query: QuerySkyline) -> str:
     """Return a digest that distinguishes a skyline from others of the same photo."""
     return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
@@ -199,14 +154,12 @@ def _is_guess(query: QuerySkyline) -> bool:
     return query.lens is not None and query.lens.most_deg is not None
 
 
-def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
-    """Read a photo and find its skyline; errors give the user's name of the file."""
-    too_many = _too_many(photo.path)
-    if too_many is not None:
-        raise InputError(
-            f"{photo.name} has {too_many} pixels; the page takes at most "
-            f"{MAX_PIXELS // 1_000_000} million: scale it down, 12 million are plenty"
-        )
+@lru_cache(maxsize=_KEPT)
+def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
+    """Return a photo and its correction, read from the file unless they are still in memory.
+
+    Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
+    """
     try:
         read = read_photo(photo.path)
         return read, Correction(read)
@@ -214,18 +167,6 @@ def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
         message = str(error.args[0]).replace(str(photo.path), photo.name)
         named = message if photo.name in message else f"{photo.name}: {message}"
         raise InputError(named) from error
-
-
-def _too_many(path: Path) -> str | None:
-    """Return a picture's size in words if it has too many pixels, else None."""
-    try:
-        with Image.open(path) as image:
-            width, height = image.size
-    except Image.DecompressionBombError:
-        return "more than 170 million"
-    except Exception:  # Reading the file reports why it is no picture.
-        return None
-    return f"{width} x {height}" if width * height > MAX_PIXELS else None
 
 
 class _CancelledError(Exception):
@@ -330,19 +271,13 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
 def saved(
     kind: str,
     engine: Engine,
-    opened: Opened,
     photo: PagePhoto,
     candidates: Sequence[Candidate],
     folder: Path,
 ) -> bytes:
     """Return the content of a file of one of `KINDS`; it is written in a folder and read back.
 
-    Raises `InputError` if there is nothing to save yet.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The pose to save, then the other candidates of its search.
+    The first candidate is the pose to save. Raises `InputError` if there is nothing to save yet.
     """
     if kind != "trace" and not candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
@@ -354,7 +289,7 @@ def saved(
         elif kind == "photo":
             write_located(photo.path, path, candidates[0])
         else:
-            result, photos = _result(photo, candidates), [opened.open(photo)[0].rgb]
+            result, photos = _result(photo, candidates), [opened(photo)[0].rgb]
             if kind == "report":
                 peaks = None if engine.viewer is None else engine.viewer.peaks
                 done = f"{candidates[0].origin.capitalize()} on the page."
@@ -403,8 +338,6 @@ class Session:
 
     def add(self, path: Path, name: str) -> PagePhoto:
         """Add a photo to the page."""
-        if len(self.photos) >= MAX_PHOTOS:
-            raise InputError(f"there are {MAX_PHOTOS} photos on the page; remove some first")
         photo = PagePhoto(path, shown_name(name))
         self.photos[photo.id] = photo
         if path.parent == self.folder:
@@ -442,15 +375,9 @@ class Sessions:
     def __init__(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="skyline-page-"))
         self._sessions: dict[str, Session] = {}
-        self.opened = Opened()
 
     def begin(self) -> Session:
-        """Return a new session; if there are too many, the one closed longest ago is ended."""
-        if len(self._sessions) >= MAX_SESSIONS:
-            oldest = max(list(self._sessions.values()), key=lambda session: session.unattended_s)
-            if oldest.pages:
-                raise InputError(f"{MAX_SESSIONS} pages are open; close some of them")
-            self._end(oldest)
+        """Return a new session."""
         session = Session(self._folder / secrets.token_urlsafe(24))
         self._sessions[session.id] = session
         return session
@@ -477,6 +404,5 @@ class Sessions:
     def _end(self, session: Session) -> None:
         for photo in list(session.photos.values()):
             session.remove(photo)
-            self.opened.forget(photo)
         self._sessions.pop(session.id, None)
         shutil.rmtree(session.folder, ignore_errors=True)

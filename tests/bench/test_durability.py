@@ -1,4 +1,4 @@
-"""A small run of what `skyline-bench store-durability` does at length."""
+"""Small runs of `skyline-bench store-durability` and `input-fuzz`."""
 
 import json
 import subprocess
@@ -7,27 +7,44 @@ import sys
 import pytest
 from scenes import fractal, write_dem
 
-pytestmark = pytest.mark.slow
+
+@pytest.fixture
+def rows(tmp_path):
+    """Return a function that runs a command and gives the rows of its record.
+
+    It runs in a process of its own: OpenGL does not outlive the forks of these commands.
+    """
+
+    def run(*arguments):
+        record = tmp_path / "record.json"
+        program = [sys.executable, "-c", "from skyline_bench.cli import main; main()"]
+        command = [*program, *map(str, arguments), "--json", record]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(record.read_text())["rows"]
+
+    return run
 
 
-def test_nothing_is_lost_and_all_damage_is_found(tmp_path):
+@pytest.mark.slow
+def test_nothing_is_lost_and_all_damage_is_found(rows, tmp_path):
     dem = write_dem(tmp_path / "dem.tif", fractal(220, 220, 700.0, seed=12))
-    record = tmp_path / "record.json"
-    # In a process of its own: forks of one with threads are fragile.
-    command = [
-        sys.executable, "-c", "from skyline_bench.cli import main; main()",
-        "store-durability", str(dem), "--quick", "--json", str(record),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(record.read_text())["rows"]
-    kills = [row for row in rows if row["test"] == "kills"]
+    found = rows("store-durability", dem, "--quick")
+    kills = [row for row in found if row["test"] == "kills"]
     assert len(kills) == 4
     for row in kills:
         assert (row["builds"], row["equal"], row["lost"]) == (1, 1, 0)
-    for row in rows:
+    for row in found:
         if row["test"] == "flips":
             assert row["harmful"] == row["found"] >= 1
             assert (row["silent"], row["crashes"]) == (0, 0)
         if row["test"] == "mutated":
             assert (row["read"] + row["refused"], row["wrong"]) == (10, {})
+
+
+def test_damaged_files_are_answered_or_refused(rows):
+    found = rows("input-fuzz", "--cases", 3)
+    assert len(found) == 6
+    for row in found:
+        assert row["answered"] + row["refused"] == 3
+        assert not row["wrong"]

@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
-from skyline_bench.photos import right_columns, summarize
+from skyline_bench.photos import count_columns, summarize
 from skyline_bench.queries.manifest import Photograph, read_manifest
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
@@ -72,18 +72,15 @@ def test_columns_are_right_within_a_hundredth_of_the_height(tmp_path):
     true_px = np.full(100, 51.9)
     true_px[5:] = 52.1
     true_px[60:] = np.nan
-    told = right_columns(query, true_px)
-    assert told["right_columns"] == pytest.approx(5 / 19)
-    assert told["found_columns"] == pytest.approx(5 / 60)
-    assert told["row_error"] == pytest.approx(2.1 / 200)
+    assert count_columns(query, true_px) == (19, 5, 60)
 
 
 def test_a_photograph_that_is_wrong_in_all_columns_counts():
     rows = [
         {"kind": "extract", "trusted": 0.9, "right_columns": share} for share in (0.0, 0.4, 1.0)
     ] + [{"kind": "extract", "lost": "extraction"}]
-    (told,) = summarize(rows)
-    assert (told["mostly_wrong"], told["no_skyline"]) == (2, 1)
+    (row,) = summarize(rows)
+    assert (row["mostly_wrong"], row["no_skyline"]) == (2, 1)
 
 
 def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
@@ -99,7 +96,7 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "error", "said"),
+    ("text", "error", "message"),
     [
         ("photo,kind\nabsent.jpg,extract\n", MissingFileError, "names 1 files that do not exist"),
         ("photo,kind,fov\na.jpg,extract,60\n", InputError, "expected photo, kind and some of"),
@@ -109,10 +106,10 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
         ("photo,kind\n", InputError, "names no photograph"),
     ],
 )
-def test_a_manifest_that_is_none_is_one_line(tmp_path, text, error, said):
+def test_a_bad_manifest_is_one_line(tmp_path, text, error, message):
     path = tmp_path / "manifest.csv"
     path.write_text(text)
-    with pytest.raises(error, match=said) as caught:
+    with pytest.raises(error, match=message) as caught:
         read_manifest(path)
     assert "\n" not in str(caught.value)
 

@@ -155,9 +155,6 @@ def test_the_upper_of_two_branches_is_the_skyline():
     assert np.isfinite(row_px).all()
 
 
-# --- what stands before the mountains -------------------------------------------------------------
-
-
 # --- other elevation models -----------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
 from skyline import JointResult, MatchResult
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.kinds import make_kind
@@ -145,19 +145,16 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
 @pytest.mark.parametrize(
     ("command", "arguments", "message"),
     [
-        ("matching", ["--queries", "0"], "queries is 0"),
-        ("matching", ["--seed", "-1"], "seed is -1"),
+        ("matching", ["--queries", "0"], "Invalid value for '--queries'"),
+        ("matching", ["--seed", "-1"], "Invalid value for '--seed'"),
         ("matching", ["--bounds", "40,10,41,11"], "do not meet the DEM"),
         ("matching", ["--spacing", "3400"], "too small for a grid of 3400 m"),
         ("matching", ["--store", "RENDERINGS", "--matcher", "full"], "which none of full searches"),
         ("matching", ["--matcher", "best"], "matcher is 'best'"),
-        ("matching", ["--kind", "easy"], "kind of queries is 'easy'"),
-        ("matching", ["--store", "none.h5"], "none.h5 does not exist"),
-        ("uniform-adaptive", ["--queries", "2"], "queries is 2; expected 3"),
+        ("uniform-adaptive", ["--queries", "2"], "Invalid value for '--queries'"),
         ("uniform-adaptive", ["--strategy", "best"], "strategy is 'best'"),
         ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),
-        ("scale", ["--area", "0"], "area is 0.0 km2"),
-        ("scale", ["--near", "-1"], "radius is -1.0 km"),
+        ("scale", ["--area", "0"], "Invalid value for '--area'"),
         ("placing", ["--json", "/none/record.json"], "no folder"),
     ],
 )
@@ -169,16 +166,6 @@ def test_bad_options_are_one_line_and_write_nothing(
     assert not list(tmp_path.iterdir())
 
 
-# --- stores and areas -----------------------------------------------------------------------
-
-
-AREA_M = (1000.0, 1000.0, 7000.0, 7000.0)
-
-
-def truth_at(easting_m, northing_m, heading_deg=0.0):
-    return Truth(easting_m, northing_m, 1000.0, heading_deg, 0.0, 0.0, 60.0)
-
-
 # --- trials and what they come to -----------------------------------------------------------
 
 
@@ -186,7 +173,7 @@ SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 
 
 def query_at(easting_m, heading_deg=0.0):
-    truth = truth_at(easting_m, 0.0, heading_deg)
+    truth = Truth(easting_m, 0.0, 1000.0, heading_deg, 0.0, 0.0, 60.0)
     return SyntheticQuery(SKYLINE, 60.0, 0.03, truth, SKYLINE.row_px, 4000.0, ())
 
 
@@ -234,7 +221,7 @@ def test_kinds_of_one_place_share_their_photos():
     assert [photo.truth for photo in mixed[0][:2]] == [one[0].truth for one in alone[:2]]
     assert mixed[0][2].truth == together[1][2].truth
     with pytest.raises(InputError, match="give --strange"):
-        make_kind("strangers", terrain, AREA_M, 1, 0)
+        make_kind("strangers", terrain, terrain.bounds_m, 1, 0)
 
 
 TRIALS = [
@@ -270,8 +257,6 @@ def test_groups_hold_every_query_once():
     assert groups(distance_m, by_thirds=True) == {
         "close": [1, 2, 6], "medium": [0, 4], "far": [3, 5], "all": [*range(7)],
     }  # fmt: skip
-    with pytest.raises(InputError, match="expected at least 3"):
-        groups([1.0, 2.0], by_thirds=True)
 
 
 def row(store, matcher, renderings, mean_m, group="all"):

@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from commands import assert_refused
 from scenes import FRAME, at_m, field_of, fractal
 
 from skyline import Curvature, HeightField, horizon, stand_on
@@ -55,24 +54,6 @@ def test_speed_error_finds_the_errors_there_are(measured):
             assert row["max_px"] > 0.1
         elif row["path"] == "embree":
             assert row["rms_px"] < row["max_px"] < 320.0 / 2.0 ** row["bisections"] + 0.01
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["none.tif"], "none.tif"),
-        (["DEM", "--seed", "-1"], "seed is -1"),
-        (["DEM", "--json", "no/record.json"], "no folder"),
-        ([], "DEM"),
-    ],
-)
-def test_bad_options_are_one_line_and_write_nothing(
-    run_bench, dem, tmp_path, monkeypatch, arguments, message
-):
-    monkeypatch.chdir(tmp_path)
-    given = [{"DEM": dem}.get(word, word) for word in arguments]
-    assert_refused(run_bench("speed-error", "--quick", *given), message)
-    assert not list(tmp_path.iterdir())
 
 
 # --- GRASS ----------------------------------------------------------------------------------
@@ -137,6 +118,3 @@ def test_a_column_without_a_value_is_missing_and_cannot_hide_behind_a_flag(truth
     flags[0, 0] = FLAG_HOLE
     found = compare(dataclasses.replace(truth, elevation_tan=tan, flags=flags), truth)
     assert (found["missing"], found["max_px"], found["columns"]) == (3, 0.0, 61)
-
-
-# --- fair times -----------------------------------------------------------------------------

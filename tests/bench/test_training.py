@@ -5,15 +5,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
 
 from skyline.cli.console import run_app
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
-from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.made_photos import Scenery
-from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_training.__main__ import app
 from skyline_training.confidence import (
     Example,
@@ -24,7 +20,7 @@ from skyline_training.confidence import (
     write_models,
 )
 from skyline_training.landscapes import GROUND, SKY
-from skyline_training.photos import draw_photo, draw_training_photo, draw_view
+from skyline_training.photos import draw_training_photo, draw_view
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
 
 NEAR_M = RIGHT_WITHIN_M
@@ -86,38 +82,6 @@ def test_training_photographs_have_sky_above_and_ground_below_their_skyline(draw
         shown += len(columns)
     assert shown > 0.4 * 12 * 200
     assert draw(11).image.tobytes() == photo.image.tobytes()
-
-
-VIEW = QueryConfig(fov_deg=(50.0, 70.0), width_px=480, height_px=320, azimuths=5120)
-MIDDLE = (2000.0, -3000.0, 3000.0, -2000.0)
-CLEAR = Scenery(clouds=0.0)
-
-
-@pytest.fixture(scope="module")
-def terrain():
-    return field_of(fractal(170, 170, 400.0, seed=9))
-
-
-@pytest.fixture(scope="module")
-def renderer(terrain):
-    with DepthRenderer(terrain, 1024) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def queries(terrain):
-    return make_queries(terrain, MIDDLE, 3, seed=1, config=VIEW)
-
-
-def test_sky_and_ground_meet_at_the_true_skyline(renderer, queries):
-    for query in queries:
-        picture = draw_photo(renderer, query, 5, CLEAR).astype(float)
-        column = np.flatnonzero((query.row_px > 6.0) & (query.row_px < 310.0))
-        assert len(column) > 200
-        above = picture[np.floor(query.row_px[column] - 3.0).astype(int), column]
-        below = picture[np.ceil(query.row_px[column] + 3.0).astype(int), column]
-        # The sky is bluish and bright, forest is neither.
-        assert ((above[:, 2] > 150.0).mean(), (below[:, 2] < 120.0).mean()) > (0.99, 0.99)
 
 
 def test_training_says_what_it_needs(train, tmp_path, monkeypatch):

@@ -62,7 +62,7 @@ SMALLER = {
 
 LEFT = {
     "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
-    "surfaces.md": ("both.png", "trees.png"),
+    "surfaces.md": ("both.csv", "trees.png"),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
 """Page -> files that its commands leave."""

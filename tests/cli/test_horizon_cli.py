@@ -92,12 +92,6 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
     np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
 
 
-def test_a_plot_is_drawn(run, dem, places, tmp_path):
-    target = tmp_path / "horizon.png"
-    assert run("horizon", dem, "--at", places[0], "-o", target).code == 0
-    assert target.read_bytes().startswith(b"\x89PNG")
-
-
 def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
     assert run("horizon", dem, "--at", places[0]).code == 0
     assert "look over the DEM's border or over a hole" in caplog.text

@@ -15,14 +15,12 @@ from scenes import field_of, fractal, write_dem
 
 from skyline import RenderConfig, Viewpoints, read_dem, render_to_store, stand_on
 from skyline.build import cluster, parts, plans
-from skyline.build.cluster import remote_runner
-from skyline.build.grid import uniform_grid
+from skyline.build.cluster import runner_of
 from skyline.build.parts import build_places, build_store
-from skyline.build.plans import PlacePlan, RenderingPlan
+from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
-from skyline.render.horizon import HorizonRenderer
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
 from skyline.store import check_store, open_store
 from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder
@@ -69,7 +67,7 @@ def whole(request, terrain, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def runner(dask_cluster):
-    with remote_runner(dask_cluster.scheduler_address) as runner:
+    with runner_of(dask_cluster.scheduler_address) as runner:
         yield runner
 
 

@@ -16,11 +16,11 @@ import pytest
 from skyline.errors import ContextError, InputError
 from skyline.render import context as context_module
 from skyline.render.context import (
+    _OSMESA_LIBRARIES,
     acquire_context,
     describe_context,
     release_context,
 )
-from skyline.render.osmesa import OSMESA_LIBRARIES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TRIANGLE = """
@@ -47,7 +47,7 @@ def loadable(names: tuple[str, ...]) -> bool:
     return False
 
 
-needs_osmesa = pytest.mark.skipif(not loadable(OSMESA_LIBRARIES), reason="no libOSMesa here")
+needs_osmesa = pytest.mark.skipif(not loadable(_OSMESA_LIBRARIES), reason="no libOSMesa here")
 
 
 def draw(ctx: moderngl.Context, green: float) -> tuple[int, ...]:
@@ -206,9 +206,9 @@ def test_osmesa_comes_after_an_egl_that_fails() -> None:
 def test_without_opengl_the_error_has_all_attempts_and_the_packages() -> None:
     result = run_python("""
         from skyline.errors import ContextError
-        from skyline.render import context, osmesa
+        from skyline.render import context
         context._EGL_LIBRARY = "libNoEGL.so.1"
-        osmesa.OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
+        context._OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
         try:
             context.acquire_context()
         except ContextError as error:

@@ -7,7 +7,6 @@ from scenes import field_of, fractal
 from skyline.errors import ContextError, InputError
 from skyline.render import march, windows
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.march import ColumnRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -73,22 +72,17 @@ def test_falls_short_by_no_more_than_the_tolerance(tolerance_px):
         assert short.max() <= tolerance_px + EXACT_PX
 
 
-def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
+def test_a_gpu_without_memory_is_one_line(rough, monkeypatch):
     field, eyes = rough
-    reserve = ColumnRenderer._reserve
 
-    def full(self, rows):
-        if rows > 8:
+    class FullContext:
+        def buffer(self, **_):
             raise march.moderngl.Error("cannot create buffer")
-        reserve(self, rows)
 
-    whole = render(field, eyes)
-    monkeypatch.setattr(ColumnRenderer, "_reserve", full)
-    assert_same(render(field, eyes), whole)
-    assert "out of GPU memory" in caplog.text
-    monkeypatch.setattr(ColumnRenderer, "_reserve", lambda self, rows: full(self, 9))
-    with pytest.raises(ContextError, match="cannot hold one view"):
-        render(field, eyes)
+    with HorizonRenderer(field, 320) as renderer, monkeypatch.context() as patched:
+        patched.setattr(renderer, "_ctx", FullContext())
+        with pytest.raises(ContextError, match=r"no room for skylines .* choose a smaller width"):
+            renderer.render(eyes)
 
 
 def test_samples_much_longer_than_wide_are_refused():

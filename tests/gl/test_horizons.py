@@ -6,7 +6,7 @@ from scenes import at_m, field_of, fractal
 
 from skyline.geodesy import Curvature
 from skyline.render import windows
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle

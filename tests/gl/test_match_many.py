@@ -7,7 +7,7 @@ import pytest
 from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
-from skyline.build.cluster import remote_runner
+from skyline.build.cluster import runner_of
 from skyline.match import queries
 from skyline.match.matchers import FULL
 from skyline.match.queries import Query, match_many
@@ -93,7 +93,7 @@ def test_two_workers_find_what_one_process_finds(
     with open_store(store) as opened:
         blocks = len(list(opened.places().blocks()))
     assert blocks > 4
-    with remote_runner(dask_cluster.scheduler_address) as runner:
+    with runner_of(dask_cluster.scheduler_address) as runner:
         counted = Counted(runner)
         found = list(match_many(counted, asked(store, config), queries_of(traces, narrowing)))
     assert len(counted.names) == len(traces) * (blocks + 1)

@@ -13,8 +13,8 @@ from skyline.geodesy import Frame
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import RenderedScene
 from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.terrain.dem import UNKNOWN_M, read_surface
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import UNKNOWN_M, read_surface
 
 SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
 TREES_M = 20.0

@@ -23,8 +23,7 @@ from skyline import (
 from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
 from skyline.render.horizon import HorizonRenderer
-from skyline.report.viewer import Panorama, pixels_of
-from skyline.store.stored_dem import curvature_of
+from skyline.report.viewer import sight_of
 from skyline.terrain.summits import summit_heights_m
 from skyline.terrain.viewpoints import stand_on
 
@@ -111,14 +110,12 @@ def test_a_sight_is_what_four_fine_views_show(
         sight = viewer.look(pose, query)
     terrain = matcher.terrain
     eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
-    with HorizonRenderer(terrain, 4096, curvature_of(matcher.header)) as renderer:
-        fine = Panorama.of(renderer.render(eye[np.zeros(4, int)], HEADINGS))
-    ahead = fine.facing(pose.grid_heading_deg)
-    column, row = pixels_of(pose, query, ahead.azimuth_deg, ahead.elevation_tan)
-    near = np.abs(column - query.width_px / 2.0) < 0.5 * query.width_px
+    with HorizonRenderer(terrain, 4096, matcher.header.curvature) as renderer:
+        fine = sight_of(pose, query, renderer.render(eye[np.zeros(4, int)], HEADINGS))
+    near = np.abs(fine.column_px - query.width_px / 2.0) < 0.5 * query.width_px
     order = np.argsort(sight.column_px)
-    there = np.interp(column[near], sight.column_px[order], sight.row_px[order])
-    off_px = np.abs(there - row[near])
+    there = np.interp(fine.column_px[near], sight.column_px[order], sight.row_px[order])
+    off_px = np.abs(there - fine.row_px[near])
     a_column_px = query.width_px * COLUMN_DEG / fov_deg
     assert np.percentile(off_px, 99) < 2.0 * a_column_px
     assert sight.column_px.min() < 10.0

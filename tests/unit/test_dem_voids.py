@@ -123,6 +123,15 @@ def test_the_sea_stays_where_the_fill_goes():
     assert void_undeclared(heights, SPACING_M) == (160 * 12, [0.0])
 
 
+def test_walls_beside_samples_that_no_file_covers_are_no_fill():
+    heights = mountains()
+    heights[80:, 100:] = np.inf
+    heights[80:, 98] -= 800.0
+    before = heights.copy()
+    assert void_undeclared(heights, SPACING_M) == (0, [])
+    np.testing.assert_array_equal(heights, before)
+
+
 @pytest.mark.parametrize("nodata", [None, 7.0])
 def test_customary_void_values_are_counted(tmp_path, nodata):
     heights = mountains()

@@ -11,7 +11,7 @@ from scenes import fractal
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
 from skyline.fetch import remote
-from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
+from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, address, fetch_dem, tile_corners
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
@@ -55,8 +55,8 @@ def server(contents):
 @pytest.fixture
 def template(server, monkeypatch):
     monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.01)
-    with serve(server) as address:
-        yield f"{address}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
+    with serve(server) as host:
+        yield f"{host}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
 
 
 def fetch(template, folder, bounds=BOUNDS, retries=2):
@@ -159,6 +159,7 @@ def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, hei
         "coprenicus",
         "http://host/{lat.__class__}.tif",
         "http://host/{lat.tif",
+        "http://host/all.tif",
     ],
 )
 def test_templates_that_are_refused(template, tmp_path):
@@ -167,18 +168,17 @@ def test_templates_that_are_refused(template, tmp_path):
 
 
 def test_copernicus_addresses_are_as_documented():
-    source = TileSource.named("copernicus")
-    assert source == TileSource(SOURCES["copernicus"])
-    addresses = [source.url(*tile) for tile in source.tiles((-0.5, -0.5, 0.5, 0.5))]
-    for address, name in zip(
+    template = SOURCES["copernicus"]
+    addresses = [address(template, *tile) for tile in tile_corners((-0.5, -0.5, 0.5, 0.5))]
+    for found, name in zip(
         addresses, ["S01_00_W001", "S01_00_E000", "N00_00_W001", "N00_00_E000"], strict=True
     ):
         full = f"Copernicus_DSM_COG_10_{name}_00_DEM"
-        assert address == f"https://copernicus-dem-30m.s3.amazonaws.com/{full}/{full}.tif"
+        assert found == f"https://copernicus-dem-30m.s3.amazonaws.com/{full}/{full}.tif"
 
 
 def test_bounds_across_the_antimeridian():
-    tiles = TileSource("http://host/{lat}{lon}").tiles((179.5, 10.0, -179.5, 11.0))
+    tiles = tile_corners((179.5, 10.0, -179.5, 11.0))
     assert tiles == [(10, 179), (10, -180)]
 
 
@@ -226,11 +226,3 @@ def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, co
     with pytest.raises(FetchError) as caught:
         fetch(secret, tmp_path / "again", retries=0)
     assert "secret" not in str(caught.value)
-
-
-def test_one_file_over_all(server, heights, tmp_path):
-    server.files["/all.tif"] = geotiff(heights)
-    with serve(server) as address:
-        done = fetch(f"{address}/all.tif", tmp_path)
-    assert [path.name for path in done.files] == ["dem.tif"]
-    expect_heights(done, heights)

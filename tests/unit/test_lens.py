@@ -6,7 +6,7 @@ from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.match.query_rays import QueryRays
-from skyline.photo.lens import Lens, lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.exif import Lens, lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.projection import Projection
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}

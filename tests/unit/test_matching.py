@@ -5,14 +5,13 @@ import pytest
 from query_scenes import equally_trusted
 from scenes import field_of, fractal
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.errors import InputError
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.paper import matcher
-from skyline.paper.affine import plausible, ransac_maps
-from skyline.paper.chamfer import QueryCurve, chamfer_px
+from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
 from skyline.paper.shortlist import Shortlist
 from skyline.store.keypoints import NO_KEYPOINT, polyline_keypoints, polyline_vertices

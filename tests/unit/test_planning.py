@@ -114,9 +114,6 @@ def test_wilson_interval_against_a_published_value():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda t: PlanConfig(coverage=0.0), "coverage is 0.0"),
-        (lambda t: PlanConfig(threshold_px=0.0), "threshold is 0.0"),
-        (lambda t: PlanConfig(strategy="best"), "strategy is 'best'"),
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
         (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),

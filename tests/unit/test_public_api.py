@@ -13,7 +13,7 @@ from skyline.cli import COMMANDS
 
 HEAVY = ("cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray")
 INTERNAL = {
-    "Horizons", "Panorama", "SkySession", "Spec", "WholeFile",
+    "Horizons", "Sighting", "SkySession", "Spec", "WholeFile",
 }  # fmt: skip
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 

@@ -18,19 +18,16 @@ import numpy as np
 import pytest
 from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
-from pyproj import Geod, Transformer
 from scenes import FRAME, candidate_at
 
 from skyline import (
     InputError,
     MatchResult,
-    Projection,
     QuerySkyline,
     export_matches,
     read_photo,
     write_located,
 )
-from skyline_bench.queries.pinhole import Camera
 
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
@@ -130,31 +127,6 @@ def test_gdal_reads_the_gpx(tmp_path):
     assert "confidence 0.93" in points.desc[0]
 
 
-def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
-    path = tmp_path / "cameras.json"
-    export_matches(path, matches(), FRAME)
-    (photo,) = json.loads(path.read_text())["photos"]
-    camera = photo["cameras"][0]
-    assert camera["crs"] == "EPSG:32632"
-    to_utm = Transformer.from_crs("EPSG:4326", camera["crs"], always_xy=True)
-    place = np.array([*to_utm.transform(BEST.lon, BEST.lat), BEST.eye_elevation_m])
-    np.testing.assert_allclose(camera["position_m"], place, atol=0.01)
-    # Straight ahead by the geodesic, and every pixel by another camera's rays.
-    ahead = to_utm.transform(
-        *Geod(ellps="WGS84").fwd(BEST.lon, BEST.lat, BEST.heading_deg, 5e3)[:2]
-    )
-    grid_deg = np.degrees(np.arctan2(*(np.array(ahead) - place[:2])))
-    held = Camera(grid_deg, BEST.pitch_deg, BEST.roll_deg, BEST.fov_deg, 40, 30)
-    rays = held.rays()[..., [0, 2, 1]].reshape(-1, 3)
-    seen = np.array(camera["matrix"]) @ np.array(camera["rotation"]) @ (5e3 * rays.T)
-    row, col = np.mgrid[0:30, 0:40] + 0.5
-    np.testing.assert_allclose(seen[0] / seen[2], col.ravel(), atol=0.02)
-    np.testing.assert_allclose(seen[1] / seen[2], row.ravel(), atol=0.02)
-    panorama = replace(matches()[0].query, projection=Projection.CYLINDRICAL)
-    export_matches(path, [replace(matches()[0], query=panorama)], FRAME)
-    assert json.loads(path.read_text())["photos"][0]["cameras"][0]["matrix"] is None
-
-
 @pytest.mark.parametrize(("pose", "name", "origin", "method"), [
     (OTHER, "candidate 2", "found, rank 2", b"SKYLINE: found, rank 2"),
     (replace(OTHER, rank=None, refined=True), "the fitted pose", "fitted", b"SKYLINE: fitted"),
@@ -162,18 +134,17 @@ def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
 ])  # fmt: skip
 def test_files_say_where_a_pose_comes_from(tmp_path, pose, name, origin, method):
     matched = [replace(matches()[0], name="Tal.jpg", candidates=(pose,))]
-    for suffix in ("kml", "gpx", "geojson", "json"):
+    for suffix in ("kml", "gpx", "geojson"):
         export_matches(tmp_path / f"answer.{suffix}", matched, FRAME)
     mark = Xml.parse(tmp_path / "answer.kml").find(".//{*}Placemark")
     point = Xml.parse(tmp_path / "answer.gpx").find("{*}wpt")
     assert mark.findtext("{*}name") == point.findtext("{*}name") == f"Tal.jpg: {name}"
-    for said in (mark.findtext("{*}description"), point.findtext("{*}desc")):
-        assert said.startswith(f"{origin[0].upper()}{origin[1:]}. ")
-        assert "confidence" not in said
+    for text in (mark.findtext("{*}description"), point.findtext("{*}desc")):
+        assert text.startswith(f"{origin[0].upper()}{origin[1:]}. ")
+        assert "confidence" not in text
     feature, *_ = json.loads((tmp_path / "answer.geojson").read_text())["features"]
-    (photo,) = json.loads((tmp_path / "answer.json").read_text())["photos"]
-    for about in (feature["properties"], photo["cameras"][0]):
-        assert (about["rank"], about["origin"]) == (pose.rank, origin)
+    about = feature["properties"]
+    assert (about["rank"], about["origin"]) == (pose.rank, origin)
     source = tmp_path / "photo.jpg"
     Image.fromarray(PHOTO).save(source)
     write_located(source, source, pose)

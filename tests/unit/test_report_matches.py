@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,15 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
+from skyline.errors import MissingFileError
+from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels
-from skyline.report.match_report import write_match_report
+from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
-from skyline.report.surroundings import Surroundings
-from skyline.report.viewer import Panorama, gap_deg, pixels_of
+from skyline.report.viewer import SeenPeak, Viewer, peaks_in_picture, pixels_of, sight_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -37,29 +39,44 @@ WIDTH_PX, HEIGHT_PX = 900, 600
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
-def render(viewpoints, headings):
-    assert len(viewpoints) == len(headings) == 4
-    return oracle.skyline(FIELD, viewpoints[:1], 256)
-
-
-PANORAMA = Panorama.of(oracle.skyline(FIELD, EYE, 256))
+VIEWS = oracle.skyline(FIELD, EYE, 256)
 BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
+
+
+class OracleViewer(Viewer):
+    """A viewer on one field, whose views are the oracle's."""
+
+    def __init__(self, matcher, peaks=None):
+        if matcher.terrain is None:
+            raise MissingFileError("no terrain")
+        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
+        self.curvature = Curvature()
+
+    def _views(self, eye, pose):
+        return oracle.skyline(self.terrain, eye, 256)
+
+    def release(self):
+        pass
+
+
+@pytest.fixture(autouse=True)
+def oracle_viewer(monkeypatch):
+    monkeypatch.setattr("skyline.report.match_report.Viewer", OracleViewer)
 
 
 def true_query():
     """The query that the best candidate would take, a fifth of its columns masked."""
-    around = PANORAMA.facing(BEST.grid_heading_deg)
-    column, row = pixels_of(BEST, BLANK, around.azimuth_deg, around.elevation_tan)
-    seen = np.isfinite(column)
-    order = np.argsort(column[seen])
-    row_px = np.interp(np.arange(WIDTH_PX), column[seen][order], row[seen][order])
+    sight = sight_of(BEST, BLANK, VIEWS)
+    order = np.argsort(sight.column_px)
+    row_px = np.interp(np.arange(WIDTH_PX), sight.column_px[order], sight.row_px[order])
     row_px[200:380] = np.nan
     row_px[(row_px < 0.0) | (row_px > HEIGHT_PX)] = np.nan
     return QuerySkyline(row_px, np.isfinite(row_px).astype(float), WIDTH_PX, HEIGHT_PX, 70.0)
 
 
 QUERY = true_query()
-AROUND = Surroundings(FIELD.frame, uniform_grid(FIELD, 600.0), FIELD, render)
+SIGHT = sight_of(BEST, QUERY, VIEWS)
+MATCHER = SimpleNamespace(frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD)
 
 
 def pixels(data):
@@ -70,23 +87,13 @@ def like(image, rgb, within=90):
     return np.abs(image[..., ::-1] - np.array(rgb)).sum(axis=-1) < within
 
 
-def median_gap_deg(panorama):
-    return np.median(np.abs(gap_deg(BEST, QUERY, panorama)))
-
-
-def test_the_gap_is_the_angle_between_found_and_rendered():
-    assert median_gap_deg(PANORAMA) < 0.02
-    higher = Panorama(
-        PANORAMA.azimuth_deg,
-        np.tan(np.arctan(PANORAMA.elevation_tan) + np.radians(0.5)),
-        PANORAMA.is_sure,
-    )
-    assert median_gap_deg(higher) == pytest.approx(0.5, abs=0.02)
+def test_there_is_no_gap_between_a_skyline_and_its_rendering():
+    assert SIGHT.median_gap_deg < 0.02
 
 
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
-    image = pixels(draw_overlay(QUERY, photo, BEST, PANORAMA)[0])
+    image = pixels(draw_overlay(QUERY, photo, BEST, SIGHT)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
     found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
@@ -102,12 +109,16 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert not like(bare, (0, 224, 255)).any()
 
 
+def peak(label, elevation_tan=0.2):
+    column, row = pixels_of(BEST, QUERY, BEST.grid_heading_deg, elevation_tan)
+    return SeenPeak(label, float(column), float(row), 2000.0)
+
+
 def test_peaks_without_room_for_a_name_are_counted(tmp_path):
-    ahead = Sighting("A name", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, azimuth_deg=BEST.grid_heading_deg + 180.0)
-    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[1] == 0
+    ahead = peak("A name")
+    assert draw_overlay(QUERY, None, BEST, SIGHT, [ahead])[1] == 0
     # A label's leader keeps others from the place above its own.
-    assert draw_overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind])[1] == 3
+    assert draw_overlay(QUERY, None, BEST, SIGHT, [ahead] * 4)[1] == 3
     turn = np.radians(BEST.grid_heading_deg)
     east, north = 1800.0 + 1500.0 * np.sin(turn), 1800.0 + 1500.0 * np.cos(turn)
     crowd = Peaks(
@@ -118,18 +129,15 @@ def test_peaks_without_room_for_a_name_are_counted(tmp_path):
     )
     heights = np.zeros((120, 120))
     heights[tuple(np.rint(FIELD.to_grid(easting_m=east, northing_m=north)).astype(int))] = 1000.0
-    around = replace(AROUND, terrain=replace(FIELD, heights_m=heights), peaks=crowd)
+    hill = SimpleNamespace(**{**vars(MATCHER), "terrain": replace(FIELD, heights_m=heights)})
     best = replace(BEST, eye_elevation_m=900.0, pitch_deg=0.0)
     found = MatchResult(QUERY, (best,), 0.5, name="photo.jpg")
-    assert "4 peaks have no room for a name" in report(tmp_path, [found], around)
+    assert "4 peaks have no room for a name" in report(tmp_path, [found], hill, crowd)
 
 
-def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
-    ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
-    above = replace(ahead, label="Above", elevation_tan=3.0)
-    none = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [behind, above])[0])
-    named = pixels(draw_overlay(QUERY, None, BEST, PANORAMA, [ahead, behind])[0])
+def test_peaks_in_the_picture_are_named_above_it():
+    none = pixels(draw_overlay(QUERY, None, BEST, SIGHT)[0])
+    named = pixels(draw_overlay(QUERY, None, BEST, SIGHT, [peak("$Ahead")])[0])
     band = len(named) - len(none)
     assert band > 15
     text = (named[: band - 8] < 100).all(axis=-1)
@@ -137,9 +145,15 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     assert middle == pytest.approx(pixels_of(BEST, QUERY, BEST.grid_heading_deg, 0.2)[0], abs=10.0)
 
 
-def report(folder, results, surroundings=AROUND, photos=None, done=""):
-    photos = photos or [None] * len(results)
-    page = write_match_report(folder, results, surroundings, photos, done, "skyline test")
+def test_only_peaks_in_the_picture_are_in_it():
+    ahead = Sighting("Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
+    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
+    above = replace(ahead, label="Above", elevation_tan=3.0)
+    assert peaks_in_picture(BEST, QUERY, [behind, ahead, above]) == [peak("Ahead")]
+
+
+def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
+    page = report_matches(folder, matcher, results, peaks, photos or [None] * len(results), done)
     assert page == folder / "index.html"
     return page.read_text()
 
@@ -153,8 +167,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
-    around = replace(AROUND, peaks=peaks)
-    html = report(tmp_path, [found], around, [photo], "Matched & refined.")
+    html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
     lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
     assert f"{float(lat):.5f}" in html
     assert f"{float(lon):.5f}" in html
@@ -175,7 +188,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
 
 
 def test_a_report_without_terrain_says_so(tmp_path):
-    bare = Surroundings(FIELD.frame, AROUND.viewpoints)
+    bare = SimpleNamespace(**{**vars(MATCHER), "terrain": None})
     html = report(tmp_path, [MatchResult(QUERY, (BEST,), 0.1, name="trace.csv")], bare)
     assert "no elevation model" in html
     assert "no skyline was rendered" in html

@@ -1,32 +1,16 @@
-"""Finding shaders, defining macros, and the place in the file that a driver's error means."""
+"""Finding shaders, defining macros, and the errors of drivers."""
 
 import moderngl
 import pytest
 
-from skyline.errors import ContextError, MissingFileError, SkylineError
+from skyline.errors import ContextError, MissingFileError
 from skyline.render import shaders
-
-VERTEX = "#version 330 core\nvoid main() { gl_Position = vec4(0.0); }\n"
-
-
-class RefusingDriver:
-    """Refuses every program with a log of the given words, as moderngl hands it on."""
-
-    def __init__(self, stage, words):
-        self.log = f"GLSL Compiler failed\n\n{stage}\n{'=' * len(stage)}\n{words}\n"
-
-    def program(self, **_):
-        raise moderngl.Error(self.log)
-
-    def compute_shader(self, _):
-        raise moderngl.Error(self.log)
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A shader folder that stands before the repository's."""
     monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path / "second"))
-    (tmp_path / "point.vert").write_text(VERTEX)
     return tmp_path
 
 
@@ -45,29 +29,13 @@ def test_macros_stand_after_the_version_and_lines_are_counted_on(folder):
     ]
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "0:2(9): error: `bad' undeclared",
-        "0(2) : error C1008: undefined variable `bad'",
-        "ERROR: 0:2: `bad' : undeclared",
-    ],
-    ids=["mesa", "nvidia", "amd"],
-)
-def test_messages_of_each_driver_name_file_and_line(folder, words):
-    (folder / "a.frag").write_text("#version 330 core\nbad\n")
-    driver = RefusingDriver("fragment_shader", words)
-    with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:2\b.*bad"):
-        shaders.compile_program(driver, "point.vert", "a.frag")
+def test_a_refused_shader_is_one_line_with_the_file_and_the_drivers_words(folder):
+    (folder / "a.comp").write_text("#version 430\nbad\n")
 
+    class RefusingDriver:
+        def compute_shader(self, _):
+            raise moderngl.Error("Compiler failed\n\ncompute_shader\n===\n0:2(9): error: `bad'\n")
 
-def test_a_message_without_a_stage_names_all_shaders(folder):
-    (folder / "a.frag").write_text(VERTEX)
-
-    class Linker:
-        def program(self, **_):
-            raise moderngl.Error("GLSL Linker failed\n\nProgram\n=======\nerror: out of wits\n")
-
-    with pytest.raises(SkylineError, match=r"point\.vert \+ a\.frag do not link.*out of wits") as e:
-        shaders.compile_program(Linker(), "point.vert", "a.frag")
-    assert "\n" not in str(e.value)
+    with pytest.raises(ContextError, match=r"refuses a\.comp: .*0:2\(9\): error: `bad'") as caught:
+        shaders.compile_compute(RefusingDriver(), "a.comp")
+    assert "\n" not in str(caught.value)

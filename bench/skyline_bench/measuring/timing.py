@@ -5,14 +5,13 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from skyline.build.grid import uniform_grid
+from skyline.build.plans import uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -81,33 +80,14 @@ def _timed(work: Callable[[], object], tick: Callable[[], object]) -> tuple[floa
     return taken
 
 
-def reset_peak() -> None:
-    """Begin to look for the peak anew, where the system can; else it stays that of all."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-
-
 def peak_bytes() -> int | None:
-    """Return the greatest resident memory since the last `reset_peak`; None where unknown.
+    """Return the greatest resident memory of this process so far; None where unknown.
 
     Pages of mapped files count, which the system may drop when it needs them.
     """
-    return _kilobytes("VmHWM")
-
-
-def own_bytes(process: int | str = "self") -> int | None:
-    """Return the resident memory of a process that lies in no file; None where unknown."""
-    return _kilobytes("RssAnon", process)
-
-
-def _kilobytes(name: str, process: int | str = "self") -> int | None:
     try:
-        status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-        found = re.search(rf"^{name}:\s*(\d+) kB$", status, re.MULTILINE)
+        status = Path("/proc/self/status").read_text(encoding="utf-8")
     except OSError:
         return None
+    found = re.search(r"^VmHWM:\s*(\d+) kB$", status, re.MULTILINE)
     return 1024 * int(found[1]) if found else None
-
-
-def unseen(_done: int, _total: int) -> None:
-    """Ignore progress; a `skyline.build.cluster.Progress`."""

@@ -41,13 +41,6 @@ _FIRST_STEP = 1.0 / 64.0
 _VIEWPOINTS_A_CALL = 8
 
 
-def bracket_tan(depth: int) -> float:
-    """Return the width of the last bracket, as after so many bisections of the field of view."""
-    if not 1 <= depth <= 30:
-        raise InputError(f"bisection depth is {depth}; expected 1 to 30")
-    return float(2.0 * _HALF_FIELD_TAN / 2.0**depth)
-
-
 def is_installed() -> bool:
     """Whether ``embreex`` is there to be imported."""
     return find_spec("embreex") is not None
@@ -75,11 +68,12 @@ class EmbreePeer:
     def render(self, viewpoints: Viewpoints, depth: int) -> Views:
         """Find the skylines of N viewpoints in all four headings.
 
-        The skyline of a column is the middle of its last bracket; see `bracket_tan`.
+        The skyline of a column is the middle of its last bracket, which is as wide as after
+        ``depth`` bisections of the field of view.
 
         Of the 4 N views depth is NaN throughout, and `FLAG_NO_DATA` is the only flag.
         """
-        share, bracket = -(-len(viewpoints) // core_count()), bracket_tan(depth)
+        share, bracket = -(-len(viewpoints) // core_count()), 2.0 * _HALF_FIELD_TAN / 2.0**depth
         parts = over_cores(
             lambda part: self._skylines(part, bracket),
             viewpoints,

@@ -5,7 +5,7 @@ A query is the photos that were taken at one place: one, or several that are mat
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -30,48 +30,29 @@ _HALF_SIDE_M = 4_000.0
 """Of the square in strange terrain that queries come from."""
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of queries."""
+OTHER_DEM, STRANGERS = "other-dem", "strangers"
+"""Queries that see another model of the terrain, and queries of terrain outside the store."""
 
-    about: str
-    config: QueryConfig = field(default_factory=QueryConfig)
-    other_dem: bool = False  # Whether the photos see another model of the terrain
-    strange: bool = False  # Whether the photos show terrain outside the store
-
-
-KINDS: Mapping[str, Kind] = MappingProxyType(
+KINDS: Mapping[str, QueryConfig] = MappingProxyType(
     {
-        "plain": Kind("a tenth of the columns masked, 0.1 degrees of noise, half of it smooth"),
-        "white": Kind(
-            "the same with noise drawn anew in each column", QueryConfig(smooth_share=0.0)
+        "plain": QueryConfig(),
+        "white": QueryConfig(smooth_share=0.0),  # Noise drawn anew in each column
+        OTHER_DEM: QueryConfig(),
+        "occluded": QueryConfig(occluded_share=(0.3, 0.3)),
+        "aligned": QueryConfig(
+            fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
+            noise_deg=(0.03, 0.03), masked_share=0.0,
         ),
-        "other-dem": Kind(
-            "plain from a DEM of another spacing and phase, 10 m rms off", other_dem=True
-        ),
-        "occluded": Kind(
-            "plain with 30 % of the columns hidden, half of it unnoticed",
-            QueryConfig(occluded_share=(0.3, 0.3)),
-        ),
-        "aligned": Kind(
-            "level, 90 degrees, to grid north, east, south or west, 0.03 degrees of noise",
-            QueryConfig(
-                fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
-                noise_deg=(0.03, 0.03), masked_share=0.0,
-            ),
-        ),
-        "alone": Kind(f"{PHOTOS} plain photos of each place, one by one"),
-        "together": Kind("the same photos matched together"),
-        "with a stranger": Kind(
-            "together, the last photo taken at another place"
-        ),
-        "strangers": Kind("plain photos of terrain outside the store", strange=True),
+        "alone": QueryConfig(),  # Photos of each place, one by one
+        "together": QueryConfig(),  # The same photos matched together
+        "with a stranger": QueryConfig(),  # Together, the last photo of another place
+        STRANGERS: QueryConfig(),
     }
 )  # fmt: skip
-"""Those of one number have one place in the kinds of `OF_ONE_AREA`, and one pose but where they
-are aligned; the kinds of `SAME_PLACE` have one place and the same photos."""
+"""Kinds of queries, and how they are drawn. Query k of the kinds of `OF_ONE_AREA` has one place,
+and one pose unless it is aligned; the kinds of `SAME_PLACE` have the same places and photos."""
 
-OF_ONE_AREA = ("plain", "white", "other-dem", "occluded", "aligned")
+OF_ONE_AREA = ("plain", "white", OTHER_DEM, "occluded", "aligned")
 SAME_PLACE = ("alone", "together", "with a stranger")
 
 
@@ -84,17 +65,17 @@ def make_kind(
     strange: HeightField | None = None,
 ) -> list[Query]:
     """Make queries of a kind at so many places of an area; strangers are of strange terrain."""
-    kind = KINDS[name]
+    config = KINDS[name]
     if name in SAME_PLACE:
         # One place more, for the stranger of the last.
-        places = make_queries_together(terrain, area_m, count + 1, PHOTOS, seed, kind.config)
+        places = make_queries_together(terrain, area_m, count + 1, PHOTOS, seed, config)
         if name == "alone":
             return [(photo,) for photos in places[:-1] for photo in photos]
         if name == "together":
             return list(places[:-1])
         return [(*photos[:-1], others[-1]) for photos, others in itertools.pairwise(places)]
     seen = terrain
-    if kind.strange:
+    if name == STRANGERS:
         if strange is None:
             raise InputError(
                 "strangers need a DEM of other terrain than the store's; give --strange"
@@ -102,10 +83,10 @@ def make_kind(
         west, south, east, north = strange.bounds_m
         middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
         seen, area_m = strange, (*(middle - _HALF_SIDE_M), *(middle + _HALF_SIDE_M))
-    elif kind.other_dem:
+    elif name == OTHER_DEM:
         other = resampled(terrain, 1.3 * terrain.spacing_m, (0.37, 0.61))
         seen = perturbed(other, seed=seed)
-    return [(query,) for query in make_queries(seen, area_m, count, seed, kind.config)]
+    return [(query,) for query in make_queries(seen, area_m, count, seed, config)]
 
 
 def distance_m(query: Query) -> float:
@@ -149,11 +130,6 @@ def resampled(
     new_west, new_north = west + phase[0] * spacing_m, north - phase[1] * spacing_m
     cols = int((east - new_west) // spacing_m) + 1
     rows = int((new_north - south) // spacing_m) + 1
-    if min(cols, rows) < 2:
-        raise InputError(
-            f"a spacing of {spacing_m} m leaves {cols} x {rows} samples of the DEM; expected at "
-            "least 2 x 2: choose a smaller spacing"
-        )
     easting = new_west + spacing_m * np.arange(cols)
     northing = new_north - spacing_m * np.arange(rows)
     heights = terrain.height_at(

@@ -19,7 +19,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
 from skyline.match.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
@@ -120,13 +120,9 @@ def make_queries(
     """Make queries at places drawn evenly from an area, looking anywhere.
 
     The terrain is what the photos show, which need not be what a store was rendered from. The area
-    is west, south, east and north; places off the surface are drawn again. A count below 1, a
-    negative seed or an area without any surface raises `InputError`.
+    is west, south, east and north; places off the surface are drawn again. An area without any
+    surface raises `InputError`.
     """
-    if count < 1:
-        raise InputError(f"the number of queries is {count}; expected at least 1")
-    if seed < 0:
-        raise InputError(f"seed is {seed}; expected 0 or more")
     entropies = [[[seed, index]] for index in range(count)]
     made = _queries(terrain, bounds_m, entropies, config or QueryConfig())
     return tuple(query for (query,) in made)

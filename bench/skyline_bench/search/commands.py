@@ -21,7 +21,7 @@ from skyline_bench.queries.kinds import KINDS, OF_ONE_AREA, SAME_PLACE
 from skyline_bench.search.compare import Comparison, measure
 from skyline_bench.search.specs import StoreSpec, claimed_loss, middle_deg
 from skyline_bench.search.summary import ALL, against_uniform
-from skyline_bench.search.trials import ABOUT, PAPER
+from skyline_bench.search.trials import MATCHERS, PAPER
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _FOUND = """n within_200m within_200m_low within_200m_high within_1km median_m mean_m answered
@@ -71,7 +71,7 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
             The paper's matcher and correlation search uniform grids of renderings, ours planned
             places.""",
             "hours",
-            Comparison((*_grids(RENDERINGS), *_planned(0.2)), tuple(ABOUT), OF_ONE_AREA, 300),
+            Comparison((*_grids(RENDERINGS), *_planned(0.2)), MATCHERS, OF_ONE_AREA, 300),
             "store matcher queries places build_cpu_s bytes " + _FOUND,
             in_middle=True,
         ),
@@ -168,19 +168,24 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         store: Annotated[
             list[Path] | None, Option(help="Search an existing store; repeatable.")
         ] = None,
-        matcher: Annotated[Names, Option(help=f"Repeatable, of {', '.join(ABOUT)}.")] = None,
+        matcher: Annotated[Names, Option(help=f"Repeatable, of {', '.join(MATCHERS)}.")] = None,
         kind: Annotated[Names, Option(help=f"Of queries, of {', '.join(KINDS)}.")] = None,
         area: Annotated[
-            Floats, Option(metavar="KM2", help="Search such squares too; repeatable.")
+            Floats, Option(min=0.01, metavar="KM2", help="Search such squares too; repeatable.")
         ] = None,
         near: Annotated[
-            Floats, Option(metavar="KM", help="Search circles of this radius too; repeatable.")
+            Floats,
+            Option(min=0.01, metavar="KM", help="Search circles of this radius too; repeatable."),
         ] = None,
         strange: Annotated[
             Names, Option(metavar="DEM", help="Other terrain, for strangers; repeatable.")
         ] = None,
         queries: Annotated[
-            int, Option(help="Queries of each kind, or places of several photos.")
+            int,
+            Option(
+                min=3 if search.comparison.by_thirds else 1,
+                help="Queries of each kind, or places of several photos.",
+            ),
         ] = search.comparison.queries,
         folder: options.Folder = None,
         json_file: options.JsonFile = None,

@@ -2,24 +2,21 @@
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 
 from skyline.arrays import Progress
-from skyline.build.grid import map_bounds
+from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matchers import FULL
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import unseen
-from skyline_bench.queries.kinds import KINDS, distance_m, make_kind
-from skyline_bench.search.specs import BuiltStore, StoreSpec, middle_deg, quick_specs
+from skyline_bench.queries.kinds import KINDS, STRANGERS, distance_m, make_kind
+from skyline_bench.search.specs import BuiltStore, StoreSpec, middle_deg
 from skyline_bench.search.summary import groups, summarize
-from skyline_bench.search.trials import ABOUT, Area, Searcher, Trial, search, searched_by
+from skyline_bench.search.trials import MATCHERS, Area, Trial, open_searcher, searched_by
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +28,7 @@ class Comparison:
     """Stores x queries."""
 
     stores: tuple[StoreSpec, ...]
-    matchers: tuple[str, ...] = (FULL,)  # Names of `skyline_bench.search.trials.ABOUT`
+    matchers: tuple[str, ...] = (FULL,)  # Of `skyline_bench.search.trials.MATCHERS`
     kinds: tuple[str, ...] = ("plain",)  # Names of `skyline_bench.queries.kinds.KINDS`
     queries: int = 100  # Of each kind
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
@@ -43,26 +40,13 @@ class Comparison:
     seed: int = 0  # Of the queries
 
     def __post_init__(self) -> None:
-        for name, value, least in (
-            ("the number of queries", self.queries, 3 if self.by_thirds else 1),
-            ("seed", self.seed, 0),
+        for noun, names, known in (
+            ("matcher", self.matchers, MATCHERS),
+            ("kind of queries", self.kinds, tuple(KINDS)),
         ):
-            if value < least:
-                raise InputError(f"{name} is {value}; expected {least} or more")
-        for name, unit, sizes in (
-            ("area", "km2", self.areas_km2),
-            ("radius", "km", self.near_km),
-        ):
-            for size in sizes:
-                if not 0.0 < size < math.inf:
-                    raise InputError(f"{name} is {size} {unit}; expected more than 0")
-        known: dict[str, tuple[tuple[str, ...], Mapping[str, object]]] = {
-            "matcher": (self.matchers, ABOUT), "kind of queries": (self.kinds, KINDS),
-        }  # fmt: skip
-        for noun, (names, these) in known.items():
             for name in names:
-                if name not in these:
-                    raise InputError(f"{noun} is {name!r}; expected one of {', '.join(these)}")
+                if name not in known:
+                    raise InputError(f"{noun} is {name!r}; expected one of {', '.join(known)}")
         searched = {searched_by(name) for name in self.matchers}
         # A store that no matcher searches is not built.
         stores = tuple(
@@ -75,7 +59,7 @@ class Comparison:
         object.__setattr__(self, "stores", stores)
 
     def quick(self, terrain: HeightField) -> "Comparison":
-        """Return a version of two minutes at most: three queries, the cheapest stores, 3 x 3 km.
+        """Return a version of two minutes at most: three queries, a store a planner, 3 x 3 km.
 
         A store that is given keeps its area.
         """
@@ -87,11 +71,12 @@ class Comparison:
         )
         if any(spec.path is not None for spec in self.stores):
             return small
+        first = {(spec.planner, spec.holds): spec for spec in reversed(self.stores)}
         west, south, east, north = map_bounds(terrain, self.bounds_deg)
         size_m = min(east - west, _QUICK_M), min(north - south, _QUICK_M)
         return replace(
             small,
-            stores=quick_specs(self.stores),
+            stores=tuple(spec for spec in self.stores if spec in first.values()),
             bounds_deg=middle_deg(terrain, size_m, self.bounds_deg),
         )
 
@@ -127,18 +112,17 @@ def measure(
     terrain: HeightField,
     comparison: Comparison,
     folder: Path,
-    progress: Progress = unseen,
+    progress: Progress,
     strange: HeightField | None = None,
 ) -> tuple[list[Row], list[BuiltStore]]:
     """Search every store with every matcher that can search it, for the same queries.
 
-    Return a row for each store, matcher, kind of queries, area searched and group of queries, and
-    the stores. Stores are kept in ``folder``: one that is there already is not built again.
-    Position errors are those of the best candidate, whether or not the matcher stands by it; a
-    query without any counts as wrong by half of the area's diagonal. Heading errors are those of
-    the right answers.
+    The comparison has been checked. Return a row for each store, matcher, kind of queries, area
+    searched and group of queries, and the stores. Stores are kept in ``folder``; a store that is
+    there is not built again. Position errors are those of the best candidate, whether or not it is
+    an answer; a query without any candidate counts as wrong by half of the area's diagonal. Heading
+    errors are those of the right answers.
     """
-    comparison.check(terrain)
     stores = [
         spec.build(terrain, folder, comparison.bounds_deg, progress) for spec in comparison.stores
     ]
@@ -153,26 +137,25 @@ def measure(
         for kind in comparison.kinds
     }
 
-    def trial(searcher: Searcher, kind: str, index: int, area: Area) -> Trial:
-        query, is_strange = queries[kind][index], KINDS[kind].strange
-        about = None
-        if not is_strange:
-            about = area.about(query[0].truth, area_m, terrain, comparison.seed)
-        return searcher.trial(query, about, strange=is_strange)
-
     keys = [
         (kind, index, area)
         for kind, some in queries.items()
         for index in range(len(some))
         for area in areas
     ]
-    asked = [partial(trial, kind=kind, index=index, area=area) for kind, index, area in keys]
     rows, seed = list[Row](), comparison.seed
     for store, matcher in product(stores, comparison.matchers):
         if searched_by(matcher) != store.holds:
             continue
-        trials = search(store, matcher, asked, terrain, progress)
-        found = dict(zip(keys, trials, strict=True))
+        found = dict[tuple[str, int, Area], Trial]()
+        with open_searcher(matcher, store.path, terrain) as searcher:
+            for kind, index, area in keys:
+                query, is_strange = queries[kind][index], kind == STRANGERS
+                narrowing = None
+                if not is_strange:
+                    narrowing = area.about(query[0].truth, area_m, terrain, seed)
+                found[kind, index, area] = searcher.trial(query, narrowing, strange=is_strange)
+                progress(len(found), len(keys))
         for kind, area in product(queries, areas):
             members = groups([distance_m(one) for one in queries[kind]], comparison.by_thirds)
             for group, numbers in members.items():

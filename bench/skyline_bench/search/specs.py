@@ -12,8 +12,7 @@ import numpy as np
 
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
-from skyline.build.grid import map_bounds, uniform_grid
-from skyline.build.plans import DEFAULT_LOSS
+from skyline.build.plans import DEFAULT_LOSS, map_bounds, uniform_grid
 from skyline.build.spacing import lost_shares
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
@@ -182,22 +181,6 @@ def middle_deg(
     ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
     return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
-
-
-def quick_specs(specs: tuple[StoreSpec, ...]) -> tuple[StoreSpec, ...]:
-    """Return the cheapest store of each planner."""
-    chosen: dict[tuple[str, str], StoreSpec] = {}
-    for spec in specs:
-        best = chosen.setdefault((spec.planner, spec.holds), spec)
-        if _cost(spec) < _cost(best):
-            chosen[spec.planner, spec.holds] = spec
-    return tuple(chosen.values())
-
-
-def _cost(spec: StoreSpec) -> float:
-    if spec.plan is not None:
-        return -spec.plan.threshold_px
-    return -spec.loss if spec.spacing_m is None else -spec.spacing_m
 
 
 def _noted(path: Path) -> dict[str, Any]:

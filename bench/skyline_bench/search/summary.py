@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.stats import binomtest
 
-from skyline.errors import InputError
 from skyline_bench.measuring.record import Row
 from skyline_bench.search.specs import UNIFORM
 from skyline_bench.search.trials import STAGES, Trial
@@ -38,11 +37,6 @@ def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequenc
             for name, (low, high) in CLASSES.items()
         }
         return {name: some for name, some in members.items() if some} | {ALL: every}
-    if len(every) < len(THIRDS):
-        raise InputError(
-            f"the number of queries is {len(every)}; expected at least {len(THIRDS)}, one for "
-            "each third of distances"
-        )
     order = np.argsort(distance_m, kind="stable")
     parts = zip(THIRDS, np.array_split(order, len(THIRDS)), strict=True)
     return {name: sorted(part.tolist()) for name, part in parts} | {ALL: every}

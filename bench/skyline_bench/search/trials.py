@@ -2,16 +2,16 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
-from skyline.arrays import Float64Array, Progress
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle, in_turn
 from skyline.match.candidate import Hypotheses
@@ -22,18 +22,10 @@ from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, Truth
-from skyline_bench.search.specs import BuiltStore
 
 PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
-ABOUT: Mapping[str, str] = MappingProxyType(
-    {
-        PAPER: "the paper's: keypoints, Chamfer, RANSAC",
-        CORRELATION: "skylines slid along renderings",
-        RETRIEVED: "ours, among places, not refined",
-        FULL: "ours, among places, refined by rendering",
-    }
-)
-"""Matchers by name."""
+MATCHERS = (PAPER, CORRELATION, RETRIEVED, FULL)
+"""The matchers of Skyline, and the full one without its refinement: retrieved."""
 
 STAGES = ("screened", "retrieved", "refined")
 """Stages of the full matcher: the places most alike, the short list of poses, the candidates."""
@@ -114,7 +106,8 @@ class Searcher:
 
     def __init__(self, matcher: Matcher, store: Path, follows: bool) -> None:
         self._matcher = matcher
-        self._ranker: _Noting | None = None
+        self._follows = follows
+        self._retrieved: Hypotheses | None = None
         if follows:
             with open_store(store) as opened:
                 self._places = opened.places()
@@ -122,9 +115,14 @@ class Searcher:
             some = self._places.take(np.arange(0, len(self._places), step, dtype=np.intp))
             self._spacing_m = 2.0 * float(np.median(some.tolerance_m))
             ranker = matcher._ranker
-            ranker.__class__ = _Noting
-            assert isinstance(ranker, _Noting)
-            self._ranker = ranker
+            assert isinstance(ranker, FullMatcher)
+            retrieve = ranker.retrieve
+
+            def noting(*arguments: Any, **named: Any) -> Hypotheses:
+                self._retrieved = retrieve(*arguments, **named)
+                return self._retrieved
+
+            ranker.retrieve = noting  # type: ignore[method-assign]
 
     def trial(self, query: Query, narrowing: Narrowing | None = None, *, strange: bool) -> Trial:
         """Match a query; a query that is refused has no candidate."""
@@ -135,8 +133,8 @@ class Searcher:
             if len(query) > 1:
                 result = self._matcher.match_together([one.skyline for one in query], top=_TOP)
             else:
-                if self._ranker is not None:
-                    self._ranker.found = None
+                if self._follows:
+                    self._retrieved = None
                     screened = self._matcher.screen(first, narrowing)
                     screen_s = time.perf_counter() - wall
                 result = self._matcher.match(
@@ -148,9 +146,9 @@ class Searcher:
         trial = replace(
             trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1], screen_s=screen_s
         )
-        if self._ranker is None or len(query) > 1 or strange:
+        if not self._follows or len(query) > 1 or strange:
             return trial
-        truth, found = query[0].truth, self._ranker.found
+        truth, found = query[0].truth, self._retrieved
         candidates = [] if result is None else _places_of(result)
         east_m, north_m, heading_deg = (
             np.array([getattr(one, name) for one in candidates])
@@ -180,20 +178,9 @@ class Searcher:
         return bool((near & (_turn_deg(heading_deg, truth) <= _TURN_DEG)).any())
 
 
-class _Noting(FullMatcher):
-    """The full matcher, which notes the short list of its last search."""
-
-    found: Hypotheses | None = None
-
-    def retrieve(self, *arguments: object, **named: object) -> Hypotheses:
-        """Return the poses retrieved, and note them; see `FullMatcher.retrieve`."""
-        self.found = super().retrieve(*arguments, **named)  # type: ignore[arg-type]
-        return self.found
-
-
 @contextmanager
 def open_searcher(name: str, store: Path, terrain: HeightField) -> Iterator[Searcher]:
-    """Open a store for a matcher of `ABOUT`; raises as `Matcher`."""
+    """Open a store for a matcher of `MATCHERS`; raises as `Matcher`."""
     if searched_by(name) == RENDERINGS:
         with Matcher(store, terrain, name, MATCHING) as matcher:
             yield Searcher(matcher, store, follows=False)
@@ -240,19 +227,3 @@ def _turn_deg(heading_deg: Float64Array, truth: Truth) -> Float64Array:
 
 def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:
     return result.candidates if isinstance(result, MatchResult) else result.places
-
-
-def search(
-    store: BuiltStore,
-    matcher: str,
-    asked: Sequence[Callable[[Searcher], Trial]],
-    terrain: HeightField,
-    progress: Progress,
-) -> list[Trial]:
-    """Return the trial of each query that is asked, in order."""
-    trials = list[Trial]()
-    with open_searcher(matcher, store.path, terrain) as searcher:
-        for ask in asked:
-            trials.append(ask(searcher))
-            progress(len(trials), len(asked))
-    return trials

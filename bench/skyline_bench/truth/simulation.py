@@ -15,13 +15,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u
-from skyline.paper.coverage import Candidates, Coverage
 from skyline.paper.reprojection import affine_mean, errors_px, moved, non_affine
-from skyline.paper.strategies import Problem, Strategy
+from skyline.paper.strategies import Candidates, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 
@@ -182,7 +180,6 @@ class Run:
     """A strategy run on a simulation; viewpoints in the order rendered, corners first."""
 
     coverage: Coverage
-    progress: NDArray[np.float64]  # Coverage after the corners and after each rendering
     # Processor time of the strategy with all it asked for: renderings and areas.
     seconds: float
 
@@ -192,14 +189,12 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> Run:
     started = time.process_time()
     coverage = Coverage(simulation.candidates)
     known: list[Float64Array] = []
-    progress: list[float] = []
 
     def render(candidates: Int64Array) -> None:
         points = simulation.render(candidates)
         known.extend(points)
         for one, area in zip(candidates, simulation.areas(points), strict=True):
             coverage.add(one[None], area[None])
-            progress.append(coverage.fraction())
 
     def projected_areas(candidates: Int64Array) -> BoolArray:
         nearest, _ = simulation.candidates.nearest(candidates, coverage.viewpoints, 1)
@@ -213,4 +208,4 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> Run:
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
     for asked in strategy(problem, np.random.default_rng(seed)):
         render(asked)
-    return Run(coverage, np.array(progress), time.process_time() - started)
+    return Run(coverage, time.process_time() - started)
