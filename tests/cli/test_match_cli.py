@@ -230,7 +230,7 @@ def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp
     done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
     assert done.code == 0, done.err
     assert "unrefined" in caplog.text
-    assert "no relief and no view: the store's DEM is not at" in caplog.text
+    assert "no relief: the store's DEM is not at" in caplog.text
     assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
 
 

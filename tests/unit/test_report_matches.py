@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
+from store_rows import VIEWS_HEADER
 
 from skyline.build.plans import uniform_grid
-from skyline.errors import MissingFileError
 from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
@@ -47,10 +47,8 @@ BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HE
 class OracleViewer(Viewer):
     """A viewer on one field, whose views are the oracle's."""
 
-    def __init__(self, matcher, peaks=None):
-        if matcher.terrain is None:
-            raise MissingFileError("no terrain")
-        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
+    def __init__(self, matcher, peaks, terrain):
+        self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
         self.curvature = Curvature()
 
     def _views(self, eye, pose):
@@ -181,7 +179,7 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     assert "1 of 3 queries answered" in html
     assert "Not answered: not sure (latitude" in html
     assert "Not answered: too little skyline." in html
-    without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None})
+    without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None, "header": VIEWS_HEADER})
     bare = report(tmp_path, results[2:], without_terrain)
     assert "no elevation model" in bare
     assert "no skyline was rendered" in bare
