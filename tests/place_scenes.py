@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from query_scenes import equally_trusted
+from query_scenes import equally_trusted, seen
 
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.store.places import BINS, Places
@@ -35,18 +35,11 @@ def places_of(y, distance_m=FAR_M, spacing_m=100.0, tolerance_m=20.0):
     return Places.of(horizons, tolerance_m)
 
 
-def photo(skyline, heading_deg, fov_deg=60.0, pitch_deg=0.0, roll_deg=0.0, columns=320):
+def photo(skyline, heading_deg, fov_deg=60.0, **pose):
     """Return rays (u, v) of a camera that sees the skyline tangent(azimuth_deg)."""
-    azimuth = np.radians(np.linspace(-80.0, 80.0, 4001))
-    up = skyline(np.degrees(azimuth) + heading_deg)
-    right, forward = np.sin(azimuth), np.cos(azimuth)
-    pitch, roll = np.radians([pitch_deg, roll_deg])
-    ahead = forward * np.cos(pitch) + up * np.sin(pitch)
-    above = up * np.cos(pitch) - forward * np.sin(pitch)
-    x = (right * np.cos(roll) - above * np.sin(roll)) / ahead
-    y = (right * np.sin(roll) + above * np.cos(roll)) / ahead
-    u = np.tan(np.radians(fov_deg / 2.0)) * ((2 * np.arange(columns) + 1) / columns - 1)
-    return u, np.interp(u, x, y)
+    u, v = seen(lambda azimuth: skyline(np.degrees(azimuth)), heading_deg, fov_deg=fov_deg, **pose)
+    columns = np.tan(np.radians(fov_deg / 2.0)) * ((2 * np.arange(320) + 1) / 320 - 1)
+    return columns, np.interp(columns, u, v)
 
 
 def rays(seed, heading_deg, fov_deg=60.0, **pose):

@@ -4,6 +4,7 @@ import numpy as np
 
 from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Hypotheses
+from skyline.render.horizon import HorizonRenderer
 
 BINS = 1440
 
@@ -27,6 +28,14 @@ def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
     seen = (forward > 0.1) & (np.abs(u) < np.tan(np.radians(fov_deg / 2.0)))
     order = np.argsort(u[seen])
     return u[seen][order], v[seen][order]
+
+
+def photographed_from(field, eye, **camera):
+    """Return rays (u, v) of a camera at one eye on a field, columns as fine as a photo's."""
+    with HorizonRenderer(field, 1280) as renderer:
+        views = renderer.render(eye)
+    tangent = np.tan(np.radians(views.elevation_deg()))
+    return photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
 
 
 def equally_trusted(u, v, fov_deg):

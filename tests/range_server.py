@@ -8,35 +8,25 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from multiprocessing.connection import Connection
+from typing import NamedTuple
 
 
 @dataclass
 class Behaviour:
-    """Answers of the server, and the requests that it has had.
-
-    Attributes
-    ----------
-    files : dict
-        Path with a leading slash -> content.
-    status : dict
-        Path -> a status it is answered with instead, always.
-    failures : int
-        So many requests are answered 500 before the first good answer.
-    delay_s : float
-        Waited before every answer.
-    truncate : int
-        So many bodies break off half way, header and connection saying otherwise.
-    requests : list of (method, path, range header)
-    sent : int
-        Bytes of bodies sent.
-    """
+    """Answers of the server by path, which begins with a slash, and the requests so far."""
 
     files: dict[str, bytes] = field(default_factory=dict)
+    # Paths that are answered with a status instead, always.
     status: dict[str, int] = field(default_factory=dict)
+    # Requests that are answered 500 before the first good answer.
     failures: int = 0
+    # Before every answer.
     delay_s: float = 0.0
+    # Bodies that break off half way, though header and connection promise all.
     truncate: int = 0
+    # (method, path, range header) each.
     requests: list[tuple[str, str, str | None]] = field(default_factory=list)
+    # Bytes of bodies.
     sent: int = 0
     stopping: threading.Event = field(default_factory=threading.Event)
 
@@ -45,13 +35,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: "_Server"
 
-    def do_HEAD(self) -> None:
-        self._answer(with_body=False)
-
     def do_GET(self) -> None:
-        self._answer(with_body=True)
-
-    def _answer(self, with_body: bool) -> None:
         behaviour, path = self.server.behaviour, self.path
         behaviour.requests.append((self.command, path, self.headers.get("Range")))
         if behaviour.delay_s:
@@ -64,7 +48,9 @@ class _Handler(BaseHTTPRequestHandler):
         elif path not in behaviour.files:
             self._refuse(404)
         else:
-            self._send(behaviour, behaviour.files[path], with_body)
+            self._send(behaviour, behaviour.files[path])
+
+    do_HEAD = do_GET  # noqa: N815
 
     def _refuse(self, status: int) -> None:
         body = b"<html>no</html>"
@@ -74,7 +60,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
 
-    def _send(self, behaviour: Behaviour, content: bytes, with_body: bool) -> None:
+    def _send(self, behaviour: Behaviour, content: bytes) -> None:
         asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range") or "")
         first, last = 0, len(content) - 1
         if asked:
@@ -90,7 +76,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        if not with_body:
+        if self.command == "HEAD":
             return
         if behaviour.truncate > 0:
             behaviour.truncate -= 1
@@ -100,7 +86,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Print nothing."""
 
 
 class _Server(ThreadingHTTPServer):
@@ -108,7 +94,7 @@ class _Server(ThreadingHTTPServer):
     behaviour: Behaviour
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of clients that went away."""
+        """Print nothing about clients that went away."""
 
 
 @contextmanager
@@ -127,32 +113,16 @@ def serve(behaviour: Behaviour) -> Iterator[str]:
         thread.join()
 
 
-@dataclass(frozen=True)
-class Apart:
-    """A server in another process.
-
-    Attributes
-    ----------
-    address : str
-        Without a final slash.
-    asked : callable
-        Returns the requests since the last call, (method, path, range header) each, and the number
-        of bytes of bodies sent.
-    """
+class Apart(NamedTuple):
+    """A server in another process; ``asked()`` returns its requests since the last call."""
 
     address: str
-    asked: Callable[[], tuple[list[tuple[str, str, str | None]], int]]
+    asked: Callable[[], list[tuple[str, str, str | None]]]
 
 
 @contextmanager
 def serve_apart(files: Callable[[str], dict[str, bytes]]) -> Iterator[Apart]:
-    """Serve from a process of its own: GDAL lets no other thread run while it waits.
-
-    Parameters
-    ----------
-    files : callable
-        Given the address, returns path with a leading slash -> content. Defined in a module.
-    """
+    """Serve ``files(address)`` from another process: GDAL blocks all threads while it waits."""
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe()
     process = spawn.Process(target=_serve_for, args=(files, there), daemon=True)
@@ -178,5 +148,5 @@ def _serve_for(files: Callable[[str], dict[str, bytes]], pipe: Connection) -> No
         pipe.send(address)
         while True:
             pipe.recv()
-            pipe.send((behaviour.requests, behaviour.sent))
-            behaviour.requests, behaviour.sent = [], 0
+            pipe.send(behaviour.requests)
+            behaviour.requests = []

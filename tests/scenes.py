@@ -10,6 +10,7 @@ from skyline.geodesy import Frame
 from skyline.match.candidate import Candidate
 from skyline.match.ranking import Hypotheses, Ranking
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import closed_forms
 
 FRAME = Frame.local(lon=9.8, lat=46.8)
@@ -49,6 +50,17 @@ def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_
     """Make a height field of an array, row 0 north."""
     heights_m = np.asarray(heights_m)
     return HeightField(heights_m, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME)
+
+
+def scattered(field, count, seed, bounds_m=None, eye_height_m=2.0):
+    """Return eyes at random places of a field, or of a part of it, that are on no hole."""
+    generator = np.random.default_rng(seed)
+    west, south, east, north = bounds_m or field.bounds_m
+    easting = generator.uniform(west, east, 4 * count)
+    northing = generator.uniform(south, north, 4 * count)
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    places = easting[standing][:count], northing[standing][:count]
+    return stand_on(field, **at_m(places), eye_height_m=eye_height_m)
 
 
 def field_from(function, size, spacing_m):

@@ -17,7 +17,6 @@ _NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 _REFERENCE = re.compile(
     r"`((?:skyline|shaders|bench|tests|examples)/[\w./-]+)`(?:: ((?:`[\w.]+`(?:, )?)+))?"
 )
-_TEST_NAMED = re.compile(r"\b(?:tests/\w+/)?test_\w+\.py\b")
 _SHOWN_NAME = re.compile(r"^::: skyline\.(\w+)$", re.MULTILINE)
 _LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
@@ -57,11 +56,6 @@ def references(document: Path) -> list[tuple[str, list[str]]]:
     """Return the files of the repository a document names, with the names in each."""
     text = document.read_text(encoding="utf-8")
     return [(path, re.findall(r"`([\w.]+)`", names)) for path, names in _REFERENCE.findall(text)]
-
-
-def named_tests(document: Path) -> set[str]:
-    """Return the test files a document names, with or without their folder."""
-    return set(_TEST_NAMED.findall(document.read_text(encoding="utf-8")))
 
 
 def links(document: Path) -> list[Path]:

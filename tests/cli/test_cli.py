@@ -34,9 +34,11 @@ def viewpoints_csv(tmp_path):
 
 def test_version_and_help(run):
     assert run("--version").out.startswith("skyline 0.")
-    shown = run("match", "--help")
-    assert shown.code == 0
-    assert "Usage" in shown.out
+    for arguments, code in ((["match", "--help"], 0), (["store"], 2), (["dem"], 2)):
+        shown = run(*arguments)
+        assert shown.code == code
+        assert "Usage" in shown.out + shown.err
+        assert "error:" not in shown.err
 
 
 @pytest.mark.parametrize(
@@ -90,18 +92,6 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)
 
 
-def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path):
-    out = tmp_path / "store.h5"
-    first = run("build", dem, "-o", out, "--spacing", "300")
-    assert first.code == 0, first.err
-    assert "121 places, 121 of them new" in first.out
-    again = run("build", dem, "-o", out, "--spacing", "300")
-    assert again.code == 0, again.err
-    assert "121 places, complete: nothing was left to render" in again.out
-    with open_store(out) as opened:
-        assert (len(opened), opened.header.holds) == (121, "places")
-
-
 def test_places_are_planned_and_drawn(run, dem, tmp_path):
     out, drawn = tmp_path / "s.h5", tmp_path / "map.png"
     done = run("build", dem, "-o", out, "--loss", 0.4, "--map", drawn)
@@ -110,13 +100,6 @@ def test_places_are_planned_and_drawn(run, dem, tmp_path):
     facts = json.loads(run("info", out, "--json").out)
     low, middle, high = facts["spacing_m"]
     assert 20.0 <= low <= middle <= high <= 1280.0
-    assert_refused(
-        run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.4, "--spacing", 80),
-        "give one of --spacing (a uniform grid) and --loss (planned places)",
-    )
-    assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 1.5), "between 0 and 1")
-    assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.0001), "a larger one")
-    assert not (tmp_path / "no.h5").exists()
 
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
@@ -161,6 +144,7 @@ def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monke
     assert again.code == 0, again.err
     assert run(command, dem, "-o", whole, *options).code == 0
     assert (" 1204 of them new" if command == "build" else " 40 of them new") in again.out
+    assert "complete: nothing was left to render" in run(command, dem, "-o", out, *options).out
     assert out.read_bytes() == whole.read_bytes()
     assert not (tmp_path / "store.h5.parts").exists()
 
@@ -171,19 +155,12 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
     assert facts["frame"] == "EPSG:32632"
     assert facts["spacing_m"] == [30.0, 30.0]
     assert facts["height_unit"].startswith("metre, assumed")
-    shown = run("info", dem).out
-    for name in (
-        "crs", "horizontal_datum", "to_wgs84", "axes", "prime_meridian", "height_unit",
-        "vertical_datum", "pixel_is", "nodata",
-    ):  # fmt: skip
-        assert f"\n{name} " in shown
+    assert "\nvertical_datum " in run("info", dem).out
     facts = json.loads(run("info", renderings, "--json").out)
     assert facts["kind"] == "store"
     assert facts["renderings"] == 4 * 30
     assert facts["locations"] == 30
-    assert "renderings" in run("info", renderings).out
     facts = json.loads(run("info", store, "--json").out)
-    assert facts["kind"] == "store"
     assert facts["places"] == facts["locations"] == 1804
     assert facts["config"]["spacing_m"] == 80.0
     assert facts["dem_files"] == [str(dem)]
@@ -197,28 +174,14 @@ def test_bounds_across_the_antimeridian_are_shown_and_accepted(run, tmp_path):
     west, south, east, north = json.loads(run("info", dem, "--json").out)["bounds_deg"]
     assert (west, east) == pytest.approx((179.983, -179.983), abs=1e-3)
     assert (south, north) == pytest.approx((-17.015, -16.985), abs=1e-3)
-    whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
-    bounds = f"{west!r},{south!r},{east!r},{north!r}"
+    whole, bounds = tmp_path / "whole.h5", f"{west!r},{south!r},{east!r},{north!r}"
     assert run("build", dem, "-o", whole, "--spacing", "300", "--bounds", bounds).code == 0
     facts = json.loads(run("info", whole, "--json").out)
     assert facts["places"] == 12 * 11
     assert facts["bounds_deg"][0] > 179.98
     assert -180.0 < facts["bounds_deg"][2] < -179.98
-    half = f"{west!r},{south!r},180,{north!r}"
-    assert run("build", dem, "-o", part, "--spacing", "300", "--bounds", half).code == 0
-    assert json.loads(run("info", part, "--json").out)["bounds_deg"][2] == pytest.approx(
-        180.0, abs=0.01
-    )
     done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
     assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
-
-
-@pytest.mark.parametrize("group", ["store", "dem"])
-def test_a_group_without_a_command_prints_its_help_alone(run, group):
-    done = run(group)
-    assert done.code == 2
-    assert "Usage" in done.out + done.err
-    assert "error:" not in done.err
 
 
 @pytest.mark.slow
@@ -275,6 +238,18 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["render", dem, "-o", out], "give one of --viewpoints FILE.csv, --grid"),
         (["render", dem, "-o", out, "--planner", "lpov", "--workers", "2"], "--workers 2 does not"),
         (["render", dem, "-o", out, "--grid", "500", "--width", "0"], "width is 0"),
+        (["render", dem, "-o", out, "--grid", 900, "--coverage", 0.9], "give --planner too"),
+        (["render", dem, "-o", out, "--planner", "lpov", "--grid", 50_000], "larger than the area"),
+        (["render", dem, "-o", out, "--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
+        (["build", dem, "-o", out, "--workers", "0"], "workers is 0; expected 1 or more"),
+        (["build", dem, "-o", out, "--workers", "nonsense://x"], "no dask scheduler answers"),
+        (["build", dem, "-o", out, "--loss", 1.5], "between 0 and 1"),
+        (["build", dem, "-o", out, "--loss", 0.0001], "a larger one"),
+        (
+            ["build", dem, "-o", out, "--loss", 0.4, "--spacing", 80],
+            "give one of --spacing (a uniform grid) and --loss (planned places)",
+        ),
+        (["dem", "fetch", "--bbox", "9.4,46.4", "-o", out], "expected four numbers"),
         (["build", dem, "-o", out, "--k", "2"], "refraction k is 2.0"),
         (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
         (["build", dem, "-o", out, "--bounds", "1,2,3"], "bounds are `1,2,3`"),
@@ -290,6 +265,11 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["match", store, tmp_path / "none.jpg", "--fov-deg", "60"], "none.jpg"),
         (["info"], "nothing to describe"),
         (["polish"], "polish"),
+        (["explain", dem, "--at", "5"], "easting and northing"),
+        (
+            ["explain", dem, "--at", "5178000,601800"],
+            "easting and northing seem to be swapped: give 601800,5178000",
+        ),
         (["build", dem, "-o", tmp_path / "no" / "folder.h5"], "folder"),
     ]:
         assert_refused(run(*arguments), message)
@@ -314,17 +294,6 @@ def test_explain_gives_the_model_and_its_errors(dem, run):
     assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] == 0.5
     assert facts["data_reach_m"] > 0.0
     assert "sight_m" in run("explain", dem, "--at", "601800,5178000").out
-
-
-@pytest.mark.parametrize(
-    ("place", "expected"),
-    [
-        ("5", "easting and northing"),
-        ("5178000,601800", "easting and northing seem to be swapped: give 601800,5178000"),
-    ],
-)
-def test_explain_refuses_bad_places(dem, run, place, expected):
-    assert_refused(run("explain", dem, "--at", place), expected)
 
 
 def test_explain_reads_numbers_in_the_range_of_degrees_as_degrees(run, tmp_path):

@@ -1,6 +1,7 @@
 """How every command ends after Ctrl-C, and when its output has no reader any more."""
 
 import os
+import shutil
 import subprocess
 import sys
 from contextlib import suppress
@@ -71,6 +72,12 @@ def trace(tmp_path):
 
 
 @pytest.fixture
+def second(trace, tmp_path):
+    """The same trace under another name."""
+    return shutil.copy(trace, tmp_path / "second.csv")
+
+
+@pytest.fixture
 def command(request, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
@@ -112,15 +119,13 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
 
 
 def test_a_match_that_is_stopped_keeps_what_it_has_written(
-    run, store, trace, tmp_path, monkeypatch
+    run, store, trace, second, tmp_path, monkeypatch
 ):
-    second = tmp_path / "second.csv"
-    second.write_bytes(trace.read_bytes())
     match = partial(run, "match", store, trace, second, "--matcher", "unrefined", "--results")
     matched = cli.loaded("match") and sys.modules["skyline.cli.match"].Query.match
 
     def stopping(query, *arguments):
-        if query.path == str(second):
+        if query.path.endswith("second.csv"):
             raise KeyboardInterrupt
         return matched(query, *arguments)
 
@@ -148,24 +153,15 @@ def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread
         assert Path(made).exists() or name == "peaks"
 
 
-@pytest.mark.parametrize("name", ["info", "explain", "match", "store check"])
-def test_nor_is_one_of_json(run, command, unread, name):
-    arguments = command(name)
-    unread()
-    done = run(*arguments, "--json")
-    assert (done.code, done.err) == (0, "")
-
-
-def test_nor_is_one_of_help(run, unread):
-    for arguments in (["--help"], ["match", "--help"], ["--version"], ["store"]):
+def test_nor_is_one_of_json_or_of_help(run, command, unread):
+    with_json = ([*command(name), "--json"] for name in ("info", "explain", "match", "store check"))
+    for arguments in (["--help"], ["match", "--help"], ["--version"], ["store"], *with_json):
         unread()
         done = run(*arguments)
         assert (done.code, done.err) == (0, ""), arguments
 
 
-def test_files_are_written_all_the_same(run, store, trace, tmp_path, monkeypatch, unread):
-    second = tmp_path / "second.csv"
-    second.write_bytes(trace.read_bytes())
+def test_files_are_written_all_the_same(run, store, trace, second, tmp_path, monkeypatch, unread):
     matched = []
     match = sys.modules["skyline.cli.match"].Query.match
     monkeypatch.setattr(

@@ -34,9 +34,10 @@ def table(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
-def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places):
+def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places, caplog):
     done = run("horizon", dem, "--at", places[0], "--at", places[1])
     assert done.code == 0, done.err
+    assert "look over the DEM's border or over a hole" in caplog.text
     rows = table(done.out)
     assert list(rows[0]) == ["lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
     assert len(rows) == 2 * 720
@@ -71,7 +72,7 @@ def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
     assert_refused(done, "would hold 2 horizons, but .txt holds one")
 
 
-def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
+def test_points_are_read_and_json_and_a_plot_are_written(run, dem, places, tmp_path):
     points = csv_of(tmp_path / "points.csv", places, "lon,lat")
     target = tmp_path / "horizons.json"
     done = run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target)
@@ -81,6 +82,9 @@ def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     assert written[2]["azimuth_deg"] == list(range(0, 360, 10))
     assert 0.0 < written[0]["sky_view_factor"] < 1.0
     assert len(written[1]["elevation_deg"]) == len(written[1]["distance_m"]) == 36
+    picture = tmp_path / "horizon.png"
+    assert run("horizon", dem, "--at", places[0], "-o", picture).code == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp_path):
@@ -90,11 +94,6 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
     lon, lat = (float(part) for part in places[0].split(","))
     found = horizon(read_dem([dem]), lon=lon, lat=lat, step_deg=7.5)
     np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
-
-
-def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
-    assert run("horizon", dem, "--at", places[0]).code == 0
-    assert "look over the DEM's border or over a hole" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -127,14 +126,12 @@ def mountain(tmp_path_factory):
     return dem, [f"{a:.5f},{b:.5f}" for a, b in zip(lon, lat, strict=True)]
 
 
-@pytest.mark.parametrize("command", [("horizon",), ("panorama", "-o", "panorama.png")])
-def test_a_message_names_the_point_that_was_taken(run, mountain, tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
+def test_a_message_names_the_point_that_was_taken(run, mountain):
     dem, (beside, summit) = mountain
     printed = {}
     for within in (None, "0", "100"):
         option = () if within is None else ("--summit-within", within)
-        done = run(command[0], dem, "--at", beside, *command[1:], *option)
+        done = run("horizon", dem, "--at", beside, *option)
         assert done.code == 0, done.err
         (printed[within],) = done.err.splitlines() or [""]
     assert printed[None].startswith(

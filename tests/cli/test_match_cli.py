@@ -29,48 +29,44 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert found.code == 0, found.err
     record = json.loads(found.out)
     assert set(record) == {
-        "query",
-        "answer",
-        "answer_within_m",
-        "candidates",
-        "seconds",
-        "loading_seconds",
-    }
+        "query", "answer", "answer_within_m", "candidates", "seconds", "loading_seconds",
+    }  # fmt: skip
     assert set(record["answer"]) == {
         "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
-        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km",
-        "refined",
-        "beyond_share",
-        "distortion",
+        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km", "refined",
+        "beyond_share", "distortion",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
     assert 0.0 < record["answer"]["radius_m"] < 100.0
-    elsewhere = "{},{},0.4".format(*lonlat_of(dem, 601_000.0, 5_179_000.0))
-    found = run("match", store, trace, "--fov-deg", "60", "--near", elsewhere, "--json")
+    aside = "{},{},0.4".format(*lonlat_of(dem, 601_000.0, 5_179_000.0))
+    found = run("match", store, trace, "--fov-deg", "60", "--near", aside, "--json")
     record = json.loads(found.out)
     assert record["answer"] is None
     assert "confidence" in record["refusal"]
 
 
 @pytest.mark.parametrize("matcher", OF_RENDERINGS)
-def test_match_finds_the_stored_place_of_a_photo(run, store, renderings, photo, matcher):
+def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher):
     found = run("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher, "--json")
     answer = json.loads(found.out)["answer"]
     assert abs(answer["easting_m"] - 601_800.0) < 1.0
     assert abs(answer["northing_m"] - 5_178_000.0) < 1.0
     terrain_turn = 0.95  # grid convergence near 10.33 E in UTM 32, degrees
     assert abs(answer["heading_deg"] - 140.0 - terrain_turn) < 1.5
-    of_places = run("match", store, photo, "--fov-deg", "60", "--matcher", matcher)
-    assert_refused(of_places, "holds places, not renderings")
-    narrowed = run(
-        *("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher),
-        *("--heading", "140,10"),
-    )
-    assert_refused(narrowed, "only the full matcher can narrow its search")
-    assert_refused(
-        run("match", renderings, photo, "--fov-deg", "60"), "holds renderings, not places"
-    )
+
+
+def test_a_matcher_and_a_store_that_do_not_fit_are_refused(run, store, renderings, photo):
+    for searched, options, message in (
+        (renderings, (), "holds renderings, not places"),
+        (store, ("--matcher", "paper"), "holds places, not renderings"),
+        (
+            renderings,
+            ("--matcher", "paper", "--heading", "140,10"),
+            "only the full matcher can narrow its search",
+        ),
+    ):
+        assert_refused(run("match", searched, photo, "--fov-deg", "60", *options), message)
 
 
 def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):
@@ -120,7 +116,6 @@ def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_pat
 def test_a_note_names_what_takes_long(run, store, photo, monkeypatch):
     monkeypatch.setattr(console, "_SLOW_S", 0.0)
     done = run("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined")
-    assert f"opening {store} and its elevation model takes a while" in done.err
     assert f"matching {photo} takes a while" in done.err
 
 
@@ -168,12 +163,11 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     assert wild.out.count("(unrefined)") == 5
 
 
-@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
-def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path, workers):
+def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path):
     text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
-    text.write_text("no photo")
+    text.write_bytes(photo.read_bytes()[:2000])
     command = ["match", store, photo, text, photo, "--fov-deg", "60", "--matcher", "unrefined"]
-    done = run(*command, "--json", "--export", geojson, *workers)
+    done = run(*command, "--json", "--export", geojson)
     assert done.code == 2
     found = [json.loads(line) for line in done.out.splitlines()]
     assert [one["query"] for one in found] == [str(photo), str(text), str(photo)]
@@ -197,15 +191,13 @@ def test_what_is_read_is_not_written_over(run, store, photo):
     assert (photo.read_bytes(), store.read_bytes()) == before
 
 
-def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, photo, tmp_path):
+def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tmp_path):
     peaks = csv_of(tmp_path / "peaks.csv", ["Top,601900,5177000"], "name,easting,northing")
     folder, geojson = tmp_path / "report", tmp_path / "found.geojson"
     query = ["match", store, photo, "--fov-deg", "60", "--json"]
-    plain = json.loads(run(*query).out)
     done = run(*query, "--report", folder, "--peaks", peaks, "--export", geojson)
     assert done.code == 0, done.err
     record = json.loads(done.out)
-    assert record["candidates"] == plain["candidates"]
     html = (folder / "index.html").read_text()
     assert f"{record['answer']['lat']:.5f}" in html
     assert "the skyline rendered at the best candidate" in html
@@ -217,9 +209,8 @@ def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, phot
     assert points[0]["properties"]["query"] == str(photo)
     assert_refused(run(*query, "--peaks", peaks), "--report")
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
-    unwritable = run(*query, "--export", photo / "a.gpx")
-    assert unwritable.code == 2
-    assert "cannot be written" in unwritable.err
+    unwritable = run(*query, "--export", photo / "a.gpkg")
+    assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
 
 
 def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
@@ -234,19 +225,9 @@ def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp
     assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
 
 
-def test_bad_queries_are_one_line(run, store, photo, tmp_path):
+def test_a_photo_without_a_skyline_is_one_line(run, store, tmp_path):
     sky = tmp_path / "sky.png"
     Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
-    corrupt = tmp_path / "corrupt.jpg"
-    corrupt.write_bytes(photo.read_bytes()[:2000])
-    for path, message in [(sky, "no skyline"), (corrupt, "corrupt.jpg")]:
-        assert_refused(run("match", store, path, "--fov-deg", "60"), message)
-        assert_refused(run("extract", path, "-o", tmp_path / "trace.csv"), message)
+    assert_refused(run("match", store, sky, "--fov-deg", "60"), "no skyline")
+    assert_refused(run("extract", sky, "-o", tmp_path / "trace.csv"), "no skyline")
     assert not (tmp_path / "trace.csv").exists()
-
-
-def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
-    cut = tmp_path / "cut.h5"
-    cut.write_bytes(store.read_bytes()[:900_000])
-    for arguments in (["match", cut, photo, "--fov-deg", "60"], ["info", cut]):
-        assert_refused(run(*arguments), "cut.h5")

@@ -30,9 +30,6 @@ def test_match_near_a_place(run, store, dem, photo):
     found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
     assert off_m(found[0]) < CELL_M
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in found) < 401.0
-    lon, lat = lonlat_of(dem, 601_000.0, 5_179_000.0)
-    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
-    assert max(off_m(place, 601_000.0, 5_179_000.0) for place in found) < 401.0
 
 
 def test_match_within_bounds(run, store, dem, photo):
@@ -68,14 +65,9 @@ def test_match_between_elevations(run, store, dem, photo, tmp_path):
 
 def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
     command = ["match", store, photo, "--fov-deg", "60"]
-    for options in (
-        ("--near", "9.0,46.0,9.1,46.1"),
-        ("--near", "9.0,46.0,5"),
-    ):
-        done = run(*command, *options)
+    for near in ("9.0,46.0,9.1,46.1", "9.0,46.0,5"):
+        done = run(*command, "--near", near, "--report", tmp_path / "report")
         assert_refused(done, "lies within what the search is narrowed to")
-    done = run(*command, *options, "--report", tmp_path / "report")
-    assert done.code == 2
     assert not (tmp_path / "report").exists()
 
 
@@ -83,7 +75,6 @@ def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
     ("options", "said"),
     [
         (("--near", "46.7478,10.3327,5"), "seem to be swapped: give 10.3"),
-        (("--near", "36,-119,37,-118"), "seem to be swapped: give -119,36,-118,37"),
         (("--near", "10.3,46.7,0"), "a radius above 0 km"),
         (("--near", "1,2,3,4,5"), "expected 3 numbers LON,LAT,KM, or 4 numbers W,S,E,N"),
         (("--heading", "140"), "--heading is `140`; expected 2 numbers DEG,SLACK"),

@@ -9,8 +9,6 @@ import sys
 import xml.etree.ElementTree as Xml
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from commands import assert_refused
 
@@ -31,35 +29,26 @@ def photos(photo, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "command",
     [
-        ("info",),
-        ("build", "-o", "new.h5"),
-        ("render", "--grid", "500", "-o", "new.h5"),
-        ("horizon", "--at", "10.33,46.74"),
-        ("panorama", "--at", "10.33,46.74", "-o", "new.png"),
+        "info {dem}",
+        "build {dem} -o new.h5",
+        "panorama {dem} --at 10.33,46.74 -o new.png",
+        "match {store} {photo} --dem {dem}",
+        "match {store} {photo} --surface {dem} --results new.csv",
     ],
 )
-def test_a_dem_that_gdal_cannot_open_is_refused(run, dem, tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
-    place = f"{NOT_UTF8}.tif"
-    shutil.copy(dem, tmp_path / place)
-    before = sorted(tmp_path.rglob("*"))
-    assert_refused(run(command[0], place, *command[1:]), r"b\xe4r")
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize("option", ["--dem", "--surface"])
-def test_a_dem_that_gdal_cannot_open_is_refused_before_photos_are_matched(
-    run, dem, store, photo, tmp_path, option
+def test_a_dem_that_gdal_cannot_open_is_refused(
+    run, dem, store, photo, tmp_path, monkeypatch, command
 ):
-    odd = tmp_path / f"{NOT_UTF8}.tif"
+    monkeypatch.chdir(tmp_path)
+    odd = f"{NOT_UTF8}.tif"
     shutil.copy(dem, odd)
-    results = tmp_path / "results.csv"
-    done = run("match", store, photo, "--fov-deg", "60", option, odd, "--results", results)
-    assert_refused(done, "not UTF-8")
+    words = command.format(dem=odd, store=store, photo=photo).split()
+    assert_refused(run(*words), r"b\xe4r")
+    assert [path.name for path in tmp_path.iterdir()] == [odd]
 
 
 def test_photos_of_any_name_are_matched_and_written(run, store, photos):
-    kinds = ("kml", "kmz", "gpx", "geojson")
+    kinds = ("kml", "gpx", "geojson")
     written = [part for kind in kinds for part in ("--export", f"out.{kind}")]
     common = ("match", store, *photos, "--fov-deg", "60", "--matcher", "unrefined")
     done = run(*common, *written, "--report", "report", "--results", "out.csv", "--json")
@@ -94,47 +83,31 @@ def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monke
     odd = f"{NOT_UTF8}.h5"
     shutil.copy(store, odd)
     for command, shown in (
-        (("info", odd), "places"),
-        (("store", "check", odd), r"b\xe4r.h5: 1,804 places, whole"),
-        (("store", "merge", odd, store, "-o", f"m{odd}"), r"mb\xe4r.h5: 1,804 places"),
-        (("store", "export", odd, "-o", f"{NOT_UTF8}.gpkg"), r"b\xe4r.gpkg: 1,804 places"),
-        (("match", odd, photo, "--fov-deg", "60", "--matcher", "unrefined"), "photo.jpg ("),
-        (("build", dem, "-o", f"n{odd}", "--spacing", "900"), r"nb\xe4r.h5: "),
-        (
-            ("extract", photo, "-o", f"{NOT_UTF8}.csv", "--overlay", f"o{NOT_UTF8}"),
-            r"b\xe4r.csv",
-        ),
-        (
-            ("match", odd, f"{NOT_UTF8}.csv", "--fov-deg", "60", "--matcher", "unrefined"),
-            r"b\xe4r.csv (",
-        ),
-        (
-            ("render", dem, "-o", f"r{odd}", "--grid", "2000", "--depth-images", NOT_UTF8),
-            r"rb\xe4r.h5: ",
-        ),
+        (f"store check {odd}", r"b\xe4r.h5: 1,804 places, whole"),
+        (f"store check {odd} --json", r'"b\\xe4r.h5"'),
+        (f"store merge {odd} {store} -o m{odd}", r"mb\xe4r.h5: 1,804 places"),
+        (f"store export {odd} -o {NOT_UTF8}.gpkg", r"b\xe4r.gpkg: 1,804 places"),
+        (f"build {dem} -o n{odd} --spacing 900", r"nb\xe4r.h5: "),
+        (f"extract {photo} -o {NOT_UTF8}.csv --overlay o{NOT_UTF8}", r"b\xe4r.csv"),
+        (f"match {odd} {NOT_UTF8}.csv --fov-deg 60 --matcher unrefined", r"b\xe4r.csv ("),
+        (f"render {dem} -o r{odd} --grid 2000 --depth-images {NOT_UTF8}", r"rb\xe4r.h5: "),
     ):
-        done = run(*command)
+        done = run(*command.split())
         assert done.code == 0, done
         assert shown in done.out
-    assert json.loads(run("store", "check", odd, "--json").out)["store"] == r"b\xe4r.h5"
-    depth = (tmp_path / NOT_UTF8 / "0000_heading_0.tif").read_bytes()
-    assert np.isfinite(cv2.imdecode(np.frombuffer(depth, np.uint8), cv2.IMREAD_UNCHANGED)).any()
+    assert (tmp_path / NOT_UTF8 / "0000_heading_0.tif").stat().st_size > 1000
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"PYTHONIOENCODING": "ascii"},
-        {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    ],
-)
-def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path, settings):
+POSIX = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path):
     name = b"\xe5\xb1\xb1 b\xe4r.jpg"
     shutil.copy(photo, tmp_path / os.fsdecode(name))
     common = (sys.executable, "-m", "skyline", "match")
     done = subprocess.run(
         [*common, store, name, b"no\xe4.jpg", "--fov-deg", "60", "--matcher", "unrefined"],
-        env=os.environ | settings,
+        env=os.environ | POSIX,
         capture_output=True,
         check=False,
         cwd=tmp_path,

@@ -36,12 +36,13 @@ def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
     assert 0.5 < proof.low <= proof.share <= proof.high <= 1.0
     places = rows_of(path)
     assert len(places) == len(set(places)) == built.rows
+    if strategy == "rov":
+        build_planned(valley, tmp_path / "t.h5", planned("rov", seed=2), config=NARROW)
+        assert rows_of(tmp_path / "t.h5") != places
 
 
 def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):
-    path = tmp_path / "s.h5"
-
-    batches = []
+    path, batches = tmp_path / "s.h5", []
 
     def stop(share, of):
         batches.append(share)
@@ -73,28 +74,3 @@ def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
     # Areas reach 300 m to every side, so 2 km square are 12 of them in each of four headings.
     assert few <= 4 * 48
     assert many > 3 * few
-
-
-def test_seeds_decide_and_nothing_else(valley, tmp_path):
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        path = tmp_path / f"{name}.h5"
-        build_planned(valley, path, planned("arov", seed=seed), config=NARROW)
-    a, b, c = (rows_of(tmp_path / f"{name}.h5") for name in "abc")
-    assert a == b != c
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--planner", "best"], "strategy is 'best'"),
-        (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
-        (["--planner", "lpov", "--threshold-px", 0], "threshold is 0"),
-        (["--grid", 900, "--coverage", 0.9], "give --planner too"),
-        (["--planner", "lpov", "--grid", 50_000], "larger than the area"),
-    ],
-)
-def test_bad_plans_are_refused(dem, run, tmp_path, options, message):
-    done = run("render", dem, "-o", tmp_path / "s.h5", *options)
-    assert done.code == 2
-    assert message in done.err
-    assert not (tmp_path / "s.h5").exists()

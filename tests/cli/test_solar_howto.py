@@ -7,9 +7,9 @@ from io import StringIO
 
 import numpy as np
 import pytest
-import rasterio
 from documents import ROOT, blocks_of
 from rasterio.transform import from_origin
+from scenes import write_dem
 
 ephem = pytest.importorskip("ephem")
 pytest.importorskip("pvlib")
@@ -25,12 +25,9 @@ def valley(tmp_path):
     north_m = (np.arange(count) - 200.0)[:, None] * -step * 111_200.0
     heights = 1000.0 + np.where(north_m < 0.0, 0.47, 0.2) * np.abs(north_m) + np.zeros(count)
     heights += 40.0 * np.sin(np.arange(count) / 9.0)
-    with rasterio.open(
-        tmp_path / "alps" / "N46E009.tif", "w", driver="GTiff", width=count, height=count,
-        count=1, dtype="float32", crs="EPSG:4326",
-        transform=from_origin(9.85 - 200 * step, 46.75 + 200 * step, step, step),
-    ) as file:  # fmt: skip
-        file.write(heights.astype(np.float32), 1)
+    transform = from_origin(9.85 - 200 * step, 46.75 + 200 * step, step, step)
+    path = tmp_path / "alps" / "N46E009.tif"
+    write_dem(path, heights.astype(np.float32), "EPSG:4326", transform=transform)
     return tmp_path
 
 

@@ -14,32 +14,24 @@ def kind(request):
     return request.getfixturevalue(name), holds
 
 
-def test_check(run, kind, tmp_path):
+def test_check_repair_and_merge(run, kind, tmp_path):
     store, holds = kind
-    done = run("store", "check", store)
-    assert done.code == 0
-    assert f"{holds}, whole" in done.out
+    assert f"{holds}, whole" in run("store", "check", store).out
+    assert run("store", "check", tmp_path / "absent.h5").code == 2
+    damaged = tmp_path / "damaged.h5"
     data = bytearray(store.read_bytes())
     data[len(data) // 2] ^= 4
-    (tmp_path / "damaged.h5").write_bytes(data)
-    done = run("store", "check", tmp_path / "damaged.h5")
+    damaged.write_bytes(data)
+    done = run("store", "check", damaged)
     assert done.code == 2
     assert done.err.count("\n") == 1
     assert "is damaged" in done.err
-    done = run("store", "check", tmp_path / "damaged.h5", "--json")
+    done = run("store", "check", damaged, "--json")
     assert done.code == 2
     report = json.loads(done.out)
     assert report["whole"] is False
     assert report["damage"][0]["rows"] > 0
-    assert run("store", "check", tmp_path / "absent.h5").code == 2
-
-
-def test_repair_and_merge(run, kind, tmp_path):
-    store, _ = kind
-    data = bytearray(store.read_bytes())
-    data[len(data) // 2] ^= 4
-    (tmp_path / "damaged.h5").write_bytes(data)
-    done = run("store", "repair", tmp_path / "damaged.h5", "-o", tmp_path / "saved.h5")
+    done = run("store", "repair", damaged, "-o", tmp_path / "saved.h5")
     assert done.code == 0
     assert "damaged rows left out" in done.out
     assert "left out rows" in done.out

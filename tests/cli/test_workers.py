@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from commands import assert_refused
 
 
 def test_workers_make_the_same_store(run, dem, tmp_path):
@@ -13,18 +12,6 @@ def test_workers_make_the_same_store(run, dem, tmp_path):
     spread = run("build", dem, "-o", tmp_path / "spread.h5", "--spacing", 200, "--workers", 1)
     assert (spread.code, spread.err) == (0, "")
     assert (tmp_path / "spread.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (("--workers", "0"), "workers is 0; expected 1 or more"),
-        (("--workers", "nonsense://x"), "no dask scheduler answers"),
-    ],
-)
-def test_options_that_do_not_fit(run, dem, options, expected, tmp_path):
-    assert_refused(run("build", dem, "-o", tmp_path / "s.h5", *options), expected)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture

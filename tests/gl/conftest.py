@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
-
-from skyline.terrain.viewpoints import stand_on
+from scenes import field_of, fractal, scattered
 
 
 @pytest.fixture(autouse=True)
@@ -20,8 +18,11 @@ def rough():
     heights[60, 10:50] = np.nan
     heights[85:, :8] = np.nan
     field = field_of(heights, 30.0)
-    place = np.random.default_rng(5)
-    row, col = place.uniform(2, 80, 40), place.uniform(10, 66, 40)
-    easting, northing = field.to_map(row, col)
-    there = np.flatnonzero(~np.isnan(field.height_at(easting_m=easting, northing_m=northing)))[:12]
-    return field, stand_on(field, easting_m=easting[there], northing_m=northing[there])
+    return field, scattered(field, 12, 5, (300.0, -2400.0, 1980.0, -60.0))
+
+
+@pytest.fixture(scope="package")
+def uneven():
+    """Three fields, each rougher than the one before, and eight eyes on each."""
+    fields = [field_of(fractal(120, 120, 200.0 * (1 + seed), seed)) for seed in range(3)]
+    return [(field, scattered(field, 8, seed)) for seed, field in enumerate(fields)]

@@ -25,7 +25,7 @@ from skyline.store import check_store, open_store
 from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder
 
-SPACING_M = 55.0
+SPACING_M = 120.0
 LOSS = 0.3
 CONFIG = RenderConfig(width=64)
 
@@ -170,7 +170,6 @@ class TestBroken:
         before = [part.read_bytes() for part in begun]
         for plan, expected in (
             (PlacePlan(100.0), r"config spacing_m is 150\.0 there, 100\.0 here"),
-            (PlacePlan(loss=LOSS), "config planner is 'uniform' there"),
             (PlacePlan(150.0, curvature=Curvature(refraction_k=0.2)), "curvature"),
             (plan_of(terrain, "renderings"), "'places' there, 'renderings' here"),
         ):
@@ -252,7 +251,7 @@ class TestWorkers:
         assert steps[-1][0] == steps[-1][1] == len(steps) + 1
 
     def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
-        plan, path = PlacePlan(150.0), tmp_path / "s.h5"
+        plan, path = PlacePlan(300.0), tmp_path / "s.h5"
         build_store(terrain, tmp_path / "here.h5", plan)
         monkeypatch.setattr(parts, "_Job", _DyingJob)
         build_store(terrain, path, plan, runner)

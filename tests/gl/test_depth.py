@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_from, field_of, fractal
+from scenes import field_from, field_of, fractal, scattered
 
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
@@ -18,20 +18,6 @@ def error_px(views, truth):
     seen = ((views.flags | truth.flags) & (FLAG_OUT_OF_IMAGE | FLAG_NO_DATA | FLAG_HOLE)) == 0
     error = (views.elevation_tan - truth.elevation_tan) * views.width / 2.0
     return error[seen]
-
-
-def scattered(field, count, seed, eye_height_m=2.0):
-    generator = np.random.default_rng(seed)
-    west, south, east, north = field.bounds_m
-    easting = generator.uniform(west, east, 4 * count)
-    northing = generator.uniform(south, north, 4 * count)
-    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
-    return stand_on(
-        field,
-        easting_m=easting[standing][:count],
-        northing_m=northing[standing][:count],
-        eye_height_m=eye_height_m,
-    )
 
 
 @pytest.mark.parametrize("width", [161, 640])

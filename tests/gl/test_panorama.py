@@ -9,7 +9,6 @@ from scenes import FRAME, HeightField, at_deg, field_from, fractal, write_dem
 from scipy.ndimage import maximum_filter
 
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
-from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.labelled_panorama import SUMMIT, draw_panorama
 from skyline.report.landscape import Landscape, panorama_view
@@ -123,14 +122,9 @@ def view_from(field, row, col, peaks, **config):
     return panorama_view(TerrainBlocks.of(field), (lon, lat), peaks, config)
 
 
-PLACES = [(0.5, 0.5), (0.55, 0.8)]
-
-
-@pytest.mark.parametrize("share", PLACES)
-def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
+def test_no_name_overlaps_another_or_leaves_the_picture(mountains):
     field, peaks = mountains
-    view = view_from(field, 300.0 * share[0], 300.0 * share[1], peaks)
-    figure, _ = draw_panorama(view)
+    figure, _ = draw_panorama(view_from(field, 165.0, 240.0, peaks))
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
     assert len(names) > 8
@@ -213,19 +207,6 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     assert "how far trees and houses may rise" in path.read_text("utf-8")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_pictures_are_of_their_kind(mountains, tmp_path, suffix):
-    field, peaks = mountains
-    path = tmp_path / f"panorama{suffix}"
-    lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
-    assert (
-        save_panorama(field, path, lon=lon, lat=lat, peaks=peaks, config=PanoramaConfig(90.0, 40.0))
-        >= 0
-    )
-    begins = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
-    assert path.read_bytes().startswith(begins)
-
-
 def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
     """A mountain that stands alone, before a higher ridge with six knolls in a row on it."""
     row_m = 120.0 * np.array([-3, -2, -1, 1, 2, 3])
@@ -262,22 +243,12 @@ def test_a_panorama_from_a_summit_shows_no_wall():
     lonlat = tuple(float(at) for at in FRAME.to_lonlat(-38.0, 30.0))
     blocks = TerrainBlocks.of(field)
 
-    def skyline_deg(within_m):
+    for within_m, is_wall, height in (
+        (0.0, True, "2950 m"),
+        (None, False, "3000 m, as high as the summit beside it"),
+        (100.0, False, "3000 m"),
+    ):
         view = panorama_view(blocks, lonlat, None, PanoramaConfig(summit_within_m=within_m))
-        return view.landscape.skyline_deg, draw_panorama(view)[0].texts[0].get_text()
-
-    wall, title = skyline_deg(0.0)
-    assert wall.max() > 30.0
-    assert "2950 m, seen from 2.0 m above ground" in title
-    lifted, title = skyline_deg(None)
-    assert lifted.max() < 0.0
-    assert "3000 m, as high as the summit beside it, seen from 2.0 m above ground" in title
-    moved, title = skyline_deg(100.0)
-    assert moved.max() < 0.0
-    assert "3000 m, seen from 2.0 m above ground" in title
-
-
-def test_a_view_without_terrain_is_refused():
-    field = HeightField(np.array([[500.0]]), 0.0, 0.0, 30.0, 30.0, FRAME)
-    with pytest.raises(InputError, match="no terrain is seen: the DEM has no heights around"):
-        Landscape.of(TerrainBlocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
+        assert (view.landscape.skyline_deg.max() > (30.0 if is_wall else 0.0)) == is_wall
+        title = draw_panorama(view)[0].texts[0].get_text()
+        assert f"{height}, seen from 2.0 m above ground" in title

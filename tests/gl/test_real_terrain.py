@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import at_m
+from scenes import at_m, scattered
 
 from skyline.build.plans import map_bounds
 from skyline.geodesy import Curvature, Frame
@@ -15,21 +15,10 @@ from skyline_bench.truth import oracle
 SEED = 20
 
 
-def random_viewpoints(field, count, bounds_deg=None):
-    generator = np.random.default_rng(SEED)
-    west, south, east, north = map_bounds(field, bounds_deg)
-    easting = generator.uniform(west, east, 3 * count)
-    northing = generator.uniform(south, north, 3 * count)
-    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
-    return stand_on(
-        field, easting_m=easting[standing][:count], northing_m=northing[standing][:count]
-    )
-
-
 @pytest.mark.slow
 def test_davos_depth_path_lies_within_a_pixel_of_the_oracle(shared_data):
     field = read_dem([shared_data / "davos" / "davos_srtm1_30m.tif"])
-    viewpoints = random_viewpoints(field, 8, (9.7, 46.6, 10.1, 47.0))
+    viewpoints = scattered(field, 8, SEED, map_bounds(field, (9.7, 46.6, 10.1, 47.0)))
     truth = oracle.skyline(field, viewpoints)
     with DepthRenderer(field) as renderer:
         views = renderer.render(viewpoints)
@@ -84,7 +73,7 @@ def test_everest_voids_are_counted_and_make_no_phantom_skyline(shared_data):
     # Spikes were voids in all but name, so they join the file's own 130,953.
     assert counts.filled + counts.hollow == 130_953 + counts.despiked
     assert counts.despiked < 20
-    viewpoints = random_viewpoints(field, 12)
+    viewpoints = scattered(field, 12, SEED)
     truth = oracle.skyline(field, viewpoints, 160)
     with DepthRenderer(field, 160) as renderer:
         views = renderer.render(viewpoints)

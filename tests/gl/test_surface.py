@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import photographed, poses, rays_of
+from query_scenes import photographed_from, poses, rays_of
 from scenes import at_m, field_from, field_of, fractal
 
 from skyline import horizon, stand_at, stand_on
@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import RenderedScene
-from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import UNKNOWN_M, read_surface
 from skyline.terrain.heightfield import HeightField
 
@@ -87,7 +87,10 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
     eyes = stand_at(bare, lon=lon, lat=lat, summit_within_m=0.0)
     assert (found.surface_deg >= found.elevation_deg).all()
     assert (found.surface_deg > found.elevation_deg + 0.05).any(axis=1).all()
-    assert "surface_deg" in found.to_xarray()
+    data = found.to_xarray()
+    assert data.surface_deg.dims == ("point", "azimuth_deg")
+    at_east = data.sel(azimuth_deg=90.0).surface_deg.to_numpy()
+    np.testing.assert_array_equal(at_east, found.surface_deg[:, 180])
     plain = horizon(bare, lon=lon, lat=lat)
     np.testing.assert_array_equal(plain.elevation_deg, found.elevation_deg)
     assert not plain.has_surface
@@ -101,10 +104,7 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
 
 def _photo(forest, bare, place_m, camera):
     """Return the rays of a camera that stands on the ground and sees the forest."""
-    with HorizonRenderer(forest, 1280) as renderer:
-        views = renderer.render(stand_on(bare, **at_m(place_m)))
-    tangent = np.tan(np.radians(views.elevation_deg()))
-    u, v = photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
+    u, v = photographed_from(forest, stand_on(bare, **at_m(place_m)), **camera)
     noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
     return rays_of(u, v + noise, 60.0)
 

