@@ -6,11 +6,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
-from skyline.errors import MissingFileError, OffMapError
+from skyline.errors import OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate
 from skyline.match.matcher import Matcher
+from skyline.match.scene import terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
@@ -67,10 +68,8 @@ def report_matches(
     folder, results = Path(folder), list(results)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
-    try:
-        viewer = Viewer(matcher, peaks)
-    except MissingFileError:
-        viewer = None
+    terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
+    viewer = None if terrain is None else Viewer(matcher, peaks, terrain)
     try:
         sections = [
             _section(folder, number, one, photo, matcher, viewer, done)

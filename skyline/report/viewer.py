@@ -14,17 +14,18 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS
-from skyline.errors import MissingFileError, OffMapError
+from skyline.errors import InputError, OffMapError
 from skyline.geodesy import in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
 from skyline.match.query_rays import level, project
-from skyline.match.scene import RenderedScene, terrain_at_hand
+from skyline.match.scene import RenderedScene
 from skyline.photo.projection import distorted
 from skyline.photo.query import QuerySkyline
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.skylines import Views
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -146,21 +147,23 @@ class Viewer:
         If it has a render thread, that thread renders here too, and any thread may call.
     peaks : Peaks, optional
         Names of summits.
+    terrain : HeightField, optional
+        The terrain for a matcher that has none.
 
     Raises
     ------
-    MissingFileError
-        The matcher has no elevation model, and the store's is not at hand.
+    InputError
+        There is no elevation model.
     ContextError
         No OpenGL context can be created.
     """
 
-    def __init__(self, matcher: Matcher, peaks: Peaks | None = None) -> None:
-        terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief and no view")
+    def __init__(
+        self, matcher: Matcher, peaks: Peaks | None = None, terrain: HeightField | None = None
+    ) -> None:
+        terrain = matcher.terrain or terrain
         if terrain is None:
-            raise MissingFileError(
-                "the store's DEM is not at hand, so that nothing can be rendered; give it"
-            )
+            raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
         self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
         self.curvature = matcher.header.curvature
         config = RenderConfig(width=_WIDTH, curvature=self.curvature)

@@ -213,6 +213,18 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
 
 
+def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
+    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
+    moved.write_bytes(dem.read_bytes())
+    assert run("build", moved, "-o", store, "--spacing", "300").code == 0
+    moved.unlink()
+    done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
+    assert done.code == 0, done.err
+    assert "unrefined" in caplog.text
+    assert "no relief: the store's DEM is not at" in caplog.text
+    assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
+
+
 def test_a_photo_without_a_skyline_is_one_line(run, store, tmp_path):
     sky = tmp_path / "sky.png"
     Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)

@@ -6,7 +6,7 @@ from rasterio.transform import from_origin
 from scenes import write_dem
 
 UTM = "EPSG:32632"
-CALIFORNIA = [f"N{lat}W{lon}" for lat in (38, 37, 36) for lon in (120, 119)]
+CALIFORNIA = [f"N{lat}W{lon}" for lat in (37, 36) for lon in (120, 119)]
 
 
 def write(path, heights, transform=None, crs=UTM, **profile):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from query_scenes import equally_trusted, poses
 
-from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.match.ranking import RefinedPoses
@@ -13,30 +12,9 @@ AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
-NEAR_REFINED, NEAR_RETRIEVED = (
-    confidence.model_name(stage, RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
-)
-
-
 def retrieved(easting_m, score):
     """Poses along a line to the east."""
     return poses(len(score), easting_m=easting_m, score=score)
-
-
-def test_the_packaged_models_know_the_figures_they_are_given():
-    zero = np.zeros(3)
-    figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
-    models = confidence.models()
-    assert set(models) == {
-        confidence.model_name(stage, within_m)
-        for stage in ("refined", "retrieved")
-        for within_m in DISTANCES_M
-    }
-    sure = models[NEAR_RETRIEVED].probability(figures)
-    assert sure.shape == (3,)
-    assert ((sure > 0.0) & (sure < 1.0)).all()
-    with pytest.raises(InputError, match="needs"):
-        models[NEAR_REFINED].probability({"margin": zero})
 
 
 def test_a_margin_is_over_the_best_rival():
@@ -46,15 +24,10 @@ def test_a_margin_is_over_the_best_rival():
 
 
 def test_a_place_without_rivals_has_no_margin():
-    found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
-    figures = confidence.retrieved_figures(found, QUERY)
+    figures = confidence.retrieved_figures(retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0]), QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
-    assert (confidence.models()[NEAR_RETRIEVED].probability(figures) < 0.9).all()
-    one = np.ones(1)
-    poses = RefinedPoses(
-        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one, one + np.inf, one + np.inf
-    )
-    assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
+    model = confidence.models()[confidence.model_name("retrieved", RIGHT_WITHIN_M)]
+    assert (model.probability(figures) < 0.9).all()
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)

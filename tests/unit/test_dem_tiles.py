@@ -71,42 +71,27 @@ def test_tiles_that_do_not_fit(tmp_path, transform, crs, message):
         read_dem([first, second])
 
 
-def california(shared_data):
-    return [shared_data / "california" / f"{name}.hgt.gz" for name in CALIFORNIA]
-
-
-def test_six_californian_tiles_have_no_seam(shared_data, tmp_path):
-    raw = {}
-    for path, name in zip(california(shared_data), CALIFORNIA, strict=True):
-        content = gzip.decompress(path.read_bytes())
-        raw[name] = np.frombuffer(content, ">i2").reshape(1201, 1201).astype(np.int16)
-    mosaic = read_files(california(shared_data))
-    assert (mosaic.grid.rows, mosaic.grid.cols) == (3601, 2401)
+def test_four_californian_tiles_have_no_seam(shared_data):
+    paths = [shared_data / "california" / f"{name}.hgt.gz" for name in CALIFORNIA]
+    raw = {
+        name: np.frombuffer(gzip.decompress(path.read_bytes()), ">i2").reshape(1201, 1201)
+        for name, path in zip(CALIFORNIA, paths, strict=True)
+    }
+    mosaic = read_files(paths)
+    assert (mosaic.grid.rows, mosaic.grid.cols) == (2401, 2401)
     heights = mosaic.heights_m
     merged = np.full(heights.shape, -32768, np.int16)
     for name in reversed(CALIFORNIA):
-        row, col = 1200 * (38 - int(name[1:3])), 1200 * (120 - int(name[4:7]))
+        row, col = 1200 * (37 - int(name[1:3])), 1200 * (120 - int(name[4:7]))
         merged[row : row + 1201, col : col + 1201] = raw[name]
         # All of each tile is there; the file's own borders differ by a metre here and there.
         difference = np.abs(heights[row : row + 1201, col : col + 1201] - raw[name])
         assert not difference[1:-1, 1:-1].any()
         assert difference.max() <= 1.0
     np.testing.assert_array_equal(heights, merged)
-
-    step = 1.0 / 1200.0
-    whole = write(
-        tmp_path / "merged.tif",
-        merged,
-        from_origin(-120.0 - step / 2, 39.0 + step / 2, step, step),
-        "EPSG:4326",
-        nodata=-32768,
-    )
-    one, six = read_dem(whole), read_dem(california(shared_data))
-    assert one.heights_m.shape == six.heights_m.shape
-    np.testing.assert_allclose(six.heights_m, one.heights_m, atol=1e-3)
-    assert six.spacing_m == 70.0
-    easting, northing = six.frame.from_lonlat(-118.2925, 36.5783)
-    around = six.height_at(
-        **at_m(np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20)))
-    )
+    field = read_dem(paths)
+    assert field.spacing_m == 70.0
+    easting, northing = field.frame.from_lonlat(-118.2925, 36.5783)
+    away_m = np.arange(-200, 201, 20)
+    around = field.height_at(**at_m(np.meshgrid(easting + away_m, northing + away_m)))
     assert 4380.0 < around.max() < 4430.0  # Mount Whitney

@@ -132,17 +132,6 @@ def test_walls_beside_samples_that_no_file_covers_are_no_fill():
     np.testing.assert_array_equal(heights, before)
 
 
-@pytest.mark.parametrize("nodata", [None, 7.0])
-def test_customary_void_values_are_counted(tmp_path, nodata):
-    heights = mountains()
-    heights[20:40, 20:40] = -32768.0
-    heights[60:65, 60:65] = -9999.0
-    counts = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata)).provenance
-    assert (counts.undeclared, counts.filled, counts.hollow, counts.despiked) == (425, 25, 400, 0)
-    declared = read_dem(write(tmp_path / "declared.tif", heights, nodata=-32768.0)).provenance
-    assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
-
-
 def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     heights = mountains()
     heights[:, :30] = 0.0

@@ -110,14 +110,11 @@ def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
     assert not (tmp_path / "sea").exists()
 
 
-def test_failures_that_pass_are_retried(template, server, heights, tmp_path):
-    server.failures = 2
-    expect_heights(fetch(template, tmp_path), heights)
-
-
-@pytest.mark.parametrize("broken", [1, 3])
-def test_bodies_that_break_off_are_read_again(template, server, heights, tmp_path, broken):
-    server.truncate = broken
+@pytest.mark.parametrize("trouble", [{"failures": 2}, {"truncate": 1}, {"truncate": 3}])
+def test_failures_and_bodies_that_break_off_are_read_again(
+    template, server, heights, tmp_path, trouble
+):
+    vars(server).update(trouble)
     expect_heights(fetch(template, tmp_path), heights)
 
 
@@ -154,13 +151,7 @@ def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, hei
 
 @pytest.mark.parametrize(
     "template",
-    [
-        "file:///etc/{lat}.tif",
-        "coprenicus",
-        "http://host/{lat.__class__}.tif",
-        "http://host/{lat.tif",
-        "http://host/all.tif",
-    ],
+    ["file:///etc/{lat}.tif", "coprenicus", "http://host/{lat.__class__}.tif", "http://host/a.tif"],
 )
 def test_templates_that_are_refused(template, tmp_path):
     with pytest.raises(InputError, match="expected copernicus, or an http or https address"):
@@ -170,9 +161,8 @@ def test_templates_that_are_refused(template, tmp_path):
 def test_copernicus_addresses_are_as_documented():
     template = SOURCES["copernicus"]
     addresses = [address(template, *tile) for tile in tile_corners((-0.5, -0.5, 0.5, 0.5))]
-    for found, name in zip(
-        addresses, ["S01_00_W001", "S01_00_E000", "N00_00_W001", "N00_00_E000"], strict=True
-    ):
+    names = ["S01_00_W001", "S01_00_E000", "N00_00_W001", "N00_00_E000"]
+    for found, name in zip(addresses, names, strict=True):
         full = f"Copernicus_DSM_COG_10_{name}_00_DEM"
         assert found == f"https://copernicus-dem-30m.s3.amazonaws.com/{full}/{full}.tif"
 
@@ -185,13 +175,6 @@ def test_bounds_across_the_antimeridian():
 def test_too_much_is_refused_before_anything_is_asked(tmp_path):
     with pytest.raises(InputError, match=rf"need 400 tiles, about 20\.7 GB.*at most {MAX_TILES}"):
         fetch("copernicus", tmp_path, (0.0, 30.0, 20.0, 50.0))
-
-
-def test_too_many_bytes_are_refused_before_they_are_read(template, server, monkeypatch, tmp_path):
-    monkeypatch.setattr("skyline.fetch.dem_tiles.MAX_BYTES", 10_000)
-    with pytest.raises(InputError, match=r"need 2 tiles and 0\.0 GB"):
-        fetch(template, tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

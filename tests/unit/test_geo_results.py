@@ -35,9 +35,8 @@ def test_a_result_is_a_table_of_points_in_degrees():
         value = getattr(BEST, name)
         assert table[name].isna()[0] if value is None else table[name][0] == value, name
     assert table["confidence"].isna().tolist() == [False, True]
-    assert table["easting_variance_m2"][0] == 400.0
-    assert table["northing_variance_m2"][0] == 900.0
-    assert table["easting_northing_covariance_m2"][0] == 100.0
+    spread = ["easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2"]
+    assert table.loc[0, spread].tolist() == [400.0, 900.0, 100.0]
     # The points, brought back to the frame by other means, are where the candidates are.
     back = table.to_crs("EPSG:32632").geometry
     np.testing.assert_allclose(back.x, table["easting_m"], atol=1e-4)
@@ -67,7 +66,7 @@ def place_store(tmp_path):
 
 @pytest.fixture
 def view_store(tmp_path):
-    with open_store(write_rows(tmp_path / "views.h5", 0, 12)) as store:
+    with open_store(write_rows(tmp_path / "views.h5", 0, 12, VIEWS_HEADER)) as store:
         yield store
 
 
@@ -124,50 +123,40 @@ def test_places_are_a_table_of_points_with_their_spacing(place_store):
     assert place_store.to_geodataframe([7, 3])["place"].tolist() == [7, 3]
 
 
-def test_a_geopackage_is_written_without_file_locks(place_store, tmp_path, monkeypatch):
-    """SQLite is given no file, which it would lock."""
-    connect = sqlite3.connect
-    opened = []
-    monkeypatch.setattr(sqlite3, "connect", lambda *name: opened.append(name) or connect(*name))
-    write_geopackage(place_store, tmp_path / "places.gpkg")
-    assert opened == [(":memory:",)]
-    assert [file.name for file in tmp_path.glob("*.gpkg*")] == ["places.gpkg"]
-
-
-def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_path):
-    path = tmp_path / "places.gpkg"
+def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_path, monkeypatch):
+    path, opened, connect = tmp_path / "places.gpkg", [], sqlite3.connect
     path.write_bytes(b"what was there")
+    # SQLite is given no file, which it would lock.
+    monkeypatch.setattr(sqlite3, "connect", lambda *name: opened.append(name) or connect(*name))
     assert write_geopackage(place_store, path) == 50
+    assert opened == [(":memory:",)]
     assert [file.name for file in tmp_path.glob("*.gpkg*")] == ["places.gpkg"]
     about = pyogrio.read_info(path, layer="places")
     assert (about["driver"], about["geometry_type"], about["features"]) == ("GPKG", "Point", 50)
     read = geopandas.read_file(path, layer="places")
     assert read.crs == UTM.crs
-    assert read.drop(columns="geometry").equals(
-        place_store.to_geodataframe().drop(columns="geometry")
-    )
+    columns = read.columns.drop("geometry")
+    assert read[columns].equals(place_store.to_geodataframe()[columns])
     (row,) = pyogrio.read_dataframe(path, layer="layer_styles").to_dict("records")
     assert (row["f_table_name"], row["f_geometry_column"]) == ("places", "geom")
     assert row["useAsDefault"] == 1
     style = ElementTree.fromstring(row["styleQML"])
-    fields = [
-        option.get("value") for option in style.iter("Option") if option.get("name") == "field"
-    ]
-    assert fields == ["spacing_m"]
+    (field,) = style.iterfind(".//Option[@name='field']")
+    assert field.get("value") == "spacing_m"
 
 
-def test_a_geopackage_that_cannot_be_is_refused_and_leaves_nothing(
-    place_store, view_store, tmp_path
-):
-    before = sorted(tmp_path.iterdir())
-    for store, path, said in (
-        (place_store, tmp_path / "places.shp", "ends in .gpkg"),
-        (place_store, tmp_path / "none" / "places.gpkg", "cannot be written"),
-        (view_store, tmp_path / "views.gpkg", "renderings"),
-    ):
-        with pytest.raises(InputError, match=said):
-            write_geopackage(store, path)
-    assert sorted(tmp_path.iterdir()) == before
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        ("place_store", "places.shp", "ends in .gpkg"),
+        ("place_store", "none/places.gpkg", "cannot be written"),
+        ("view_store", "views.gpkg", "renderings"),
+    ],
+)
+def test_a_geopackage_that_cannot_be_is_refused(tmp_path, request, kind, name, said):
+    with pytest.raises(InputError, match=said):
+        write_geopackage(request.getfixturevalue(kind), tmp_path / name)
+    assert not (tmp_path / name).exists()
 
 
 def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_store):

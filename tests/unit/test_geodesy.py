@@ -15,7 +15,6 @@ from skyline.geodesy import (
     check_bounds,
     degrees_in_words,
     in_turn,
-    is_metric,
     width_deg,
 )
 
@@ -90,14 +89,6 @@ def test_scale_is_map_metres_per_metre_on_the_ground():
     assert float(
         Frame.local(lon=9.9, lat=46.8).scale(easting_m=0.0, northing_m=0.0)
     ) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_frames_have_names_and_the_local_one_its_origin():
-    frame = Frame.local(lon=9.9, lat=46.8)
-    assert frame.name == "local transverse Mercator at 46.8000, 9.9000"
-    assert Frame.from_crs("EPSG:32632").name == "EPSG:32632"
-    assert is_metric(frame.crs)
-    np.testing.assert_allclose(frame.to_lonlat(0.0, 0.0), (9.9, 46.8), atol=1e-9)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2227", "rubbish"])

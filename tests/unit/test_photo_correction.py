@@ -36,9 +36,8 @@ def correction(photo):
 
 
 def stroke(kind, columns, rows, radius_px=0.0):
-    rows = np.broadcast_to(rows, len(columns)).tolist()
-    points = tuple(zip(np.asarray(columns, float).tolist(), rows, strict=True))
-    return Stroke(StrokeKind(kind), points, radius_px)
+    points = np.stack(np.broadcast_arrays(columns, rows), axis=1).astype(float)
+    return Stroke(StrokeKind(kind), tuple(map(tuple, points.tolist())), radius_px)
 
 
 def same(one, other):
@@ -100,15 +99,14 @@ def test_strokes_leave_nothing_behind(correction):
     once = correction.solve(strokes)
     assert same(correction.solve(strokes), once)
     assert same(correction.solve(), before)
-    assert same(correction.solve(strokes[:0]), before)
 
 
 def test_the_quick_way_is_the_slow_way():
     """All columns solved and refined again, and not those alone that a stroke has changed."""
-    image = make_scene("layers", 5, 1920, 1280).image
+    image = make_scene("layers", 5, 1440, 960).image
     correction, whole = Correction(photo_of(image)), Extraction.of(image)
     before = correction.solve()
-    columns = np.arange(700, 1100, 10)
+    columns = np.arange(500, 900, 10)
     rows = before.row_px[columns] + 40.0
     painted = stroke("sky", columns, rows, 25.0)
     after = correction.solve([painted])
@@ -117,7 +115,7 @@ def test_the_quick_way_is_the_slow_way():
     cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
     path = shortest_path(cost, *STEPS)
     slow, _ = on_photo(image, evidence, path)
-    inner = np.arange(690, 1090)
+    inner = np.arange(490, 890)
     known = inner[after.trusted[inner]]
     assert len(known) > 390
     np.testing.assert_array_equal(after.row_px[known], slow[known])
@@ -144,12 +142,3 @@ def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
     assert same(Correction(photo_of(image)).solve(), replace(mask, fov_deg=60.0))
     trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
     assert same(Correction(photo_of(image)).restarted(trace).solve(), trace)
-
-
-@pytest.mark.parametrize(
-    ("points", "radius_px", "said"),
-    [((), 1.0, "0 points"), (((1.0, np.nan),), 1.0, "all finite"), (((1.0, 1.0),), -1.0, "radius")],
-)
-def test_a_stroke_that_is_none_is_refused(points, radius_px, said):
-    with pytest.raises(InputError, match=said):
-        Stroke(StrokeKind.SKY, points, radius_px)

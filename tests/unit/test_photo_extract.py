@@ -1,5 +1,6 @@
 """The extractor on drawn photos with known skylines, on hopeless ones, and on a real one."""
 
+from dataclasses import astuple
 from math import radians, tan
 
 import numpy as np
@@ -123,7 +124,7 @@ def test_a_photo_without_a_skyline_is_refused(kind):
         extract_skyline(hopeless(kind))
 
 
-@pytest.mark.parametrize("shape", [(0, 0, 3), (1, 1, 3), (480, 31, 3), (40, 4000, 3)])
+@pytest.mark.parametrize("shape", [(1, 1, 3), (480, 31, 3), (40, 4000, 3)])
 def test_unusable_arrays(shape):
     with pytest.raises(InputError):
         extract_skyline(np.zeros(shape, np.uint8))
@@ -134,17 +135,10 @@ def test_borders_are_found_but_overcast_sky_is_not_one():
     assert content_of(scene.image) == Content(320, 480, 0, 320, 0, 480)
     framed = np.zeros((400, 500, 3), np.uint8)
     framed[20:340, 10:490] = scene.image
-    content = content_of(framed)
-    assert content.top == pytest.approx(20, abs=3)
-    assert content.bottom == pytest.approx(340, abs=3)
-    assert content.left == pytest.approx(10, abs=3)
-    assert content.right == pytest.approx(490, abs=3)
+    assert astuple(content_of(framed)) == pytest.approx((400, 500, 20, 340, 10, 490), abs=3)
     overcast = scene.image.copy()
     overcast[np.arange(320)[:, np.newaxis] < scene.row_px] = 255
     assert content_of(overcast) == Content(320, 480, 0, 320, 0, 480)
-
-
-# Paths
 
 
 def test_path_is_the_cheapest_of_all():
@@ -160,13 +154,8 @@ def test_path_is_the_cheapest_of_all():
         np.testing.assert_array_equal(shortest_path(cost, **steps), every[np.argmin(total)])
 
 
-# A real photo
-
 # Columns and rows of the ridge: the extractor's own, checked by eye on enlarged overlays.
 RIDGE = {100: 1112, 1250: 1182, 3370: 941, 4890: 1132, 5100: 1155}
-# Columns with a cloud over the ridge, and the row below which the ridge lies there. Of another,
-# columns 4180 to 4450, the top is traced in part: a known error.
-BEHIND_CLOUDS = ((760, 895, 1200),)
 
 
 def test_hintereisferner_webcam(shared_data):
@@ -178,9 +167,9 @@ def test_hintereisferner_webcam(shared_data):
     assert query.trusted.mean() > 0.8
     for column, row in RIDGE.items():
         assert query.row_px[column] == pytest.approx(row, abs=10)
-    for start, stop, lowest_cloud in BEHIND_CLOUDS:
-        rows = query.row_px[start:stop]
-        assert (np.isnan(rows) | (rows > lowest_cloud)).all()
+    # A cloud lies over the ridge there, which is below row 1200. Of another, columns 4180 to 4450,
+    # the top is traced in part: a known error.
+    assert not (query.row_px[760:895] <= 1200).any()
     # Nothing of the captions and the logo in the upper corners, rows 0 to 140.
     assert np.nanmin(query.row_px) > 800
     # Weisskugel is the highest summit in the photo, at azimuth 272.7; the camera's is 275.96.

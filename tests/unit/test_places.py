@@ -13,14 +13,8 @@ from skyline.store.places import BINS, DISTANCE_BINS, RISES, Places, decode_rise
 def horizons(y, distance_m=1000.0):
     count = len(y)
     distance = np.where(np.isfinite(y), np.broadcast_to(np.float32(distance_m), y.shape), np.nan)
-    return Horizons(
-        np.arange(count) + 7.5e5,
-        np.arange(count) + 5.2e6,
-        np.full(count, 2000.0),
-        y.astype(np.float32),
-        distance.astype(np.float32),
-        np.zeros(y.shape, dtype=np.uint8),
-    )
+    place = np.arange(count) + 7.5e5, np.arange(count) + 5.2e6, np.full(count, 2000.0)
+    return Horizons(*place, np.float32(y), np.float32(distance), np.zeros(y.shape, np.uint8))
 
 
 @given(
@@ -73,15 +67,3 @@ def test_a_distance_is_the_nearest_of_its_bins_to_a_fortieth():
     np.testing.assert_array_equal(np.isnan(back), np.isnan(nearest))
     known = np.isfinite(nearest)
     np.testing.assert_allclose(back[known], nearest[known], rtol=0.0255)
-
-
-def test_places_are_indexed_taken_and_joined():
-    places = Places.of(horizons(np.random.default_rng(1).normal(0.0, 0.1, (6, BINS))), 40.0)
-    again = Places.concatenate(
-        [places[:2], places[np.array([2, 3])], places.take(np.array([4, 5]))]
-    )
-    for name in Places.__slots__:
-        np.testing.assert_array_equal(getattr(again, name), getattr(places, name))
-    (only,) = places.blocks()
-    assert only is places
-    assert (places.tolerance_m == 40.0).all()

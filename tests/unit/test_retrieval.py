@@ -98,8 +98,3 @@ def test_missing_headings_do_not_stop_the_others():
     found = Retriever(places_of(y)).shortlist(rays(4, 100.0), 1)
     assert found.easting_m[0] == pytest.approx(400.0, abs=50.0)
     assert turned(found.heading_deg[0], 100.0) < 0.3
-
-
-def test_profiles_of_nothing_are_answered():
-    found = Retriever(places_of(np.full((3, len(AZIMUTH_DEG)), np.nan))).shortlist(rays(0, 0.0), 2)
-    assert np.isfinite(found.score).all()

@@ -140,23 +140,3 @@ def test_a_circle_a_box_and_elevations_hold_places(places):
     assert list(np.flatnonzero(narrowed(bounds_deg=box)(places))) == [10, 11, 12]
     assert narrowed(elevation_m=(900.0, 1100.0))(places).all()
     assert not narrowed(elevation_m=(0.0, 900.0))(places).any()
-
-
-@pytest.mark.parametrize(
-    ("known", "said"),
-    [
-        ({"near": (10.0, 46.0, 0.0)}, "radius"),
-        ({"near": (200.0, 46.0, 1.0)}, "longitude"),
-        ({"heading_deg": (10.0, 0.0)}, "slack"),
-        ({"heading_deg": (float("nan"), 5.0)}, "heading"),
-        ({"elevation_m": (100.0, 100.0)}, "increase"),
-    ],
-)
-def test_senseless_narrowings_are_refused(known, said):
-    with pytest.raises(ValueError, match=said):
-        Narrowing(**known)
-
-
-def test_bounds_out_of_order_are_refused():
-    with pytest.raises(ValueError, match="S < N"):
-        narrowed(bounds_deg=(10.0, 46.5, 10.5, 46.0))

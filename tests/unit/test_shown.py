@@ -3,14 +3,10 @@
 import base64
 import io
 import re
-import subprocess
-import sys
-from dataclasses import replace
 
 import numpy as np
-import pytest
 from PIL import Image
-from scenes import candidate_at, field_from, field_of
+from scenes import candidate_at, field_from
 
 from skyline import JointResult, MatchResult, QuerySkyline, open_store
 
@@ -27,9 +23,9 @@ def query():
     return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
 
 
-def result(refusal=None, candidates=True):
-    found = (candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97),) * candidates
-    return MatchResult(query(), found, 1.0, refusal, None if refusal else 200.0)
+def result():
+    found = candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97)
+    return MatchResult(query(), (found,), 1.0, None, 200.0)
 
 
 def test_terrain_is_one_line_and_a_table_with_relief():
@@ -38,12 +34,6 @@ def test_terrain_is_one_line_and_a_table_with_relief():
     html = field._repr_html_()
     assert "-1500 to 1500 m" in html
     assert max(picture_in(html).shape) <= 240
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2)])
-def test_small_terrain_and_holes_can_be_shown(shape):
-    for heights in (np.zeros(shape), np.full(shape, np.nan)):
-        assert "samples" in field_of(heights)._repr_html_()
 
 
 def test_a_store_says_what_it_holds(store):
@@ -62,22 +52,10 @@ def test_a_result_says_its_answer_and_holds_no_array():
         f"{answer.heading_deg:.1f}° from true north, confidence 93\N{NO-BREAK SPACE}%, right "
         "within 200 m (not refined by rendering). Candidates: 1)"
     )
-    joint = JointResult((answered, result("too far", False)), 2.0)
+    refused = MatchResult(query(), (), 1.0, "too <far>")
+    joint = JointResult((answered, refused), 2.0)
     assert repr(joint).endswith("(not refined by rendering). 1 of 2 photos agree)")
-
-
-def test_a_query_says_its_size_and_what_is_trusted():
-    rows = np.where(np.arange(40) < 10, np.nan, 12.0)
-    query = QuerySkyline(rows, np.isfinite(rows).astype(float), 40, 30, 55.0)
-    said = "QuerySkyline(40 x 30 px; columns trusted: 75 %; field of view: "
-    assert repr(query) == f"{said}55.0 degrees)"
-    assert repr(replace(query, fov_deg=None)) == f"{said}unknown)"
-
-
-def test_a_refusal_is_shown_with_markup_as_text():
-    refused = result("confidence <0.8>", candidates=False)
-    assert repr(refused) == "MatchResult(Not answered: confidence <0.8>. Candidates: 0)"
-    assert "<0.8>" not in refused._repr_html_()
+    assert "<far>" not in refused._repr_html_()
 
 
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():
@@ -86,12 +64,3 @@ def test_a_result_draws_its_skyline_without_what_is_not_trusted():
     assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
     assert line.startswith("M0,12.0 1,12.0")
     assert "0.93" in html
-
-
-def test_terrain_and_stores_show_themselves_without_matplotlib():
-    code = (
-        "import sys, skyline; skyline.HeightField, skyline.open_store; "
-        "import skyline.terrain.heightfield; "
-        "sys.exit('matplotlib' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

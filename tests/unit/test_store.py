@@ -49,7 +49,6 @@ from skyline.store.read import part_name, parts_folder
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
 CHUNK = 1024
-PACKED = {"compression": "lzf"}
 
 
 def assert_refused(path, expected):
@@ -133,11 +132,6 @@ class TestHeader:
                 assert data.chunks[0] == (40 if header.holds == "places" else 32)
                 if header.holds == "places":
                     assert (data.compression, data.shuffle) == (None, False)
-
-    def test_may_be_of_any_length(self, tmp_path):
-        header = replace(VIEWS_HEADER, dem_files=("ä" * 300_000,), renderer="")
-        with open_store(write_rows(tmp_path / "s.h5", 0, 3, header)) as store:
-            assert store.header == header
 
     @pytest.mark.parametrize(
         ("change", "expected"),
@@ -308,15 +302,74 @@ class TestDamage:
         assert (check_store(path).rows, check_store(path).whole) == (3, True)
         monkeypatch.setattr(merge, "_EXAMINE", "import os; os.abort()")
         assert "crashes on it (signal 6)" in check_store(path).damage[0].what
-        monkeypatch.setattr(merge, "_EXAMINE", "raise MemoryError")
-        with pytest.raises(StoreError, match="could not be examined: MemoryError"):
-            check_store(path)
         monkeypatch.setattr(merge, "_LIMIT_S", 0.2)
         loops = script.replace("json.dump(", "while True: pass\njson.dump(")
         assert loops != script
         monkeypatch.setattr(merge, "_EXAMINE", loops)
         monkeypatch.setattr(merge, "_LIMIT_BY_THE_CLOCK", 3000.0)
         assert "of processor time" in check_store(path).damage[0].what
+
+
+def set_attribute(name, value):
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def replace_data(name, **layout):
+    """Return an edit that puts a dataset of another layout in the place of one."""
+
+    def edit(file):
+        shape = file[name].shape
+        del file[name]
+        file.create_dataset(name, **{"shape": shape, **layout})
+
+    return edit
+
+
+def link(name, target):
+    """Return an edit that moves a part of the file and leaves a link in its place."""
+
+    def edit(file):
+        file.move(name, "moved")
+        file[name] = target
+
+    return edit
+
+
+def virtual(file):
+    """Put the data of another file in the place of a dataset."""
+    layout = h5py.VirtualLayout(shape=(3,), dtype="f8")
+    layout[...] = h5py.VirtualSource("other.h5", "views/easting", shape=(3,))
+    del file["views/easting"]
+    file.create_virtual_dataset("views/easting", layout)
+
+
+RAW = [("raw.bin", 0, 64)]
+FORGED = [
+    (set_attribute("schema", "skyline-store"), "'schema' that is not text"),  # of variable length
+    (set_attribute("schema_version", 5), "schema version 5; .* upgrade skyline"),
+    (set_attribute("config", np.bytes_("[" * 100_000)), "cannot be opened"),
+    (set_attribute("frame", np.bytes_(b"\xff")), "cannot be opened"),
+    (set_attribute("renderer", np.bytes_("mine")), "does not have the digest"),
+    (set_attribute("rows", np.bytes_('{"rows": "delta"}')), "'delta'.*, which skyline does not"),
+    (set_attribute("rows", np.bytes_('{"rows": "renderings", "width": 50000}')), "width is 50000"),
+    (lambda file: file.attrs.__delitem__("schema"), "not a skyline store"),
+    (lambda file: file.attrs.__delitem__("frame"), "'frame'"),
+    (lambda file: file.move("views", "moved"), "lacks views"),
+    (link("views", h5py.SoftLink("/moved")), "is a link to another place"),
+    (link("views/depth_m", h5py.ExternalLink("other.h5", "views/depth_m")), "is a link to another"),
+    (replace_data("views/easting", dtype="f8", external=RAW), "has chunks None"),
+    (virtual, "has chunks None"),
+    (replace_data("views/depth_m", dtype="f8"), "dtype float64; expected"),
+    (replace_data("views/elevation_tan", dtype="f4", shape=(3, 50_000)), "has shape"),
+    (replace_data("views/heading", dtype="u1", chunks=(2**27,), maxshape=(None,)), "chunks"),
+    (replace_data("views/depth_m", dtype="f4", chunks=(3, WIDTH)), "has fletcher32 False"),
+    (replace_data("views/easting", **VIEWS_HEADER.layout("views/easting", 4)), "have 3 to 4 rows"),
+]
+PACKED = {**PLACES_HEADER.layout("places/rise", 3), "compression": "lzf"}
+FORGED_PLACES = [
+    (replace_data("places/rise", dtype="i1", chunks=(2, BINS)), "has chunks"),
+    (replace_data("places/rise", **PACKED), "by a filter"),
+]
 
 
 class TestForeign:
@@ -328,11 +381,10 @@ class TestForeign:
         assert_refused(path, "not an HDF5 file")
         with pytest.raises(StoreError, match="cannot be read: Is a directory"):
             open_store(tmp_path)
-        for libver in ("earliest", "v110"):
-            with h5py.File(path, "w", libver=(libver, "v110")) as file:
-                file["data"] = np.arange(10)
-            assert_refused(path, "not a skyline store")
-            assert not is_store(path)
+        with h5py.File(path, "w") as file:
+            file["data"] = np.arange(10)
+        assert_refused(path, "not a skyline store")
+        assert not is_store(path)
 
     def test_older_stores_are_to_be_built_again(self, tmp_path):
         path = tmp_path / "s.h5"
@@ -344,120 +396,38 @@ class TestForeign:
         assert_refused(path, "schema version 3.* reads version 4: build the store again")
         assert is_store(path)
 
-    @pytest.mark.parametrize(
-        ("name", "value", "expected"),
-        [
-            ("schema", "skyline-store", "'schema' that is not text"),  # of a variable length
-            ("schema_version", 5, "schema version 5; .* upgrade skyline"),
-            ("config", np.bytes_("[" * 100_000), "cannot be opened"),
-            ("frame", np.bytes_(b"\xff"), "cannot be opened"),
-            ("renderer", np.bytes_("mine"), "does not have the digest"),
-            ("rows", np.bytes_('{"rows": "delta"}'), "'delta'.*, which skyline does not read"),
-            ("rows", np.bytes_('{"rows": "renderings", "width": 50000}'), "width is 50000"),
-        ],
-    )
-    def test_attributes_are_refused(self, tmp_path, name, value, expected):
+    @pytest.mark.parametrize(("edit", "expected"), FORGED)
+    def test_forged_stores_are_refused(self, tmp_path, edit, expected):
         path = write_rows(tmp_path / "s.h5", 0, 3)
+        write_rows(tmp_path / "other.h5", 0, 3)
         with edited(path) as file:
-            file.attrs[name] = value
+            edit(file)
         assert_refused(path, expected)
-        with edited(path) as file:
-            del file.attrs[name]
-        assert_refused(path, "not a skyline store" if "schema" in name else f"'{name}'")
 
     def test_constants_of_places_are_refused(self, tmp_path, monkeypatch):
         path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
         monkeypatch.setitem(PLACE_CODING, "rise_size", 0.007)
         assert_refused(path, r"another release .* build it again")
 
-    @pytest.mark.parametrize("name", ["views", "views/depth_m"])
-    def test_links_are_not_followed(self, tmp_path, name):
-        path, other = (write_rows(tmp_path / f"{n}.h5", 0, 3) for n in "so")
-        for link in (None, h5py.ExternalLink(other, name), h5py.SoftLink("/moved")):
-            with edited(path) as file:
-                if link is None:
-                    file.move(name, "moved")
-                else:
-                    file[name] = link
-            assert_refused(path, "is a link to another place" if link else f"lacks {name}")
-            if link:
-                with edited(path) as file:
-                    del file[name]
-
-    @pytest.mark.parametrize("virtual", [False, True])
-    def test_data_of_other_files_is_not_read(self, tmp_path, virtual):
-        path, other = (write_rows(tmp_path / f"{n}.h5", 0, 3) for n in "so")
+    @pytest.mark.parametrize(("edit", "expected"), FORGED_PLACES)
+    def test_forged_places_are_refused(self, tmp_path, edit, expected):
+        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
         with edited(path) as file:
-            del file["views/easting"]
-            if virtual:
-                layout = h5py.VirtualLayout(shape=(3,), dtype="f8")
-                layout[...] = h5py.VirtualSource(other, "views/easting", shape=(3,))
-                file.create_virtual_dataset("views/easting", layout)
-            else:
-                external = [(tmp_path / "raw.bin", 0, 64)]
-                file.create_dataset("views/easting", (3,), "f8", external=external)
-        assert_refused(path, "has chunks None")
-
-    @pytest.mark.parametrize(
-        ("name", "layout", "expected"),
-        [
-            (
-                "views/depth_m",
-                {"dtype": "f8", "shape": (3, WIDTH)},
-                "dtype float64; expected",
-            ),
-            (
-                "views/elevation_tan",
-                {"dtype": "f4", "shape": (3, 50_000)},
-                "has shape",
-            ),
-            ("views/heading", {"dtype": "u1", "chunks": (2**27,), "maxshape": (None,)}, "chunks"),
-            ("views/depth_m", {"dtype": "f4", "chunks": (3, WIDTH)}, "has fletcher32 False"),
-            ("views/easting", VIEWS_HEADER.layout("views/easting", 4), "have 3 to 4 rows"),
-            ("places/rise", {"dtype": "i1", "chunks": (2, BINS)}, "has chunks"),
-            ("places/rise", PLACES_HEADER.layout("places/rise", 3) | PACKED, "by a filter"),
-        ],
-    )
-    def test_layouts_are_refused(self, tmp_path, name, layout, expected):
-        header = PLACES_HEADER if name.startswith("places") else VIEWS_HEADER
-        path = write_rows(tmp_path / "s.h5", 0, 3, header)
-        with edited(path) as file:
-            usual = {"shape": file[name].shape}
-            del file[name]
-            file.create_dataset(name, **(usual | layout))
+            edit(file)
         assert_refused(path, expected)
 
     def test_rows_that_are_promised_but_not_there(self, tmp_path):
-        """A small file that claims a trillion rows, and one that lacks a chunk."""
-        path = write_rows(tmp_path / "s.h5", 0, 3)
-        with edited(path) as file:
-            for group in ("views", "features"):
-                for name in list(file[group]):
-                    del file[group][name]
-                    layout = VIEWS_HEADER.layout(f"{group}/{name}", 10**12)
-                    file[group].create_dataset(name, **layout)
-        assert_refused(path, "its datasets have 1000000000000 to 1000000000000 rows")
         path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
         with edited(path) as file:
             values = file["places/phase"][:]
-            del file["places/phase"]
-            layout = PLACES_HEADER.layout("places/phase", len(values))
-            data = file.create_dataset("places/phase", **layout)
-            data[:10], data[2500:] = values[:10], values[2500:]
+            replace_data("places/phase", **PLACES_HEADER.layout("places/phase", 3000))(file)
+            file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
         with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
             store.places()
 
-    def test_values_that_no_skyline_has(self, tmp_path):
-        path = write_rows(tmp_path / "s.h5", 0, 3)
-        with edited(path) as file:
-            file["views/heading"][1] = 200
-            file["features/keypoint_column"][1, 1] = WIDTH
-        with open_store(path) as store:
-            with pytest.raises(StoreError, match="heading 200"):
-                store.views()
-            with pytest.raises(StoreError, match="columns beyond 23"):
-                store.keypoint_columns()
-        store.close()
+    def test_a_closed_store_is_not_read(self, tmp_path):
+        with open_store(write_rows(tmp_path / "s.h5", 0, 3)) as store:
+            pass
         with pytest.raises(StoreError, match="is closed"):
             store.views()
 

@@ -122,12 +122,7 @@ def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) 
     """Compare skylines read from depth images: the depth path's promise.
 
     Nothing is promised outside the image, and behind a hole, where a sliver of the surface
-<<<<<<< HEAD
     without a foot may fall between pixel centres. Depth images show no other flags.
-=======
-    without a foot may fall between pixel centres. A border within the same pixel looks like
-    the skyline, so more columns may be flagged truncated than are.
->>>>>>> cut-bench
     """
     held = (views.flags & FLAG_OUT_OF_IMAGE) == 0
     held &= (truth.views.flags & (FLAG_NO_DATA | FLAG_HOLE)) == 0
