@@ -35,12 +35,6 @@ def pixel_size(width: int) -> float:
     return 2.0 / width
 
 
-def intrinsic_matrix(width: int) -> Float64Array:
-    """Return K (3, 3), ideal: square pixels, 90 degrees, centre at the image centre, y up."""
-    focal_px = width / 2.0
-    return np.diag([focal_px, focal_px, 1.0])
-
-
 def rotation(heading: int) -> Float64Array:
     """Return R_heading (3, 3): world (east, up, north) to camera (right, up, forward)."""
     # Quarter turns have exact sines; np.sin(pi) would leave 1e-16 behind.
@@ -69,26 +63,3 @@ def column_azimuths_deg(heading: int, width: int) -> Float64Array:
 def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
     """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
     return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
-
-
-def project_points(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
-    """Project points given relative to the eye: the paper's I = K [R | t] X without K.
-
-    Parameters
-    ----------
-    offsets_m : (..., 3) float64
-        East, up, north of each point minus the eye, metres.
-
-    Returns
-    -------
-    uv : (..., 2) float64
-        Image-plane abscissa and ordinate, NaN for points not in front.
-    depth_m : (...) float64
-        Forward distance; may be negative.
-    """
-    camera = offsets_m @ rotation(heading).T
-    depth_m = camera[..., 2]
-    in_front = depth_m > 0.0
-    safe = np.where(in_front, depth_m, 1.0)
-    uv = np.where(in_front[..., np.newaxis], camera[..., :2] / safe[..., np.newaxis], np.nan)
-    return uv, depth_m

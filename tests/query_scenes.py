@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses
 from skyline.render.horizon import HorizonRenderer
 
 BINS = 1440

@@ -7,8 +7,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
-from skyline.match.candidate import Candidate
-from skyline.match.ranking import Hypotheses, Ranking
+from skyline.match.candidate import Candidate, Hypotheses, Ranking
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import closed_forms

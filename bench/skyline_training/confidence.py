@@ -26,10 +26,9 @@ from skyline.arrays import BoolArray, Float64Array, Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M
+from skyline.match.candidate import DISTANCES_M, Hypotheses
 from skyline.match.confidence import Logistic, model_name
 from skyline.match.full import FullMatcher
-from skyline.match.ranking import Hypotheses
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row

@@ -30,11 +30,10 @@ from skyline.cli.console import (
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError, named, printable
 from skyline.match.answer import JointResult, MatchResult
-from skyline.match.batch import match_many
 from skyline.match.matcher import Matcher
 from skyline.match.matchers import FULL, MATCHERS, MatchConfig
 from skyline.match.prior import Narrowing
-from skyline.match.queries import Query, listed
+from skyline.match.queries import Query, listed, match_here, match_many
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
@@ -179,7 +178,7 @@ def match(
         output.exit_code = InputError.exit_code if refused or unread else 0
     else:
         with runner_of(workers) as runner:
-            each = _matched_here(matching, usable)
+            each = match_here(matching, usable)
             if runner is not None:
                 each = match_many(runner, asked, usable)
             found = _match_each(output, queries, refused, each)
@@ -228,7 +227,7 @@ class _Output:
         if is_tried:
             print_error(str(error))
             if self._file is not None:
-                self._file.add({"query": name, "answered": 0, "said": str(error)})
+                self._file.add({"query": name, "answered": 0, "reason": str(error)})
         self._print({"query": name, "error": str(error)}, "")
 
     def _print(self, record: dict[str, Any], text: str) -> None:
@@ -256,17 +255,6 @@ def _attempted(
             refused[one] = error
             print_error(str(error))
     return usable, refused
-
-
-def _matched_here(
-    matching: Matcher, queries: Sequence[Query]
-) -> Iterator[MatchResult | SkylineError]:
-    """Match queries in this process; yields each result or error."""
-    for one in queries:
-        try:
-            yield one.match(matching)
-        except SkylineError as error:
-            yield error
 
 
 def _match_each(

@@ -1,8 +1,4 @@
-"""The answer to a query: candidate places, whether the best one is the answer, and if not, why.
-
-This module holds every form in which an answer is given (sentences, JSON, the row of ``match
---results``, the GeoDataFrame) and, at its end, the rules by which an answer is refused.
-"""
+"""The answer to a query: its sentences, its JSON, its rows and points, and when it is refused."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -16,18 +12,19 @@ from pyproj import Geod
 from skyline.errors import library, printable
 from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
-from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
-from skyline.match.query_rays import QueryRays
+from skyline.match.matchers import MatchConfig
+from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.query import QuerySkyline
 
+TOP = 5
+"""Candidates that a search returns, unless it is asked for another number."""
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 """Keys of a candidate that differ between photos of one place."""
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
-"""Least share of a skyline possibly formed by terrain beyond the elevation model for which the
-answer carries a warning."""
+"""From this share of a skyline on, terrain beyond the elevation model is warned of."""
 _FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
 """The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
 than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
@@ -35,6 +32,9 @@ seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 
+_MIN_VISIBLE_DEG = 14.0
+"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
+seven unknowns: below 14 degrees there are fewer rises than unknowns."""
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the range searched if it is nearer to it than this share
@@ -111,10 +111,7 @@ class MatchResult:
 
     @property
     def beyond(self) -> str | None:
-        """A warning that the skyline may be of terrain beyond the elevation model.
-
-        None where that share of the skyline is not known, or small.
-        """
+        """A warning that much of the skyline may be of terrain beyond the elevation model."""
         share = None if self.best is None else self.best.beyond_share
         if share is None or share < _BEYOND_SHARE:
             return None
@@ -154,10 +151,7 @@ class MatchResult:
         }
 
     def exif_in_words(self, with_place: bool = True) -> str:
-        """Return `exif` in sentences; empty where the photo notes nothing.
-
-        Without ``with_place``, the photo's own longitude and latitude are left out.
-        """
+        """Return `exif` in sentences, with the noted longitude and latitude or without."""
         exif, best = self.exif, self.best
         if exif is None:
             return ""
@@ -165,7 +159,11 @@ class MatchResult:
         it = "the answer" if self.answer is not None or best is None else best.name
         if exif["lat"] is not None:
             where = f"lat {exif['lat']:.5f} lon {exif['lon']:.5f}" if with_place else "a place"
-            off = "" if best is None else f", {_distance(exif['distance_m'])} from {it}"
+            distance_m = exif["distance_m"] or 0.0
+            distance = f"{distance_m:.0f} m"
+            if distance_m >= 10_000.0:
+                distance = f"{distance_m / 1000.0:,.0f} km"
+            off = "" if best is None else f", {distance} from {it}"
             accuracy = (
                 "" if exif["accuracy_m"] is None else f" (good to {exif['accuracy_m']:.0f} m)"
             )
@@ -198,7 +196,7 @@ class MatchResult:
             "candidates": candidates,
             "seconds": self.seconds,
             **({} if self.refusal is None else {"refusal": self.refusal}),
-            **({} if lens is None or not lens.said else {"lens": asdict(lens)}),
+            **({} if lens is None or not lens.reason else {"lens": asdict(lens)}),
             **({} if exif is None else {"exif": exif}),
         }
 
@@ -212,11 +210,11 @@ class MatchResult:
             "within_m": self.within_m,
             "exif_distance_m": None if exif is None else exif["distance_m"],
             "seconds": self.seconds,
-            "said": self.refusal and printable(self.refusal),
+            "reason": self.refusal and printable(self.refusal),
         }
 
-    def to_text(self, top: int = 5) -> str:
-        """Return the lines that ``skyline match`` prints; ``top`` candidates were asked for."""
+    def to_text(self) -> str:
+        """Return the lines that ``skyline match`` prints."""
         lens = self.query.lens
         lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
         if self.answer is not None:
@@ -228,15 +226,15 @@ class MatchResult:
             quality = f"score {one.score:.3f}" if one.confidence is None else _confidences(one)
             unrefined = "" if one.refined else "  (unrefined)"
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
-        if 0 < len(self.candidates) < top:
-            count = f"{len(self.candidates)} of {top} candidates"
+        if 0 < len(self.candidates) < TOP:
+            count = f"{len(self.candidates)} of {TOP} candidates"
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
-        if lens is not None and lens.said:
+        if lens is not None and lens.reason:
             fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
             slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
-            lines.append(f"field of view: {fov}{slack}; {lens.said}")
+            lines.append(f"field of view: {fov}{slack}; {lens.reason}")
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
     def to_geodataframe(self) -> Any:
@@ -304,8 +302,7 @@ class JointResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --same-place --json`` prints it.
 
-        A place is a candidate without its camera; each photo that agrees has its own camera at the
-        best place.
+        Places are candidates without a camera; each photo that agrees has its own.
         """
         places = [
             {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
@@ -407,10 +404,6 @@ def _confidences(one: Candidate) -> str:
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 
-def _distance(metres: float) -> str:
-    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:,.0f} km"
-
-
 def _skyline_svg(query: QuerySkyline) -> str:
     runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
     lines = "".join(
@@ -424,17 +417,17 @@ def _skyline_svg(query: QuerySkyline) -> str:
     )
 
 
-def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
+def too_little(query: QuerySkyline) -> str | None:
     """Return the refusal of a query that shows too little skyline; None if it shows enough."""
-    widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
     if query.lens is not None and query.lens.most_deg is not None:
         widest_deg = query.lens.most_deg
-    visible_deg, least_deg = query.visible_deg(widest_deg), MIN_VISIBLE_DEG
-    if visible_deg >= least_deg:
+    visible_deg = query.visible_deg(widest_deg)
+    if visible_deg >= _MIN_VISIBLE_DEG:
         return None
     return (
-        f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
-        "the skyline by a trace or a mask, or check the field of view"
+        f"{visible_deg:.1f} degrees of skyline are visible, {_MIN_VISIBLE_DEG:g} are needed; "
+        "correct the skyline by a trace or a mask, or check the field of view"
     )
 
 
@@ -462,10 +455,9 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
 
 
 def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
-    """Return why a fit has failed: a search would refuse its pose even without rivals.
+    """Return why a fit has failed: a search would refuse its pose even without rivals; else None.
 
-    None if the fit has not failed. The confidence of ``fitted`` is the one that a search would
-    give it if nothing else fitted.
+    The confidence of ``fitted`` is the one that a search would give it if nothing else fitted.
     """
     if sure_within_m(fitted, config) is not None:
         return None
@@ -491,10 +483,7 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
 
 
 def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
-    """Return a hint that the best candidate needs another field of view than the query's.
-
-    Empty if the two are within two standard deviations.
-    """
+    """Return a hint if the best field of view is two standard deviations off; empty if not."""
     if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
         return ""
     return (

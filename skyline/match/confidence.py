@@ -21,10 +21,14 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError
-from skyline.match.candidate import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M
+from skyline.match.candidate import (
+    DISTANCES_M,
+    RIGHT_WITHIN_M,
+    ROUGHLY_WITHIN_M,
+    Hypotheses,
+    RefinedPoses,
+)
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, RefinedPoses
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
@@ -49,20 +53,12 @@ class Logistic:
     bias: float
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return probabilities (M,) from figures (M,) by name.
-
-        Raises `InputError` where a figure is missing.
-        """
-        missing = [name for name in self.names if name not in figures]
-        if missing:
-            raise InputError(
-                f"a confidence needs {', '.join(missing)}; there are {', '.join(figures)}"
-            )
-        logit = np.full(np.shape(figures[self.names[0]]), self.bias)
+        """Return probabilities (M,) from figures (M,) by name; a missing one counts as its mean."""
+        logit = np.full(len(next(iter(figures.values()))), self.bias)
         for name, mean, scale, weight in zip(
             self.names, self.mean, self.scale, self.weight, strict=True
         ):
-            logit = logit + weight * (figures[name] - mean) / scale
+            logit = logit + weight * (figures.get(name, mean) - mean) / scale
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
@@ -87,17 +83,14 @@ def refined_figures(
     }
 
 
-def lone_figures(poses: RefinedPoses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
-    """Return the figures (M,) for a model, by name, of poses that were fitted without a search.
+def lone_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return the figures (M,) of poses that were fitted without a search, by name.
 
-    They are those of a search in which nothing else fits: the margin is the greatest, and the
-    figures of retrieval are the means over the queries that the model was learned from.
+    They are those of a search in which nothing else fits: the margin is the greatest. There are
+    none of retrieval.
     """
     most = np.full(len(poses), _MAX_MARGIN)
-    usual = {
-        name: np.full(len(poses), mean) for name, mean in zip(model.names, model.mean, strict=True)
-    }
-    return usual | _pose_figures(poses, query, most, most)
+    return _pose_figures(poses, query, most, most)
 
 
 def _pose_figures(
@@ -160,6 +153,16 @@ def models() -> dict[str, Logistic]:
         )
         for name, model in json.loads(text)["models"].items()
     }
+
+
+def probabilities(
+    learned: Mapping[str, Logistic], stage: str, figures: Mapping[str, Float64Array]
+) -> tuple[Float64Array, Float64Array]:
+    """Return the probabilities (M,) that poses are right within 200 m, and within 1 km."""
+    near, roughly = (
+        learned[model_name(stage, within_m)].probability(figures) for within_m in DISTANCES_M
+    )
+    return near, np.maximum(near, roughly)
 
 
 def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:

@@ -1,4 +1,4 @@
-r"""Sliding normalized correlation, exact over every heading, location and assumed attitude.
+r"""Sliding normalized correlation, exact over every heading, location and assumed pitch.
 
 With the query q, its weights w, the profile y, n = 1 where y is known (else y = n = 0) and a
 turn of s bins, over the bins i of the query:
@@ -24,8 +24,7 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.match.matchers import ProfileRanker
-from skyline.match.profiles import TANGENT_PER_PX, Fits
+from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileRanker
 from skyline.match.query_rays import QueryCurves, QueryRays
 
 _CHUNK = 8
@@ -47,34 +46,34 @@ class CorrelationMatcher(ProfileRanker):
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
-        curves = QueryCurves.of(query, self.attitudes, profiles.bins)
+        curves = QueryCurves.of(query, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
-        peak, attitude, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
+        peak, pitch, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
         axis = turn + profiles.bins // 2
         return Fits(
             1.0 - peak,
             axis % profiles.bins * (360.0 / profiles.bins),
-            curves.pitch_deg[attitude],
-            curves.roll_deg[attitude],
+            curves.pitch_deg[pitch],
+            np.zeros(len(profiles)),
         )
 
     def _greatest(
         self, curves: QueryCurves, y: Float32Array
     ) -> tuple[Float64Array, IntArray, IntArray]:
-        """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
+        """Return the greatest ncc of each location (-inf if none), its pitch's row and its turn."""
         transforms = _transformed(y)
         row = np.arange(len(y))
         best = np.full(len(y), -np.inf)
-        attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
+        pitch, turn = np.zeros((2, len(y)), dtype=np.intp)
         for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
             ncc = self._ncc(transforms, q, weight)
             peak = ncc.argmax(axis=1)
             greater = ncc[row, peak] > best
             best = np.where(greater, ncc[row, peak], best)
-            attitude = np.where(greater, number, attitude)
+            pitch = np.where(greater, number, pitch)
             turn = np.where(greater, peak, turn)
-        return best, attitude, turn
+        return best, pitch, turn
 
     def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""

@@ -9,20 +9,22 @@ from typing import Self
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import IntArray
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M
-from skyline.match.confidence import model_name
+from skyline.match.candidate import Hypotheses, Ranking, RefinedPoses
 from skyline.match.matchers import Ranker
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.scene import OpenedStore, RenderedScene
+from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
+from skyline.store import Store
 from skyline.store.format import PLACES
+from skyline.terrain.edge import DataEdge
+from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.viewpoints import Viewpoints
 
 _SHORTLIST = 400
 """Poses that retrieval returns."""
@@ -30,6 +32,7 @@ _SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
+_SHOWN_EYES = 20_000
 
 
 @contextmanager
@@ -53,8 +56,6 @@ def _blas() -> ThreadpoolController:
 class FullMatcher(Ranker):
     """Retrieval, refinement and confidence; without a scene, poses stay as retrieved."""
 
-    narrows = True
-    finds_fov = True
     searches = PLACES
 
     def __init__(self, retriever: Retriever, scene: RenderedScene | None = None) -> None:
@@ -62,14 +63,25 @@ class FullMatcher(Ranker):
         self._models = confidence.models()
 
     @classmethod
-    def open(cls, store: OpenedStore) -> Self:
+    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
         """See `Ranker.open`."""
-        return cls(Retriever(store.places(), store.ground(), store.edge()), store.scene())
+        ground = edge = None
+        if terrain is not None:
+            ground = ground_of(terrain)
+            edge = DataEdge.of(terrain, store.header.curvature) if scene is None else scene.edge
+        return cls(Retriever(store.places(), ground, edge), scene)
 
-    def release(self) -> None:
-        """See `Ranker.release`; the matcher cannot refine after that."""
-        if self._scene is not None:
-            self._scene.release()
+    def eyes(self) -> Viewpoints:
+        """See `Ranker.eyes`; of very many places it takes every n-th."""
+        places = self._retriever.places
+        step = max(1, len(places) // _SHOWN_EYES)
+        parts, first = [], 0
+        for block in places.blocks():
+            eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
+            parts.append(np.stack([column[-first % step :: step] for column in eyes]))
+            first += len(block)
+        east_m, north_m, eye_m = np.concatenate(parts, axis=1).astype(np.float64)
+        return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
     def rank(
         self,
@@ -85,14 +97,15 @@ class FullMatcher(Ranker):
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
             chosen = _distinct(found, top)
-            return Ranking(found[chosen], *self._confidences("retrieved", figures, chosen))
+            near, roughly = confidence.probabilities(self._models, "retrieved", figures)
+            return Ranking(found[chosen], near[chosen], roughly[chosen])
         figures = confidence.refined_figures(poses, found, query)
         # A pose that has moved out of the narrowing is no candidate.
         standing = poses.hypotheses
         score = np.where(prior.allows(standing), standing.score, np.inf)
         chosen = _distinct(replace(standing, score=score), top)
-        near, roughly = self._confidences("refined", figures, chosen)
-        return Ranking(standing[chosen], near, roughly, poses[chosen])
+        near, roughly = confidence.probabilities(self._models, "refined", figures)
+        return Ranking(standing[chosen], near[chosen], roughly[chosen], poses[chosen])
 
     def _found(
         self, query: QueryRays, prior: Prior, screened: Alike | None = None
@@ -106,14 +119,14 @@ class FullMatcher(Ranker):
     @_one_blas_thread()
     def rank_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> Sequence[Ranking] | None:
+    ) -> Sequence[Ranking]:
         """See `Ranker.rank_together`; raises as `rank`.
 
         Each query is first matched by itself: its cost where it fits best shows whether it was
         taken at the place of the others.
         """
         if self._scene is None:
-            return None
+            return super().rank_together(queries, top)
         queries = _with_one_noted_place(queries)
         found = [self._found(query, prior) for query, prior in queries]
         alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
@@ -135,12 +148,12 @@ class FullMatcher(Ranker):
             )
             if belongs and len(retrieved)
         ]
-        near = roughly = np.zeros(len(chosen))
+        near = roughly = np.zeros(len(cost))
         if figures:
             mean = confidence.mean_figures(figures)
-            near, roughly = self._confidences("refined", mean, chosen)
+            near, roughly = confidence.probabilities(self._models, "refined", mean)
         return [
-            Ranking(poses.hypotheses[chosen], near, roughly, poses[chosen])
+            Ranking(poses.hypotheses[chosen], near[chosen], roughly[chosen], poses[chosen])
             if belongs
             else Ranking(poses.hypotheses[:0])
             for poses, belongs in zip(joint, agrees.tolist(), strict=True)
@@ -176,10 +189,10 @@ class FullMatcher(Ranker):
         return Refinement(query, self._scene, WHOLE, *known).run(found)
 
     @_one_blas_thread()
-    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking:
         """See `Ranker.fit_from`; raises `InputError` for a pose off the map or on a hole."""
         if self._scene is None:
-            return None
+            return super().fit_from(query, start)
         ground_m = self._scene.ground_m(start.easting_m, start.northing_m)
         above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
         if not np.isfinite(above_m).all():
@@ -188,11 +201,9 @@ class FullMatcher(Ranker):
         poses = Refinement(query, self._scene, effort, float(above_m[0])).run(start)[:1]
         if not len(poses):
             return Ranking(poses.hypotheses)
-        models = [self._models[model_name("refined", within_m)] for within_m in DISTANCES_M]
-        near, roughly = (
-            model.probability(confidence.lone_figures(poses, query, model)) for model in models
-        )
-        return Ranking(poses.hypotheses, near, np.maximum(near, roughly), poses)
+        figures = confidence.lone_figures(poses, query)
+        near, roughly = confidence.probabilities(self._models, "refined", figures)
+        return Ranking(poses.hypotheses, near, roughly, poses)
 
     @_one_blas_thread()
     def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:
@@ -211,16 +222,6 @@ class FullMatcher(Ranker):
             return found
         raised = near.score - near.score.min() + found.score.min()
         return Hypotheses.concatenate([found, replace(near, score=raised)])
-
-    def _confidences(
-        self, stage: str, figures: dict[str, Float64Array], chosen: IntArray
-    ) -> tuple[Float64Array, Float64Array]:
-        """Return the probabilities that chosen poses are right within 200 m and within 1 km."""
-        near, roughly = (
-            self._models[model_name(stage, within_m)].probability(figures)[chosen]
-            for within_m in DISTANCES_M
-        )
-        return near, np.maximum(near, roughly)
 
 
 def _distinct(poses: Hypotheses, top: int) -> IntArray:

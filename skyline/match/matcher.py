@@ -12,6 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match.answer import (
     DISAGREES,
+    TOP,
     JointResult,
     MatchResult,
     misfit,
@@ -20,22 +21,25 @@ from skyline.match.answer import (
     too_little,
     unsure,
 )
-from skyline.match.candidate import Candidate
+from skyline.match.candidate import Candidate, Hypotheses
 from skyline.match.matchers import FULL, MatchConfig, matcher_class
-from skyline.match.prior import Narrowing, PlacePrior, Prior
-from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses
-from skyline.match.scene import OpenedStore, given_terrain
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
+from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
+from skyline.match.scene import RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.exif import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
 from skyline.render.context import RenderThread
+from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
-from skyline.terrain.dem import Dem
+from skyline.store.format import PLACES
+from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
+_VIEW_WIDTH = 360
+"""Columns of the views that refinement renders."""
 _WIDE_DEG = 75.0
 """Lenses of a wider field of view may distort; phones correct the distortion of others."""
 _DISTORTION_SD = 0.05
@@ -83,30 +87,41 @@ class Matcher:
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        kind = matcher_class(matcher)
-        self._config = config or MatchConfig()
+        kind, self._config = matcher_class(matcher), config or MatchConfig()
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
         with open_store(store) as file:
             self.header = file.header
             self.rows, self.holds = len(file), file.header.holds
-            terrain = given_terrain(self.header, dem)
-            opened = OpenedStore(store, file, terrain, refine, render_thread, surface)
-            self._ranker = kind.open(opened)
-            self._eyes = opened.eyes()
-        self.terrain = opened.terrain
+            if not self.rows:
+                raise InputError(f"store {store} holds no {self.holds}; build it first")
+            self.terrain = given_terrain(self.header, dem)
+            self._scene = None
+            if kind.searches == PLACES == self.holds:
+                if self.terrain is None:
+                    self.terrain = terrain_at_hand(self.header, "answers unrefined")
+                if surface is not None and self.terrain is None:
+                    raise InputError(
+                        "a surface needs the store's DEM, which is not at hand; give it"
+                    )
+                if refine and self.terrain is not None:
+                    over = None if surface is None else read_surface(surface, self.terrain)
+                    rendering = RenderConfig(_VIEW_WIDTH, curvature=self.header.curvature)
+                    self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
+            self._ranker = kind.open(file, self.terrain, self._scene)
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
         """The eyes of the store, or an even selection of very many."""
-        return self._eyes()
+        return self._ranker.eyes()
 
     def release(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
-        self._ranker.release()
+        if self._scene is not None:
+            self._scene.release()
 
     def __enter__(self) -> Self:
         return self
@@ -118,7 +133,7 @@ class Matcher:
         self,
         query: str | Path | QuerySkyline,
         fov_deg: float | None = None,
-        top: int = 5,
+        top: int = TOP,
         narrowing: Narrowing | None = None,
         screened: Alike | None = None,
         report_progress: ReportProgress | None = None,
@@ -153,7 +168,7 @@ class Matcher:
         _check_top(top)
         name, query = _name_of(query), _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
-        refusal = too_little(query, self._config)
+        refusal = too_little(query)
         if refusal is None:
             rays, prior = self._rays(query), self._prior(query, narrowing)
             with reporting_progress(report_progress):
@@ -168,7 +183,7 @@ class Matcher:
         self,
         queries: Sequence[str | Path | QuerySkyline],
         fov_deg: float | None = None,
-        top: int = 5,
+        top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
         report_progress: ReportProgress | None = None,
     ) -> JointResult:
@@ -204,21 +219,21 @@ class Matcher:
                 "more and as many narrowings"
             )
         skylines = [_skyline_of(query, fov_deg) for query in queries]
-        refusals = [too_little(query, self._config) for query in skylines]
+        refusals = [too_little(query) for query in skylines]
         usable = [
             (self._rays(query), self._prior(query, narrowing))
             for query, narrowing, refusal in zip(skylines, narrowings, refusals, strict=True)
             if refusal is None
         ]
         with reporting_progress(report_progress):
-            cameras = iter(self._cameras(usable, top) if len(usable) > 1 else ())
+            rankings = self._ranker.rank_together(usable, top) if len(usable) > 1 else ()
+        cameras = (ranking.candidates(self.frame) for ranking in rankings)
         found = [() if refusal else next(cameras, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
-        refusal, within_m = unsure(best, self._config), None
+        refusal = unsure(best, self._config)
         if sum(map(bool, found)) < 2:
             refusal = "fewer than two photos agree on a place"
-        if refusal is None:
-            within_m = sure_within_m(best[0], self._config)
+        within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
             MatchResult(query, places, seconds, refusal, within_m, name)
@@ -229,18 +244,6 @@ class Matcher:
             )
         )
         return JointResult(results, seconds, refusal)
-
-    def _cameras(
-        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> list[tuple[Candidate, ...]]:
-        """Return the candidates of each query; none for a query of another place."""
-        rankings = self._ranker.rank_together(queries, top)
-        if rankings is None:
-            raise InputError(
-                "photos are matched together by rendering alone; use the full matcher, refine, and "
-                "give the DEM"
-            )
-        return [ranking.candidates(self.frame) for ranking in rankings]
 
     def fit(self, query: QuerySkyline, start: Candidate) -> MatchResult:
         """Refine a pose by rendering, without a search.
@@ -274,8 +277,6 @@ class Matcher:
             start.distortion,
         )
         ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), given)
-        if ranking is None:
-            raise InputError("this matcher does not render; a fit needs the full one and the DEM")
         fitted: tuple[Candidate, ...] = ()
         refusal: str | None = "nothing near this pose fits"
         for alone in ranking.candidates(self.frame):
@@ -292,17 +293,19 @@ class Matcher:
         ``part`` selects blocks of places. None for a query that shows too little, and for matchers
         that do not screen. Raises as `match`.
         """
-        if too_little(query, self._config) is not None:
+        if too_little(query) is not None:
             return None
         return self._ranker.screened(self._rays(query), self._prior(query, narrowing), part)
 
     def _prior(self, query: QuerySkyline, narrowing: Narrowing | None) -> Prior:
         """Return the prior of a query; raises `InputError` if the matcher cannot take it."""
         narrowing = narrowing or Narrowing()
-        if narrowing.eye_height_m is None and self._ranker.narrows:
+        if self._ranker.searches != PLACES:
+            if narrowing != Narrowing():
+                raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
+            return NOTHING_KNOWN
+        if narrowing.eye_height_m is None:
             narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
-        if narrowing != Narrowing() and not self._ranker.narrows:
-            raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
         noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
         return Prior.of(narrowing, self.frame, noted)
 
@@ -323,10 +326,9 @@ class Matcher:
             slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else self._config.fov_slack
             sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
             return rays.about(sd_deg, lens.most_deg or math.inf)
-        if self._ranker.finds_fov and not is_panorama:
-            fov_deg, sd_deg = self._config.usual_fov_deg
-            bounds_deg = self._config.fov_range_deg
-            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, bounds_deg, sd_deg)
+        if self._ranker.searches == PLACES and not is_panorama:
+            fov_deg, sd_deg = USUAL_FOV_DEG
+            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, FOV_RANGE_DEG, sd_deg)
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )

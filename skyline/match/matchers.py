@@ -1,4 +1,4 @@
-"""The interface of matchers, the settings of a match, and the matchers by name."""
+"""The base class of matchers, the settings of a match, and the matchers by name."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -8,13 +8,15 @@ from types import MappingProxyType
 from typing import ClassVar, Self, cast
 
 from skyline.errors import InputError, named
-from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.profiles import Fits, Profiles
-from skyline.match.query_rays import Attitudes, QueryRays
-from skyline.match.ranking import Hypotheses, Ranking
-from skyline.match.scene import OpenedStore
+from skyline.match.candidate import Hypotheses, Ranking
+from skyline.match.prior import Prior
+from skyline.match.query_rays import QueryRays
+from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
+from skyline.store import Store
 from skyline.store.format import RENDERINGS
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 FULL = "full"
 
@@ -27,10 +29,6 @@ MATCHERS: Mapping[str, str] = MappingProxyType(
 )
 """The module and the class of each matcher: Skyline's own, the paper's, a baseline. A class is
 imported when it is first used, so that a matcher may lie in a layer above this one."""
-
-MIN_VISIBLE_DEG = 14.0
-"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
-seven unknowns: below 14 degrees there are fewer rises than unknowns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +47,6 @@ class MatchConfig:
         other terrain, 93 % are right; of easier queries more.
     fov_slack : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
-    fov_range_deg : (float, float)
-        Range of fields of view that the full matcher searches where none is given.
-    usual_fov_deg : (float, float)
-        Mean and standard deviation of those fields of view: most photos are taken with a phone or
-        a usual zoom lens.
 
     Raises
     ------
@@ -64,8 +57,6 @@ class MatchConfig:
     refine: bool = True
     min_confidence: float = 0.8
     fov_slack: float = 0.025
-    fov_range_deg: tuple[float, float] = (25.0, 100.0)
-    usual_fov_deg: tuple[float, float] = (55.0, 14.0)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_confidence <= 1.0:
@@ -74,38 +65,32 @@ class MatchConfig:
             )
         if not 0.0 <= self.fov_slack < 1.0:
             raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
-        low, high = self.fov_range_deg
-        if not 0.0 < low < high < 180.0:
-            raise InputError(
-                f"fields of view to search are {low:g} to {high:g} degrees; expected two that "
-                "increase, within 0 to 180"
-            )
-        mean, deviation = self.usual_fov_deg
-        if not (low <= mean <= high and deviation > 0.0):
-            raise InputError(
-                f"the usual field of view is {mean:g} degrees with a deviation of {deviation:g}; "
-                f"expected one within {low:g} to {high:g} and a deviation above 0"
-            )
 
 
 class Ranker(ABC):
     """Base class of matchers: opened on a store, it ranks poses for queries.
 
-    A new matcher is one subclass in a file of its own, and one line in `MATCHERS`.
+    A new matcher is one subclass in a file of its own, and one line in `MATCHERS`. A matcher of
+    renderings is best a `skyline.match.profiles.ProfileRanker`.
     """
 
-    narrows: ClassVar[bool] = False
-    """True if the matcher uses prior knowledge of a pose; if not, it is called without any."""
-    finds_fov: ClassVar[bool] = False
-    """True if the matcher can match a photo of unknown field of view."""
     searches: ClassVar[str] = RENDERINGS
     """Kind of store that the matcher searches, `PLACES` or `RENDERINGS` of
-    `skyline.store.format`."""
+    `skyline.store.format`. A matcher of places can narrow its search and find an unknown field of
+    view; a matcher of renderings is called without prior knowledge."""
 
     @classmethod
     @abstractmethod
-    def open(cls, store: OpenedStore) -> Self:
-        """Return a matcher of an opened store, with all that its queries share."""
+    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
+        """Return a matcher of an open store that is not empty, with all that its queries share.
+
+        ``terrain`` and ``scene`` are those of the store, for a matcher of places; None where the
+        DEM cannot be read, and without refinement there is no scene.
+        """
+
+    @abstractmethod
+    def eyes(self) -> Viewpoints:
+        """Return the eyes of the store, or an even selection of very many."""
 
     @abstractmethod
     def rank(self, query: QueryRays, top: int, prior: Prior, screened: Alike | None) -> Ranking:
@@ -119,66 +104,34 @@ class Ranker(ABC):
         query : QueryRays
         top : int
         prior : Prior
-            `NOTHING_KNOWN` for matchers that cannot narrow a search.
         screened : Alike or None
             The results of `screened` for all parts of the store, joined; None to screen here.
         """
 
     def rank_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> Sequence[Ranking] | None:
+    ) -> Sequence[Ranking]:
         """Return up to ``top`` places of queries of one eye, as each query's poses there.
 
-        A query that was likely taken somewhere else has no poses. A place lies within the
-        narrowings of all queries that agree. None if this matcher cannot match jointly.
+        A query that was likely taken at another place has no poses. A place lies within the
+        narrowings of all queries that agree. Raises `InputError` if the matcher does not render.
         """
-        return None
+        raise InputError(
+            "photos are matched together by rendering alone; use the full matcher, refine, and "
+            "give the DEM"
+        )
 
-    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking:
         """Return one pose, refined by rendering; an empty ranking where nothing fits.
 
         The eye keeps its height above the ground. The confidence is that of a search in which
-        nothing else fits. None if this matcher cannot render.
+        nothing else fits. Raises `InputError` if the matcher does not render.
         """
-        return None
+        raise InputError("this matcher does not render; a fit needs the full one and the DEM")
 
     def screened(self, query: QueryRays, prior: Prior, part: slice) -> Alike | None:
         """Return the best places of a part of the store; None if this matcher does not screen."""
         return None
-
-    def release(self) -> None:  # noqa: B027  (most matchers hold nothing)
-        """Free the matcher's GPU memory, if it holds any."""
-
-
-class ProfileRanker(Ranker):
-    """Base class of matchers of renderings, which fit one pose at every location."""
-
-    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
-        """``attitudes`` are the assumed pitches and rolls; pitches of -10 to 10 by default."""
-        self.profiles, self.attitudes = profiles, attitudes or Attitudes()
-
-    @classmethod
-    def open(cls, store: OpenedStore) -> Self:
-        """See `Ranker.open`."""
-        return cls(store.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """See `Ranker.rank`."""
-        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
-
-    @abstractmethod
-    def fit(self, query: QueryRays) -> Fits:
-        """Return the best pose at each location of `profiles`; lower scores are better.
-
-        `skyline.match.query_rays.QueryCurves` levels the query at the assumed attitudes and puts it
-        on the profiles' bins. The score is infinite at a location where nothing fits.
-        """
 
 
 def matcher_class(name: str) -> type[Ranker]:

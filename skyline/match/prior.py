@@ -19,7 +19,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle, are_bounds, in_turn
-from skyline.match.ranking import Hypotheses
+from skyline.match.candidate import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
 from skyline.store.places import Places
@@ -30,8 +30,8 @@ _ANYWHERE_M2 = 1e9
 """A: within 18 km, as in a search without a noted position."""
 _COMPASS_WRONG_SHARE = 0.2
 """Share of photos whose compass was disturbed, as by a car, a railing or a case."""
-_REACH_SD = 3.0
-_REACH_M = 1000.0
+_REACH_M, _REACH_SD = 1000.0, 3.0
+"""A search always looks within this distance, plus this many scales, of the noted place."""
 _LEAST_SD_M = 1e-6
 _GREATEST_SD = 20.0
 _GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
@@ -50,10 +50,7 @@ to either side of a given heading."""
 
 @dataclass(frozen=True, slots=True)
 class PlacePrior:
-    """Prior density of a camera's position and heading, from a photo's EXIF.
-
-    Raises `InputError` for a place that is not finite, or a scale that is not above 0.
-    """
+    """Prior density of a camera's position and heading, from a photo's EXIF."""
 
     easting_m: float
     northing_m: float
@@ -67,15 +64,6 @@ class PlacePrior:
     """Elevation of the eye; its error has a Cauchy distribution."""
     elevation_sd_m: float = 30.0
     """Scale of that distribution."""
-    weight: float = 1.0
-    """Factor on the log probabilities, for scores whose unit is less than a unit of log odds."""
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite([self.easting_m, self.northing_m]).all() and self.sd_m > 0.0):
-            raise InputError(
-                f"the noted place is {self.easting_m:g}, {self.northing_m:g} within {self.sd_m:g} "
-                "m; expected a place and a scale above 0"
-            )
 
     @classmethod
     def of_noted(cls, noted: NotedPlace, frame: Frame) -> "PlacePrior | None":
@@ -97,15 +85,10 @@ class PlacePrior:
             elevation_sd_m = max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
         return cls(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
 
-    @property
-    def reach_m(self) -> float:
-        """Radius around the noted place within which a search always looks."""
-        return _REACH_M + _REACH_SD * self.sd_m
-
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
-        """Return the weighted negative log density (M,) of poses, relative to a uniform density.
+        """Return the negative log density (M,) of poses, relative to a uniform density.
 
         ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.
@@ -119,7 +102,7 @@ class PlacePrior:
             cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
         if self.elevation_m is not None:
             cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
-        return np.asarray(self.weight * cost)
+        return np.asarray(cost)
 
     def pull(
         self, place_m: Complex128Array, eye_m: Float64Array
@@ -134,12 +117,12 @@ class PlacePrior:
         """
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
-        across = self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5)
+        across = pull / (_WRONG_SHARE + self._peak * tail**-1.5)
         offset_m = np.column_stack([self._offset_m(place_m), np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
-            precision[:, 2] = 2.0 * self.weight / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
+            precision[:, 2] = 2.0 / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
         return precision, offset_m
 
     def _offset_m(self, place_m: Complex128Array) -> Float64Array:
@@ -267,8 +250,6 @@ class Prior:
     """Easting, northing and radius of circles that all contain the searched places."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
-    open_turns: BoolArray | None = None
-    """(180,) bool. The turns that screening looks at; see `turns_within`. None for all."""
     noted: PlacePrior | None = None
     """Prior from the photo's EXIF."""
 
@@ -278,17 +259,22 @@ class Prior:
 
         Raises as `Frame.rectangle_m`.
         """
-        turns, rectangle = None, None
+        rectangle = None
         circles: tuple[tuple[float, float, float], ...] = ()
         if narrowing.near is not None:
             east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
             circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
-        if narrowing.heading_deg is not None:
-            heading, slack = narrowing.heading_deg
-            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, circles, rectangle, turns, noted)
+        return cls(narrowing, frame, circles, rectangle, noted)
+
+    @property
+    def open_turns(self) -> BoolArray | None:
+        """The turns (180,) that screening looks at, see `turns_within`; None for all."""
+        if self.narrowing.heading_deg is None:
+            return None
+        heading, slack = self.narrowing.heading_deg
+        return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Hypotheses) -> BoolArray:
         """Return which positions (N,) lie within the circles, the bounds and the elevations."""
@@ -318,10 +304,11 @@ class Prior:
         return allowed
 
     def near_noted(self) -> "Prior | None":
-        """Return this prior, narrowed to the surroundings of the noted place; None without one."""
+        """Return this prior narrowed to the surroundings of the noted place; None without one."""
         if self.noted is None:
             return None
-        circle = self.noted.easting_m, self.noted.northing_m, self.noted.reach_m
+        radius_m = _REACH_M + _REACH_SD * self.noted.sd_m
+        circle = self.noted.easting_m, self.noted.northing_m, radius_m
         return replace(self, circles_m=(*self.circles_m, circle))
 
     def swap_hint(self, places: Places) -> str:

@@ -1,18 +1,26 @@
-"""Rendered views joined to skylines all the way round, and poses fitted to those of a store."""
+"""Rendered views joined to skylines all the way round, and matchers that fit poses to them."""
 
-from collections.abc import Iterable
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, Rows
 from skyline.camera import DEFAULT_WIDTH, pixel_size
-from skyline.errors import InputError
-from skyline.match.ranking import Hypotheses, Ranking
+from skyline.match.candidate import Hypotheses, Ranking
+from skyline.match.matchers import Ranker
+from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.query_rays import QueryRays
+from skyline.match.scene import RenderedScene
+from skyline.match.screening import Alike
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
+from skyline.store import Store
 from skyline.store.keypoints import NO_KEYPOINT
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 DEFAULT_BINS = 2048
 """A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""
@@ -91,21 +99,6 @@ class Profiles:
         """Width of a bin in px, so that azimuth and elevation have one unit at the horizon."""
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
 
-    def ranked(self, fits: Fits, fov_deg: float, top: int) -> Ranking:
-        """Return the ``top`` best fits, best first; equal scores keep the order of locations."""
-        poses = Hypotheses(
-            self.easting_m,
-            self.northing_m,
-            self.eye_elevation_m,
-            fits.heading_deg % 360.0,
-            fits.pitch_deg,
-            fits.roll_deg,
-            np.full(len(self), fov_deg),
-            np.zeros(len(self)),
-            fits.score,
-        )
-        return Ranking(poses[poses.suppress_non_maxima(top, 0.0)])
-
     @classmethod
     def from_views(
         cls, chunks: Iterable[tuple[Views, KeypointTable]], bins: int = DEFAULT_BINS
@@ -114,8 +107,7 @@ class Profiles:
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
         `skyline.store.keypoints.polyline_keypoints`). The views of one location may lie in
-        different chunks. Of two views with the same eye and heading the later one counts. Raises
-        `InputError` where there is no view.
+        different chunks. Of two views with the same eye and heading the later one counts.
         """
         eyes, quadrants, keypoints = [], [], []
         count = 0
@@ -129,10 +121,6 @@ class Profiles:
             turn = np.arctan(u) * bins / (2.0 * np.pi) + views.heading[view] * (bins / 4.0)
             keypoints.append(np.stack([view + count, np.rint(turn).astype(np.intp) % bins]))
             count += len(views)
-        if not count:
-            raise InputError(
-                "the store holds no views, so there is nothing to match; build it first"
-            )
         eye, location = np.unique(np.concatenate(eyes), axis=0, return_inverse=True)
         joined, first = np.full((len(eye), bins), np.nan, dtype=np.float32), 0
         for heading, y in quadrants:
@@ -145,6 +133,65 @@ class Profiles:
         start = np.searchsorted(key, np.arange(len(eye) + 1) * bins)
         easting_m, northing_m, eye_m = np.ascontiguousarray(eye.T)
         return cls(easting_m, northing_m, eye_m, joined, key % bins, start)
+
+
+class ProfileRanker(Ranker):
+    """Base class of matchers of renderings, which fit one pose at every location."""
+
+    def __init__(self, profiles: Profiles) -> None:
+        self.profiles = profiles
+
+    @classmethod
+    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
+        """See `Ranker.open`."""
+        return cls(Profiles.from_views(_chunks(store)))
+
+    def eyes(self) -> Viewpoints:
+        """See `Ranker.eyes`."""
+        some = self.profiles
+        return Viewpoints(
+            easting_m=some.easting_m,
+            northing_m=some.northing_m,
+            eye_elevation_m=some.eye_elevation_m,
+        )
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        prior: Prior = NOTHING_KNOWN,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """See `Ranker.rank`; of equal scores the location that comes first in the store wins."""
+        fits, profiles = self.fit(query), self.profiles
+        poses = Hypotheses(
+            profiles.easting_m,
+            profiles.northing_m,
+            profiles.eye_elevation_m,
+            fits.heading_deg % 360.0,
+            fits.pitch_deg,
+            fits.roll_deg,
+            np.full(len(profiles), query.fov_deg),
+            np.zeros(len(profiles)),
+            fits.score,
+        )
+        return Ranking(poses[poses.suppress_non_maxima(top, 0.0)])
+
+    @abstractmethod
+    def fit(self, query: QueryRays) -> Fits:
+        """Return the best pose at each location of `profiles`; lower scores are better.
+
+        `skyline.match.query_rays.QueryCurves` levels the query at the assumed pitches and puts it
+        on the profiles' bins. The score is infinite at a location where nothing fits.
+        """
+
+
+def _chunks(store: Store) -> Iterator[tuple[Views, KeypointTable]]:
+    """Yield the views of a store with their keypoints, many at a time."""
+    start = 0
+    for views in store.iter_views():
+        yield views, store.keypoint_columns(slice(start, start + len(views)))
+        start += len(views)
 
 
 def joined_views(

@@ -1,20 +1,30 @@
-"""Queries: photos, masks and traces to match, each with its camera and narrowing, and lists."""
+"""Queries: photos, masks and traces, each with its camera and narrowing; lists; matching many.
+
+On workers, each of which opens the store once, a store of many places is screened in parts, so that
+one query keeps many workers busy. The places of all parts are joined, and one worker fits and
+refines the best. The answers are those of one process, to the bit.
+"""
 
 import csv
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
-from skyline.errors import InputError, MissingFileError
+from skyline.build.cluster import Runner
+from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
+from skyline.match.screening import Alike
 from skyline.photo.exif import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query
+from skyline.store import open_store
+from skyline.store.format import PLACES, PLACES_A_CHUNK
 
 _COLUMNS = (
     "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
@@ -28,6 +38,11 @@ _TOGETHER = (
     ("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"), ("lowest_m", "highest_m"),
 )  # fmt: skip
 """Groups of columns; a row fills either all columns of a group or none."""
+_PART_BLOCKS = 128
+"""Blocks of places that one job screens, in a tenth of a second."""
+
+_Opening = tuple[Hashable, ...]
+"""The time at which the store was written, followed by the arguments of `Matcher`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +78,6 @@ class Query:
         if self.fov_deg is None or self.fov_slack is None:
             return query
         return replace(query, lens=Lens(self.fov_deg, self.fov_slack * self.fov_deg))
-
-    def match(self, matcher: Matcher) -> MatchResult:
-        """Match the query; the result's seconds include reading it; raises as `Matcher.match`."""
-        started = time.perf_counter()
-        found = matcher.match(self.read(), narrowing=self.narrowing)
-        return replace(found, seconds=time.perf_counter() - started, name=self.path)
 
 
 def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
@@ -170,3 +179,105 @@ def finite_number(where: str, column: str, text: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {column} is {text!r}; expected a number")
     return value
+
+
+def match_here(matcher: Matcher, queries: Iterable[Query]) -> Iterator[MatchResult | SkylineError]:
+    """Match queries in this process; yields the result of each, or the error that refuses it."""
+    for query in queries:
+        try:
+            yield _matched(matcher, Query.read, query)
+        except SkylineError as error:
+            yield error
+
+
+def match_many(
+    runner: Runner, matcher: tuple[Hashable, ...], queries: Sequence[Query]
+) -> Iterator[MatchResult | SkylineError]:
+    """Match queries on workers; yields results in the queries' order, each as soon as it is there.
+
+    In place of a query's result stands the error that refuses it; the others are still matched.
+
+    Parameters
+    ----------
+    runner : Runner
+        Runs the jobs. Workers need the store, the DEM and the queries under the same paths.
+    matcher : tuple
+        The arguments of `Matcher`, in order: the store's path first.
+    """
+    store = Path(str(matcher[0])).absolute()
+    # A worker that outlives this command must not take a store for the one it has replaced.
+    written = store.stat().st_mtime_ns if store.exists() else 0
+    opening = (written, str(store), *matcher[1:])
+    jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
+    parts = _parts(store)
+    screened: list[Alike | SkylineError | None] = [None] * len(jobs)
+    if len(parts) > 1:
+        of_parts = [(query, part) for query in jobs for part in parts]
+        names = [f"screen-{index}" for index in range(len(of_parts))]
+        found = list(runner(partial(_screen, opening), of_parts, names))
+        each = range(0, len(found), len(parts))
+        screened = [_joined(found[start : start + len(parts)]) for start in each]
+    left = [
+        (query, alike)
+        for query, alike in zip(jobs, screened, strict=True)
+        if not isinstance(alike, SkylineError)
+    ]
+    names = [f"query-{index}" for index in range(len(left))]
+    matched = runner(partial(_match, opening), left, names)
+    for query, alike in zip(queries, screened, strict=True):
+        result = alike if isinstance(alike, SkylineError) else next(matched)
+        yield replace(result, name=query.path) if isinstance(result, MatchResult) else result
+
+
+def _parts(store: Path) -> list[slice]:
+    """Return parts of a store's blocks of places; none for a store of renderings."""
+    with open_store(store) as opened:
+        blocks = -(-len(opened) // PLACES_A_CHUNK) if opened.header.holds == PLACES else 0
+    return [slice(start, start + _PART_BLOCKS) for start in range(0, blocks, _PART_BLOCKS)]
+
+
+def _joined(parts: Sequence[Alike | SkylineError | None]) -> Alike | SkylineError | None:
+    """Return the places of all parts, or the first error; None if there was nothing to screen."""
+    errors = [part for part in parts if isinstance(part, SkylineError)]
+    alike = [part for part in parts if isinstance(part, Alike)]
+    if errors:
+        return errors[0]
+    return Alike.joined(alike) if len(alike) == len(parts) else None
+
+
+def _screen(opening: _Opening, job: tuple[Query, slice]) -> Alike | None:
+    query, part = job
+    return _opened(*opening).screen(_read(query), query.narrowing, part)
+
+
+def _match(opening: _Opening, job: tuple[Query, Alike | None]) -> MatchResult:
+    return _matched(_opened(*opening), _read, *job)
+
+
+def _matched(
+    matcher: Matcher,
+    read: Callable[[Query], QuerySkyline],
+    query: Query,
+    screened: Alike | None = None,
+) -> MatchResult:
+    """Match one query; the result's seconds include reading it."""
+    started = time.perf_counter()
+    found = matcher.match(read(query), narrowing=query.narrowing, screened=screened)
+    return replace(found, seconds=time.perf_counter() - started, name=query.path)
+
+
+@lru_cache(maxsize=4)
+def _read(query: Query) -> QuerySkyline:
+    return query.read()  # Once for all the parts of the store that this worker screens.
+
+
+_open_matcher: dict[_Opening, Matcher] = {}
+"""The one matcher that this process has open, by its opening."""
+
+
+def _opened(*opening: Hashable) -> Matcher:
+    if opening not in _open_matcher:
+        while _open_matcher:
+            _open_matcher.popitem()[1].release()
+        _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
+    return _open_matcher[opening]

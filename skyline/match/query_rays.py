@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,12 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 
 REFERENCE_FOV_DEG = 60.0
-"""Field of view of a usual photo."""
+"""Field of view to which sizes of pixels are compared."""
+FOV_RANGE_DEG, USUAL_FOV_DEG = (25.0, 100.0), (55.0, 14.0)
+"""Fields of view that are searched where none is known, and their mean and standard deviation: most
+photos are taken with a phone or a usual zoom lens."""
+PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
+"""Pitches that matchers of renderings assume; the camera is taken not to roll."""
 _FULL_CIRCLE_DEG = 360.0
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
@@ -128,16 +132,6 @@ class QueryRays:
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=sd_deg)
 
 
-@dataclass(frozen=True, slots=True)
-class Attitudes:
-    """The pitches and rolls that a matcher assumes, in all combinations."""
-
-    pitch_deg: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
-    """Angles of the optical axis above the horizon."""
-    roll_deg: tuple[float, ...] = (0.0,)
-    """Clockwise turns of the camera as seen from behind it, its right side down."""
-
-
 def level(
     u: Float64Array,
     v: Float64Array,
@@ -149,8 +143,9 @@ def level(
     """Return azimuths and elevation tangents of rays of a pitched and rolled camera.
 
     Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
-    elevation tangent is up over horizontal distance. Angles are as in `Attitudes`, u and v as in
-    `QueryRays`.
+    elevation tangent is up over horizontal distance. The pitch is the axis's angle above the
+    horizon; the roll turns the camera clockwise as seen from behind it, its right side down. u and
+    v are as in `QueryRays`.
     """
     right, up, forward = level_axes(
         u, v, np.radians(pitch_deg), np.radians(roll_deg), is_panorama=is_panorama
@@ -221,21 +216,20 @@ def level_with_changes(
         Derivatives by pitch and roll, in radians, by the logarithm of the scale, and, if
         ``distortion`` is given, by the distortion.
     """
-    axes = _panorama_axes if query.is_panorama else _lens_axes
-    pitch, roll = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
-    turns = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     scale = np.exp(log_scale)[:, np.newaxis]
     stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach
-    (right, up, forward), (right_change, up_change, forward_change) = axes(
-        query.u * scale * stretch, query.v * scale * stretch, turns
+    (right, up, forward), changes = _axes_with_changes(
+        query.u * scale * stretch,
+        query.v * scale * stretch,
+        pitch_rad[:, np.newaxis],
+        roll_rad[:, np.newaxis],
+        query.is_panorama,
     )
     if distortion is not None:
         # Distortion moves rays outwards like the scale, but the more the farther out they are.
         share = (query.reach / stretch)[..., np.newaxis]
-        right_change, up_change, forward_change = (
-            np.concatenate([change, change[..., 2:] * share], axis=-1)
-            for change in (right_change, up_change, forward_change)
-        )
+        changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
+    right_change, up_change, forward_change = changes
     flat = np.hypot(right, forward)
     right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
     flat_change = (right_ * right_change + forward_ * forward_change) / flat_
@@ -247,44 +241,37 @@ def level_with_changes(
     )
 
 
-_Axes = tuple[Float64Array, Float64Array, Float64Array]
-"""Components to the right, up and forward."""
+def _axes_with_changes(
+    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array, is_panorama: bool
+) -> tuple[list[Float64Array], list[Float64Array]]:
+    """Return the components of `level_axes`, with the derivatives (M, R, 3) of each component.
 
-
-def _lens_axes(
-    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
-) -> tuple[_Axes, _Axes]:
-    """Return components (M, R) of rays on the axes of a level camera, and their derivatives.
-
-    The derivatives (M, R, 3) are by pitch, by roll, and by the logarithm of the scale.
+    They are by pitch, by roll, and by the logarithm of the scale.
     """
-    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
-    right = u * cos_roll + v * sin_roll
-    above = v * cos_roll - u * sin_roll
-    forward = cos_pitch - above * sin_pitch
-    up = above * cos_pitch + sin_pitch
-    return (right, up, forward), (
-        np.stack([np.zeros_like(up), above, right], axis=-1),
-        np.stack([forward, -right * cos_pitch, above * cos_pitch], axis=-1),
-        np.stack([-up, right * sin_pitch, -above * sin_pitch], axis=-1),
-    )
-
-
-def _panorama_axes(
-    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
-) -> tuple[_Axes, _Axes]:
-    """Return the same as `_lens_axes` for a panorama."""
-    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
-    across, forward = np.sin(u), np.cos(u)
-    above = v + sin_pitch / cos_pitch
-    right = across * cos_roll + above * sin_roll
-    up = above * cos_roll - across * sin_roll
-    raised, turned = np.ones_like(u) / cos_pitch**2, u * forward
-    return (right, up, forward), (
-        np.stack([raised * sin_roll, up, turned * cos_roll + v * sin_roll], axis=-1),
-        np.stack([raised * cos_roll, -right, v * cos_roll - turned * sin_roll], axis=-1),
-        np.stack([np.zeros_like(u), np.zeros_like(u), -u * across], axis=-1),
-    )
+    cos_roll, sin_roll = np.cos(roll), np.sin(roll)
+    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    if is_panorama:
+        across, forward = np.sin(u), np.cos(u)
+        above = v + sin_pitch / cos_pitch
+        right = across * cos_roll + above * sin_roll
+        up = above * cos_roll - across * sin_roll
+        raised, turned, none = np.ones_like(u) / cos_pitch**2, u * forward, np.zeros_like(u)
+        changes = [
+            [raised * sin_roll, up, turned * cos_roll + v * sin_roll],
+            [raised * cos_roll, -right, v * cos_roll - turned * sin_roll],
+            [none, none, -u * across],
+        ]
+    else:
+        right = u * cos_roll + v * sin_roll
+        above = v * cos_roll - u * sin_roll
+        forward = cos_pitch - above * sin_pitch
+        up = above * cos_pitch + sin_pitch
+        changes = [
+            [np.zeros_like(up), above, right],
+            [forward, -right * cos_pitch, above * cos_pitch],
+            [-up, right * sin_pitch, -above * sin_pitch],
+        ]
+    return [right, up, forward], [np.stack(change, axis=-1) for change in changes]
 
 
 def thinned(query: QueryRays, bins: int) -> QueryRays:
@@ -326,7 +313,7 @@ def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64A
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurves:
-    """A query sampled on the azimuth bins of a profile, one row per assumed attitude."""
+    """A query sampled on the azimuth bins of a profile, one row per assumed pitch."""
 
     y: Float64Array
     """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN outside the
@@ -334,26 +321,24 @@ class QueryCurves:
     weight: Float64Array
     """(H, B) float64. Trust in each bin; 0 outside the photo."""
     pitch_deg: Float64Array
-    roll_deg: Float64Array
-    """``pitch_deg``, ``roll_deg``: (H,) float64."""
+    """(H,) float64."""
 
     @classmethod
-    def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":
-        """Level the rays at each attitude and sample them on ``bins`` equal steps of azimuth."""
-        pairs = list(product(attitudes.pitch_deg, attitudes.roll_deg))
-        y, weight = zip(*(_on_bins(query, *pair, bins) for pair in pairs), strict=True)
-        return cls(np.stack(y), np.stack(weight), *np.array(pairs).T)
+    def of(
+        cls, query: QueryRays, bins: int, pitches_deg: Sequence[float] = PITCHES_DEG
+    ) -> "QueryCurves":
+        """Level the rays at each pitch and sample them on ``bins`` equal steps of azimuth."""
+        y, weight = zip(*(_on_bins(query, pitch, bins) for pitch in pitches_deg), strict=True)
+        return cls(np.stack(y), np.stack(weight), np.array(pitches_deg))
 
 
-def _on_bins(
-    query: QueryRays, pitch_deg: float, roll_deg: float, bins: int
-) -> tuple[Float64Array, Float64Array]:
-    """Return y (B,) and weight (B,) of the query levelled at one attitude.
+def _on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
+    """Return y (B,) and weight (B,) of the query levelled at one pitch.
 
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
     slope. Values at bin centres are interpolated linearly between these averages.
     """
-    azimuth, y = query.levelled(pitch_deg, roll_deg)
+    azimuth, y = query.levelled(pitch_deg, 0.0)
     position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
     nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
     weight = np.bincount(nearest, query.weight, bins)

@@ -33,20 +33,26 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.geodesy import in_turn
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress
-from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, SCOUT, Curves, Fit, Solver
+from skyline.match.solver import (
+    EYE_HEIGHT,
+    FINE,
+    HEADING,
+    LOG_SCALE,
+    ROUGH,
+    SCOUT,
+    TEMPERATURE,
+    Curves,
+    Fit,
+    Solver,
+)
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
-
-TEMPERATURE = 8.0
-"""T: differences of costs, divided by this, are log odds. Neighbouring columns share errors that
-are not modelled."""
 
 _SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
 """Poses nearer to each other, that look within this angle of each other, are one."""
@@ -151,8 +157,6 @@ class Refinement:
         noted: PlacePrior | None = None,
     ) -> None:
         self._scene, self._effort = scene, effort
-        if noted is not None:
-            noted = replace(noted, weight=TEMPERATURE)
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if eye_height_m is not None:
             eye = EyeHeightPrior(eye_height_m, 0.0)
@@ -256,7 +260,7 @@ class Refinement:
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs(in_turn(turn))
-        half_deg = 0.5 * solver.fov_deg(state)[:, np.newaxis]
+        half_deg = 0.5 * solver.query.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
         wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
@@ -310,7 +314,7 @@ class Refinement:
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             found.effective_columns,
-            solver.height_sd_m(particles.fit),
+            solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             *(hypotheses.rival_margin(least_m) for least_m in DISTANCES_M),
         )

@@ -24,7 +24,7 @@ _TYPES: Mapping[str, str] = {
     "lon": "REAL", "lat": "REAL", "easting_m": "REAL", "northing_m": "REAL",
     "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
     "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",
-    "exif_distance_m": "REAL", "seconds": "REAL", "said": "TEXT",
+    "exif_distance_m": "REAL", "seconds": "REAL", "reason": "TEXT",
 }  # fmt: skip
 _WGS84 = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'

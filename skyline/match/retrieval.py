@@ -29,9 +29,9 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
 from skyline.errors import InputError
+from skyline.match.candidate import Hypotheses
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
-from skyline.match.ranking import Hypotheses
 from skyline.match.screening import Alike, Screen, report_progress, sample_of, screen_places
 from skyline.store.places import Places, PlaceSource
 from skyline.terrain.edge import DataEdge
@@ -141,18 +141,9 @@ class Retriever:
     ) -> Hypotheses:
         """Return up to ``count`` poses that a query is most likely to have, best first.
 
-        Poses may lie between the places. Scores compare poses of one query only.
-
-        Parameters
-        ----------
-        screened : Alike, optional
-            The results of `screened` for all parts, joined; by default the places are screened
-            here.
-
-        Raises
-        ------
-        InputError
-            The search is narrowed to no place.
+        Poses may lie between the places. Scores compare poses of one query only. ``screened`` are
+        the results of `screened` for all parts, joined; by default the places are screened here.
+        Raises `InputError` where the search is narrowed to no place.
         """
         alike = self.screened(query, prior) if screened is None else screened
         alike = alike.best(self._screened)
@@ -364,10 +355,6 @@ class _CurveFit:
         """Standard deviation (M,) of a query's easting, and northing, from the place's."""
         return self.places.tolerance_m / np.float32(np.sqrt(3.0))
 
-    @property
-    def _weight(self) -> Float32Array:
-        return self.rays.weight.astype(np.float32)
-
     def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
         """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
 
@@ -383,7 +370,7 @@ class _CurveFit:
         for scale_deg in self.stage.scales_deg:
             misses = self._misses(pose, y, nearness)
             variance = self._variance(pose, misses.nearness)
-            weight = self._weight * misses.known
+            weight = self.rays.weight.astype(np.float32) * misses.known
             weight = weight / (variance + np.square(misses.miss) + np.radians(scale_deg) ** 2)
             pose = self._bounded(pose, _step(pose, misses, weight.astype(np.float32), prior))
         return pose, self._score(pose, self._misses(pose, y, nearness), prior)
@@ -480,7 +467,7 @@ class _CurveFit:
         cost = np.where(misses.known, np.minimum(miss, most), outlier)
         cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
         unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.stage.rays
-        mean = (cost * self._weight).mean(axis=1)
+        mean = (cost * self.rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
 
     def _may_hide(self, misses: _Misses) -> BoolArray:

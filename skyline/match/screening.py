@@ -41,7 +41,7 @@ from skyline.arrays import (
     UInt8Array,
 )
 from skyline.geodesy import in_turn
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
 
 Contains = Callable[[Places], BoolArray]
@@ -235,7 +235,7 @@ def query_waves(query: QueryRays) -> Complex128Array:
 
     Bin B / 2 is straight ahead.
     """
-    curve = QueryCurves.of(query, Attitudes((0.0,)), PHASE_BINS)
+    curve = QueryCurves.of(query, PHASE_BINS, (0.0,))
     y, weight = curve.y[0], curve.weight[0]
     rise = np.roll(y, -1) - y
     # The neighbour of the last bin is the first one, behind the camera.
@@ -308,16 +308,15 @@ def screen_places(
 
 def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
     """Yield the blocks of a part, each with its first row, in lists for one thread."""
-    start, batch = 0, []
-    chosen = range(*part.indices(1 << 40))
-    for index, places in enumerate(source.blocks()):
-        if index in chosen:
-            batch.append((start, places))
-        start += len(places)
-        if len(batch) == _BLOCKS_AT_ONCE:
-            yield batch
-            batch = []
-    if batch:
+
+    def numbered() -> Iterator[tuple[int, Places]]:
+        first = 0
+        for places in source.blocks():
+            yield first, places
+            first += len(places)
+
+    chosen = islice(numbered(), part.start, part.stop)
+    while batch := list(islice(chosen, _BLOCKS_AT_ONCE)):
         yield batch
 
 

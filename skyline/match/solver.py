@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.candidate import Hypotheses
 from skyline.match.noise import (
     ABOVE_SHARE,
     BELOW_SHARE,
@@ -30,7 +31,6 @@ from skyline.match.noise import (
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.query_rays import QueryRays, level_with_changes, thinned
-from skyline.match.ranking import Hypotheses
 from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)
@@ -43,6 +43,9 @@ ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
 """Standard deviations of the terrain model's heights, as multiples of the expected one, from which
 the most likely is chosen."""
+TEMPERATURE = 8.0
+"""Differences of costs, divided by this, are log odds. Neighbouring columns share errors that are
+not modelled."""
 _WIDEST = len(ANGLES_DEG) - 1, len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
@@ -225,7 +228,8 @@ class Solver:
     ) -> None:
         self.query, self.mode, self._eye = thinned(query, mode.bins), mode, eye
         self._noted, self._edge = noted, edge
-        self._heights_m = HEIGHT_SHARES * height_sd_m
+        self.heights_m = HEIGHT_SHARES * height_sd_m
+        """Standard deviations of the terrain model's heights that are tried."""
         low, high = query.log_scale_bounds
         self.size = size = DISTORTION + (query.distortion_sd > 0.0)
         """Unknowns P of a state."""
@@ -280,18 +284,10 @@ class Solver:
             np.degrees(fit.state[:, HEADING]) % 360.0,
             np.degrees(fit.state[:, PITCH]),
             np.degrees(fit.state[:, ROLL]),
-            self.fov_deg(fit.state),
+            self.query.fov_at(fit.state[:, LOG_SCALE]),
             fit.state[:, DISTORTION:].sum(axis=1),
             fit.cost,
         )
-
-    def fov_deg(self, state: Float64Array) -> Float64Array:
-        """Return the field of view of states (M, P), degrees."""
-        return self.query.fov_at(state[:, LOG_SCALE])
-
-    def height_sd_m(self, fit: Fit) -> Float64Array:
-        """Return the chosen standard deviation (M,) of the terrain model's heights."""
-        return np.asarray(self._heights_m[fit.height])
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Return fits after the mode's steps from one rendering, with newly chosen deviations.
@@ -417,7 +413,7 @@ class Solver:
             self.query.weight,
             errors,
             ANGLES_DEG[angle],
-            self._heights_m[height],
+            self.heights_m[height],
             fit.odds,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()
@@ -429,7 +425,9 @@ class Solver:
         prior = 0.5 * fit.state**2 @ self._prior
         prior += _TERRAIN_WEIGHT * self._eye.cost(fit.state[:, EYE_HEIGHT])
         if self._noted is not None:
-            prior += self._noted.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
+            prior += TEMPERATURE * self._noted.cost(
+                linear.place_m, linear.eye_m, fit.state[:, HEADING]
+            )
         return replace(found, cost=found.cost + 0.5 * log_det + prior + self._height_cost[height])
 
     def _with_deviations(
@@ -496,6 +494,7 @@ class Solver:
         if self._noted is None:
             return
         precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
+        precision *= TEMPERATURE
         gradient[:, _MOVES] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):
             normal[:, axis, axis] += precision[:, axis]

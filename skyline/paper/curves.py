@@ -84,7 +84,6 @@ class QueryCurve:
     patches: Float32Array
     """(Q, S) float32. Local skylines relative to their keypoints; NaN where unknown."""
     pitch_deg: float
-    roll_deg: float
 
     @classmethod
     def of(cls, curves: QueryCurves, row: int) -> Self:
@@ -110,7 +109,6 @@ class QueryCurve:
             np.stack([x_px[near], y_px[near]], axis=-1),
             patches.astype(np.float32),
             float(curves.pitch_deg[row]),
-            float(curves.roll_deg[row]),
         )
 
     @property

@@ -6,8 +6,8 @@ location with the nearest local skyline; RANSAC finds the affine map that most c
 agree on; the score is the rms vertical distance in px between the warped query skyline and the
 stored skyline. The affine map also gives the camera's heading, pitch and roll.
 
-These steps take seconds for all locations at all assumed attitudes, so `skyline.paper.shortlist`
-chooses the pairs of a location and an attitude that go through them.
+These steps take seconds for all locations at all assumed pitches, so `skyline.paper.shortlist`
+chooses the pairs of a location and a pitch that go through them.
 """
 
 from dataclasses import replace
@@ -16,9 +16,8 @@ from functools import reduce
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
-from skyline.match.matchers import ProfileRanker
-from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileRanker, Profiles
+from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.paper.curves import (
     MIN_OVERLAP,
     QueryCurve,
@@ -35,7 +34,7 @@ _CHUNK = 64
 """Locations compared at a time."""
 
 _POSES = 100
-"""Pairs of a location and an assumed attitude on the shortlist."""
+"""Pairs of a location and an assumed pitch on the shortlist."""
 
 _DIRECTIONS = 3
 """Directions tried at a location: those on which most correspondences agree."""
@@ -47,15 +46,11 @@ _REACH_TURNS = 1.0 / 32.0
 class PaperMatcher(ProfileRanker):
     """The paper's matcher over whole 360 degree profiles.
 
-    Parameters
-    ----------
-    profiles : Profiles
-    attitudes : Attitudes, optional
-        Assumed pitches and rolls; the affine map takes up what lies between.
+    The affine map takes up what lies between the assumed pitches, and the roll.
     """
 
-    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
-        super().__init__(profiles, attitudes)
+    def __init__(self, profiles: Profiles) -> None:
+        super().__init__(profiles)
         self._shortlist = Shortlist(profiles)
 
     def fit(self, query: QueryRays) -> Fits:
@@ -63,7 +58,7 @@ class PaperMatcher(ProfileRanker):
 
         A location that is not on the shortlist has no fit.
         """
-        curves = QueryCurves.of(query, self.attitudes, self.profiles.bins)
+        curves = QueryCurves.of(query, self.profiles.bins)
         assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
         fits = Fits.none(len(self.profiles))
         for one, listed in zip(assumed, self._listed(assumed), strict=True):
@@ -74,7 +69,7 @@ class PaperMatcher(ProfileRanker):
         return fits
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:
-        """Return the locations on the shortlist, ascending, for each attitude."""
+        """Return the locations on the shortlist, ascending, for each pitch."""
         distance = self._shortlist.distances_px(assumed)
         flat = distance.ravel()
         best = np.argsort(flat, kind="stable")[:_POSES]
@@ -84,7 +79,7 @@ class PaperMatcher(ProfileRanker):
 
 
 def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
-    """Return the fits of one assumed attitude at some locations."""
+    """Return the fits of one assumed pitch at some locations."""
     if not stored.bins.shape[1] or not len(query.bins):
         return Fits.none(len(stored))
     step_px = stored.bin_px * float(np.diff(patch_offsets(stored.bin_px))[0])
@@ -197,5 +192,5 @@ def _pose(
         score,
         (x_px / stored.bin_px + bins // 2) * (360.0 / bins) % 360.0,
         query.pitch_deg + np.degrees(raised),
-        query.roll_deg - turn_deg,
+        -turn_deg,
     )

@@ -75,7 +75,7 @@ class Lens:
         Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
     most_deg : float or None
         The greatest possible field of view, if the photo was cropped.
-    said : str
+    reason : str
         The source of the values in words, or the reason that there are none; empty if the file
         notes no lens.
     """
@@ -83,7 +83,7 @@ class Lens:
     fov_deg: float | None = None
     sd_deg: float | None = None
     most_deg: float | None = None
-    said: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,23 +117,23 @@ def lens_of(tags: _Tags, size_px: tuple[int, int]) -> Lens:
     frame = _frame(tags, size_px)
     focal, dropped = _focal(tags, frame)
     if focal is None:
-        return Lens(said=dropped)
+        return Lens(reason=dropped)
     if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
-        return Lens(said=f"{focal.source} left aside: the photo is a panorama or a strip")
+        return Lens(reason=f"{focal.source} left aside: the photo is a panorama or a strip")
     tangent = _kept_width(size_px, frame) / 2.0 / (focal.diagonals * hypot(*frame))
     fov_deg = 2.0 * degrees(atan(tangent))
     if fov_deg < MIN_FOV_DEG:
-        return Lens(said=f"{focal.source} left aside: {fov_deg:.2g} degrees are no photo's")
+        return Lens(reason=f"{focal.source} left aside: {fov_deg:.2g} degrees are no photo's")
     sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
         return Lens(fov_deg, sd_deg, None, "; ".join(filter(None, [focal.source, dropped])))
-    said = f"{focal.source}, but the photo was cropped: at most {fov_deg:.1f} degrees"
+    reason = f"{focal.source}, but the photo was cropped: at most {fov_deg:.1f} degrees"
     most_deg = _KEPT_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
     return Lens(
         _KEPT_MEAN * fov_deg,
         hypot(_KEPT_SD * fov_deg, sd_deg or 0.0),
         most_deg,
-        "; ".join(filter(None, [said, dropped])),
+        "; ".join(filter(None, [reason, dropped])),
     )
 
 
@@ -147,12 +147,12 @@ def swept_lens_of(tags: _Tags, size_px: tuple[int, int]) -> Lens | None:
         return None
     equivalent_mm = _positive(tags.get(Base.FocalLengthIn35mmFilm))
     if equivalent_mm is None:
-        return Lens(said="EXIF says that the photo is a panorama, but not how wide")
+        return Lens(reason="EXIF says that the photo is a panorama, but not how wide")
     width, height = size_px
     focal_px = equivalent_mm / 36.0 * height / _SWEPT_HEIGHT
     fov_deg = min(degrees(width / focal_px), MAX_PANORAMA_DEG)
-    said = f"EXIF says that the photo is a panorama: about {fov_deg:.0f} degrees"
-    return Lens(fov_deg, _SWEPT_SD * fov_deg, MAX_PANORAMA_DEG, said)
+    reason = f"EXIF says that the photo is a panorama: about {fov_deg:.0f} degrees"
+    return Lens(fov_deg, _SWEPT_SD * fov_deg, MAX_PANORAMA_DEG, reason)
 
 
 def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
@@ -175,11 +175,11 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
         return None
     noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR)
     if noted not in {one for one in Projection if one.is_panorama}:
-        said = f"XMP says that the photo's projection is {noted}, which is not known here"
-        return Projection.PERSPECTIVE, Lens(said=said)
+        reason = f"XMP says that the photo's projection is {noted}, which is not known here"
+        return Projection.PERSPECTIVE, Lens(reason=reason)
     if width is None or turn is None or width > turn:
-        said = "XMP says that the photo is a panorama, but not how wide"
-        return Projection(noted), Lens(said=said)
+        reason = "XMP says that the photo is a panorama, but not how wide"
+        return Projection(noted), Lens(reason=reason)
     return Projection(noted), _panorama_lens(size_px, width, height, MAX_PANORAMA_DEG / turn)
 
 
@@ -190,14 +190,14 @@ def _panorama_lens(
     kept_px = width if height is None else _kept_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:
-        return Lens(said=f"XMP's panorama left aside: {fov_deg:.2g} degrees are no photo's")
+        return Lens(reason=f"XMP's panorama left aside: {fov_deg:.2g} degrees are no photo's")
     if height is None:
         is_known = size_px[0] == width
     else:
         frame, rounding = (width, height), 1.0 / size_px[0] + 1.0 / size_px[1]
         is_known = _is_unscaled(size_px, frame) or _is_whole(size_px, frame, rounding)
     if is_known:
-        return Lens(fov_deg, said="XMP notes a panorama of this shape and scale")
+        return Lens(fov_deg, reason="XMP notes a panorama of this shape and scale")
     # Crops are sometimes shrunk, hardly ever enlarged.
     least_deg = deg_per_px * min(float(size_px[0]), 0.5 * kept_px)
     return Lens(
@@ -222,18 +222,19 @@ def _focal(tags: _Tags, frame: tuple[float, float]) -> tuple[_Focal | None, str]
     if by_plane is not None and not _is_lens(by_plane, focal_mm):
         dropped.append("EXIF's focal plane is no camera's")
         by_plane = None
-    said = "; ".join(dropped)
+    reason = "; ".join(dropped)
     if by_film is not None and by_plane is not None:
         middle, off = sqrt(by_film * by_plane), abs(log(by_film / by_plane))
         if off <= _AGREE:
-            return _Focal(middle, None, "EXIF's 35 mm equivalent, and its focal plane agrees"), said
+            source = "EXIF's 35 mm equivalent, and its focal plane agrees"
+            return _Focal(middle, None, source), reason
         source = "EXIF's 35 mm equivalent and its focal plane contradict one another"
-        return _Focal(middle, max(off / 2.0, _FILM_ALONE), source), said
+        return _Focal(middle, max(off / 2.0, _FILM_ALONE), source), reason
     if by_film is not None:
-        return _Focal(by_film, _FILM_ALONE, "EXIF's 35 mm equivalent alone"), said
+        return _Focal(by_film, _FILM_ALONE, "EXIF's 35 mm equivalent alone"), reason
     if by_plane is not None:
-        return _Focal(by_plane, _PLANE_ALONE, "EXIF's focal plane alone"), said
-    return None, said
+        return _Focal(by_plane, _PLANE_ALONE, "EXIF's focal plane alone"), reason
+    return None, reason
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:

@@ -33,7 +33,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in records)
     bounded, unknown = (one["lens"] for one in records)
     assert bounded["most_deg"] > 60.0 > bounded["fov_deg"]
-    assert "cropped" in bounded["said"]
+    assert "cropped" in bounded["reason"]
     assert unknown["fov_deg"] is None
     said = run("match", store, cropped, lie, "--matcher", "unrefined").out
     assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone," in said

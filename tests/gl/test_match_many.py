@@ -6,10 +6,9 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import runner_of
-from skyline.match import batch
-from skyline.match.batch import match_many
+from skyline.match import queries as match_queries
 from skyline.match.matchers import FULL
-from skyline.match.queries import Query
+from skyline.match.queries import Query, match_many
 from skyline.photo.trace import write_trace
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
@@ -50,7 +49,7 @@ def test_two_workers_find_what_one_process_finds(
         blocks = len(list(opened.places().blocks()))
     assert blocks > 4
     # Jobs screen a block at a time.
-    monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
+    monkeypatch.setattr(match_queries, "_PART_BLOCKS", 1)
     jobs = []
     with runner_of(dask_cluster.scheduler_address) as runner:
 

@@ -7,8 +7,8 @@ import pytest
 from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
+from skyline.match.candidate import Hypotheses
 from skyline.match.profiles import joined_views
-from skyline.match.ranking import Hypotheses
 from skyline.match.refine import WHOLE, JointRefinement, Refinement
 from skyline.match.solver import Curves
 from skyline.render.horizon import HorizonRenderer

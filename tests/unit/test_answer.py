@@ -99,7 +99,7 @@ def test_terrain_beyond_the_model_is_mentioned_from_a_tenth_on(share, begins):
 
 
 def test_an_answer_and_a_refusal_are_printed_with_their_query():
-    lens = Lens(60.3, 5.0, said="EXIF's 35 mm equivalent alone")
+    lens = Lens(60.3, 5.0, reason="EXIF's 35 mm equivalent alone")
     sure = replace(BEST, confidence=0.93, confidence_1km=0.97, refined=True)
     first, answer, place, *_, lens_line = (
         MatchResult(query(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg").to_text().splitlines()

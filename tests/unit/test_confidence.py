@@ -5,8 +5,7 @@ import pytest
 from query_scenes import equally_trusted, poses
 
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.match.ranking import RefinedPoses
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
@@ -38,7 +37,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
         retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
         one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one,
     )  # fmt: skip
-    sure = model.probability(confidence.lone_figures(poses, QUERY, model))
+    sure = model.probability(confidence.lone_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[2:] < 0.8).all()

@@ -52,7 +52,7 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
             np.degrees(8000 / (28 / 36 * 2500 / kept)), abs=2.0 * found.sd_deg
         )
     assert found.most_deg == 360.0
-    assert "panorama" in found.said
+    assert "panorama" in found.reason
     assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
     assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
@@ -62,7 +62,7 @@ def test_sources_that_agree_are_sharp():
     found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000))
     assert found.fov_deg == pytest.approx(90.0, abs=1.5)
     assert found.sd_deg is None
-    assert "agrees" in found.said
+    assert "agrees" in found.reason
 
 
 def searched(lens, *, is_panorama=False):
@@ -90,14 +90,14 @@ def test_a_focal_plane_alone_is_a_hint(size):
     assert found.fov_deg < 0.7 * true
     assert searched(found)[0] < found.fov_deg < true < searched(found)[1]
     assert true < found.fov_deg + 2.5 * found.sd_deg
-    assert "focal plane alone" in found.said
+    assert "focal plane alone" in found.reason
     # The other way about it is searched, too.
     assert searched(found)[0] < found.fov_deg / 1.5
 
 
 def test_a_35_mm_equivalent_alone_is_wider_than_two_that_agree():
     found = lens_of({Base.FocalLengthIn35mmFilm: 26}, (4000, 3000))
-    assert "35 mm equivalent alone" in found.said
+    assert "35 mm equivalent alone" in found.reason
     # Of 36 mm of film, and not of its diagonal, it would be as near as a deviation.
     assert fov_of(18.0, 26.0) - found.fov_deg < found.sd_deg
 
@@ -108,7 +108,7 @@ def test_sources_that_contradict_one_another_widen_what_is_possible():
     assert narrow < found.fov_deg < 90.0
     # Each of the two is about a deviation off.
     assert found.sd_deg == pytest.approx((90.0 - narrow) / 2.0, rel=0.05)
-    assert "contradict" in found.said
+    assert "contradict" in found.reason
 
 
 # A scanner's resolution, a sensor of a metre; and a focal length that no lens has.
@@ -123,7 +123,7 @@ def test_the_less_credible_source_is_dropped(lie, said):
     found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM} | lie, (4000, 3000))
     assert found.fov_deg == pytest.approx(90.0)
     assert found.sd_deg > 5.0
-    assert said in found.said
+    assert said in found.reason
 
 
 def test_a_crop_that_was_resized_bounds_the_field_of_view():
@@ -134,7 +134,7 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
     agreed = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM}, (1600, 800))
     assert agreed.most_deg == pytest.approx(1.05 * 90.0)
     assert agreed.sd_deg < found.sd_deg
-    assert "cropped: at most 90.0 degrees" in found.said
+    assert "cropped: at most 90.0 degrees" in found.reason
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
 )
 def test_nothing_is_known_where_exif_does_not_say(tags, size):
     found = lens_of(tags, size)
-    assert found == Lens(said=found.said)
+    assert found == Lens(reason=found.reason)
 
 
 def gpano(**noted):
@@ -185,7 +185,7 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
     _, lens = panorama_of_xmp(gpano(**WHOLE), size)
     low, high = searched(lens, is_panorama=True)
     assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
-    assert f"cropped since: at most {most_deg:.1f} degrees" in lens.said
+    assert f"cropped since: at most {most_deg:.1f} degrees" in lens.reason
 
 
 @pytest.mark.parametrize(
@@ -198,5 +198,5 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
 )
 def test_a_panorama_that_makes_no_sense_is_not_taken_for_a_lens(wrong, said):
     _, lens = panorama_of_xmp(gpano(**WHOLE | wrong), (9600, 2400))
-    assert lens == Lens(said=lens.said)
-    assert said in lens.said
+    assert lens == Lens(reason=lens.reason)
+    assert said in lens.reason

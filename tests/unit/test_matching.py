@@ -1,7 +1,5 @@
 """Profiles and their two matchers against exact skylines and plain loops."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from query_scenes import equally_trusted, photographed
@@ -10,7 +8,7 @@ from scenes import field_of, fractal
 from skyline.build.plans import uniform_grid
 from skyline.match.correlation import CorrelationMatcher
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
-from skyline.match.query_rays import Attitudes, QueryCurves
+from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
@@ -18,8 +16,7 @@ from skyline.paper.shortlist import Shortlist
 from skyline.store.keypoints import NO_KEYPOINT, polyline_keypoints, polyline_vertices
 from skyline_bench.truth import oracle
 
-LEVEL = Attitudes(pitch_deg=(0.0,))
-MATCHERS = partial(PaperMatcher, attitudes=LEVEL), partial(CorrelationMatcher, attitudes=LEVEL)
+MATCHERS = PaperMatcher, CorrelationMatcher
 TERRAIN = field_of(fractal(160, 160, 600.0, seed=2, exponent=1.9))
 CENTRE = (1200.0, -3600.0, 3600.0, -1200.0)
 
@@ -90,17 +87,18 @@ def test_the_assumed_pitch_that_fits_is_found(profiles, viewpoints):
 
 def test_correlation_equals_a_direct_loop(profiles, viewpoints):
     query = query_at(viewpoints, 7, 77.0)
-    fits = CorrelationMatcher(profiles, LEVEL).fit(query)
-    curve = QueryCurves.of(query, LEVEL, profiles.bins)
-    seen = np.flatnonzero(curve.weight[0] > 0.0)
-    q, weight = curve.y[0, seen], curve.weight[0, seen]
+    fits = CorrelationMatcher(profiles).fit(query)
+    curves = QueryCurves.of(query, profiles.bins)
     for location in (0, 7, 20):
         best = -np.inf
-        for turn in range(profiles.bins):
-            p = profiles.y[location, (seen + turn) % profiles.bins].astype(np.float64)
-            a, b = q - np.average(q, weights=weight), p - np.average(p, weights=weight)
-            ncc = np.sum(weight * a * b) / np.sqrt(np.sum(weight * a * a) * np.sum(weight * b * b))
-            best = max(best, ncc)
+        for y, weights in zip(curves.y, curves.weight, strict=True):
+            seen = np.flatnonzero(weights > 0.0)
+            q, weight = y[seen], weights[seen]
+            for turn in range(profiles.bins):
+                p = profiles.y[location, (seen + turn) % profiles.bins].astype(np.float64)
+                a, b = q - np.average(q, weights=weight), p - np.average(p, weights=weight)
+                off = np.sqrt(np.sum(weight * a * a) * np.sum(weight * b * b))
+                best = max(best, np.sum(weight * a * b) / off)
         assert 1.0 - fits.score[location] == pytest.approx(best, abs=1e-4)
 
 
@@ -158,8 +156,8 @@ def query_of(profiles, location, axis_bin, seed=0):
     return equally_trusted(u, v, 60.0)
 
 
-def assumed(query, attitudes):
-    curves = QueryCurves.of(query, attitudes, BINS)
+def assumed(query, pitches_deg):
+    curves = QueryCurves.of(query, BINS, pitches_deg)
     return [QueryCurve.of(curves, row) for row in range(len(curves.y))]
 
 
@@ -175,7 +173,7 @@ def voted_turn(shifts):
 
 
 def plain_distance_px(profiles, location, query):
-    """Return `Shortlist.distances_px` of one location at one attitude, step by step."""
+    """Return `Shortlist.distances_px` of one location at one pitch, step by step."""
     y = profiles.y[location].astype(np.float64) / TANGENT_PER_PX
     begin, end = profiles.keypoint_start[location : location + 2]
     stored_bins = profiles.keypoint_bin[begin:end]
@@ -211,7 +209,7 @@ def plain_distance_px(profiles, location, query):
 
 def test_shortlist_equals_a_plain_loop():
     profiles = random_profiles(1, 10)
-    queries = assumed(query_of(profiles, 6, 300), Attitudes((-4.0, 0.0)))
+    queries = assumed(query_of(profiles, 6, 300), (-4.0, 0.0))
     found = Shortlist(profiles).distances_px(queries)
     expected = np.array([[plain_distance_px(profiles, k, q) for q in queries] for k in range(10)])
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.02)
@@ -222,10 +220,11 @@ def test_shortlist_equals_a_plain_loop():
 def test_listed_poses_are_scored_as_without_a_shortlist(seed, monkeypatch):
     profiles = random_profiles(10 + seed, 30)
     query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
-    level = Attitudes((0.0,))
-    every = PaperMatcher(profiles, level).fit(query)
+    of = QueryCurves.of
+    monkeypatch.setattr(QueryCurves, "of", lambda query, bins: of(query, bins, (0.0,)))
+    every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)
-    listed = PaperMatcher(profiles, level).fit(query)
+    listed = PaperMatcher(profiles).fit(query)
     chosen = np.isfinite(listed.score)
     assert 1 <= chosen.sum() <= 8
     np.testing.assert_allclose(listed.score[chosen], every.score[chosen], rtol=1e-6)

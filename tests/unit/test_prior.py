@@ -41,7 +41,7 @@ def test_its_compass_is_a_weak_hint():
 
 
 def test_its_pull_is_the_slope_of_the_cost():
-    heavy = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
+    heavy = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0)
     for off_m, eye_m in ((1.0, 2.0), (30.0, 45.0), (300.0, 90.0)):
         place, eye = THERE + off_m, SEA + eye_m
         precision, offset_m = heavy.pull(place, eye)

@@ -169,7 +169,6 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     assert like(picture, (31, 95, 191)).sum() > 100
 
 
-<<<<<<< HEAD
 def test_a_report_without_terrain_says_so(tmp_path):
     bare = SimpleNamespace(**{**vars(MATCHER), "terrain": None, "header": VIEWS_HEADER})
     html = report(tmp_path, [MatchResult(QUERY, (BEST,), 0.1, name="trace.csv")], bare)
@@ -177,8 +176,6 @@ def test_a_report_without_terrain_says_so(tmp_path):
     assert "no skyline was rendered" in html
 
 
-=======
->>>>>>> tests-unit
 def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     results = [
         MatchResult(QUERY, (replace(OTHER, rank=1),), 0.1, "not sure", name="unsure.jpg"),

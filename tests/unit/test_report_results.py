@@ -24,7 +24,7 @@ PLACE = candidate_at(
 RESULT = MatchResult(QUERY, (PLACE,), 2.0, None, 200.0, "a,b.jpg")
 FOUND = RESULT.to_row()
 NOTHING = MatchResult(QUERY, (), 1.0, "no\nplace", name="c.jpg").to_row()
-BROKEN = {"query": "d.jpg", "answered": 0, "said": "d.jpg is not an image"}
+BROKEN = {"query": "d.jpg", "answered": 0, "reason": "d.jpg is not an image"}
 
 
 @pytest.fixture(params=RESULTS)
@@ -101,5 +101,5 @@ def test_geopandas_reads_the_geopackage(tmp_path):
     assert table.crs.to_epsg() == 4326
     np.testing.assert_allclose([table.geometry[0].x, table.geometry[0].y], [PLACE.lon, PLACE.lat])
     assert list(table["query"]) == ["a,b.jpg", "c.jpg"]
-    assert table["said"][1] == r"no\nplace"
+    assert table["reason"][1] == r"no\nplace"
     assert table.geometry[1] is None

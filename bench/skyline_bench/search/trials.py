@@ -14,9 +14,9 @@ from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle, in_turn
+from skyline.match.candidate import Hypotheses
 from skyline.match.full import FullMatcher
 from skyline.match.matchers import FULL, MatchConfig, matcher_class
-from skyline.match.ranking import Hypotheses
 from skyline.store import open_store
 from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project_points
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, rotation
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -226,9 +226,9 @@ def _columns_past_rims(scene: SkylineScene) -> BoolArray:
         offsets[:, 0] = easting - eyes.easting_m[index]
         offsets[:, 2] = northing - eyes.northing_m[index]
         for heading in HEADINGS:
-            uv, depth = project_points(offsets, heading)
+            right, _, depth = rotation(heading) @ offsets.T
             ahead = depth > 0.0
-            at, slack = uv[ahead, 0], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
+            at, slack = right[ahead] / depth[ahead], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
             nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)
             column = nearest.astype(np.int64)
             passes[index, heading, column[np.abs(u[column] - at) <= slack]] = True
