@@ -209,7 +209,7 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert points[0]["properties"]["query"] == str(photo)
     assert_refused(run(*query, "--peaks", peaks), "--report")
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
-    unwritable = run(*query, "--export", photo / "a.gpkg")
+    unwritable = run(*query, "--export", photo / "a.gpx")
     assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
 
 
