@@ -12,9 +12,11 @@ from skyline.errors import InputError
 
 REFERENCE_FOV_DEG = 60.0
 """Field of view to which sizes of pixels are compared."""
-FOV_RANGE_DEG, USUAL_FOV_DEG = (25.0, 100.0), (55.0, 14.0)
-"""Fields of view that are searched where none is known, and their mean and standard deviation: most
-photos are taken with a phone or a usual zoom lens."""
+FOV_RANGE_DEG = (25.0, 100.0)
+"""Fields of view that are searched where none is known."""
+USUAL_FOV_DEG = (55.0, 14.0)
+"""Mean and standard deviation of those fields of view: most photos are taken with a phone or a
+usual zoom lens."""
 PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
 _FULL_CIRCLE_DEG = 360.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from commands import lonlat_of
 
-from skyline import cli
+from skyline import Matcher, cli
 from skyline.fetch.dem_tiles import FetchResult
 from skyline.store import open_store
 
@@ -122,15 +122,16 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     run, store, trace, second, tmp_path, monkeypatch
 ):
     match = partial(run, "match", store, trace, second, "--matcher", "unrefined", "--results")
-    matched = cli.loaded("match") and sys.modules["skyline.cli.match"].Query.match
+    matched, results = Matcher.match, []
 
-    def stopping(query, *arguments):
-        if query.path.endswith("second.csv"):
+    def stopping(*arguments, **named):
+        if results:
             raise KeyboardInterrupt
-        return matched(query, *arguments)
+        results.append(matched(*arguments, **named))
+        return results[0]
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyline.cli.match.Query.match", stopping)
+        patch.setattr(Matcher, "match", stopping)
         done = match(tmp_path / "r.csv")
     assert done.code == 130
     said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
@@ -162,10 +163,9 @@ def test_nor_is_one_of_json_or_of_help(run, command, unread):
 
 
 def test_files_are_written_all_the_same(run, store, trace, second, tmp_path, monkeypatch, unread):
-    matched = []
-    match = sys.modules["skyline.cli.match"].Query.match
+    matched, match = [], Matcher.match
     monkeypatch.setattr(
-        "skyline.cli.match.Query.match", lambda *asked: matched.append(1) or match(*asked)
+        Matcher, "match", lambda *asked, **named: matched.append(1) or match(*asked, **named)
     )
     arguments = "match", store, trace, second, "--matcher", "unrefined"
     unread()
