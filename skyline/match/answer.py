@@ -437,7 +437,7 @@ def refusal_of(
     """Return why the best candidate of a search is not the answer; None if it is the answer."""
     refusal = unsure(candidates, config)
     if refusal is None:
-        return _at_bound(candidates[0], rays)
+        return at_bound(candidates[0], rays)
     return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
 
 
@@ -492,7 +492,7 @@ def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str
     )
 
 
-def _at_bound(best: Candidate, rays: QueryRays) -> str | None:
+def at_bound(best: Candidate, rays: QueryRays) -> str | None:
     """Return the refusal of a field of view that is the least or greatest searched; else None."""
     low_deg, high_deg = rays.fov_bounds_deg
     near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)

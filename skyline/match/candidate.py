@@ -246,6 +246,8 @@ class RefinedPoses(Rows):
     far_margin: Float64Array
     """``margin``, ``far_margin``: (M,) float64. `Hypotheses.rival_margin` for either of
     `DISTANCES_M`; below 0 for all but the best pose."""
+    angle_sd_deg: Float64Array
+    """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

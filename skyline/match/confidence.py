@@ -39,6 +39,8 @@ _MOST_VISIBLE_DEG = 90.0
 one."""
 _MOST_LENS_DEVIATIONS = 4.0
 _MODELS = "confidence.json"
+ORIENTED = "oriented, 1 degree"
+"""Name of the model of headings at a known place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,25 @@ def lone_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     """
     most = np.full(len(poses), _MAX_MARGIN)
     return _pose_figures(poses, query, most, most)
+
+
+def oriented_figures(
+    poses: RefinedPoses, query: QueryRays, moved_m: Float64Array
+) -> dict[str, Float64Array]:
+    """Return the figures (M,) of poses at a known place, one for each heading, by name.
+
+    The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
+    known place.
+    """
+    others = np.where(np.eye(len(poses), dtype=bool), np.inf, poses.hypotheses.score)
+    margin = others.min(axis=1, initial=np.inf) - poses.hypotheses.score
+    figures = _pose_figures(poses, query, margin, margin)
+    for name in ("far_margin", "log_far_margin", "log_position_sd"):
+        del figures[name]
+    return figures | {
+        "log_heading_sd": np.log(np.maximum(poses.angle_sd_deg[:, 0], 1e-2)),
+        "log_moved": np.log(np.maximum(moved_m, 1.0)),
+    }
 
 
 def _pose_figures(

@@ -25,7 +25,7 @@ from skyline.match.candidate import Candidate, Hypotheses
 from skyline.match.matchers import FULL, MatchConfig, matcher_class
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
-from skyline.match.scene import RenderedScene, given_terrain, terrain_at_hand
+from skyline.match.scene import VIEW_WIDTH, RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.exif import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
@@ -38,8 +38,6 @@ from skyline.store.format import PLACES
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
-_VIEW_WIDTH = 360
-"""Columns of the views that refinement renders."""
 _WIDE_DEG = 75.0
 """Lenses of a wider field of view may distort; phones correct the distortion of others."""
 _DISTORTION_SD = 0.05
@@ -107,7 +105,7 @@ class Matcher:
                     )
                 if refine and self.terrain is not None:
                     over = None if surface is None else read_surface(surface, self.terrain)
-                    rendering = RenderConfig(_VIEW_WIDTH, curvature=self.header.curvature)
+                    rendering = RenderConfig(VIEW_WIDTH, curvature=self.header.curvature)
                     self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
             self._ranker = kind.open(file, self.terrain, self._scene)
         self.render_thread = render_thread
@@ -166,7 +164,7 @@ class Matcher:
         """
         started = time.perf_counter()
         _check_top(top)
-        name, query = _name_of(query), _skyline_of(query, fov_deg)
+        name, query = name_of(query), skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query)
         if refusal is None:
@@ -218,7 +216,7 @@ class Matcher:
                 f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        skylines = [_skyline_of(query, fov_deg) for query in queries]
+        skylines = [skyline_of(query, fov_deg) for query in queries]
         refusals = [too_little(query) for query in skylines]
         usable = [
             (self._rays(query), self._prior(query, narrowing))
@@ -240,7 +238,7 @@ class Matcher:
             if places
             else MatchResult(query, (), seconds, little or DISAGREES, name=name)
             for name, query, places, little in zip(
-                map(_name_of, queries), skylines, found, refusals, strict=True
+                map(name_of, queries), skylines, found, refusals, strict=True
             )
         )
         return JointResult(results, seconds, refusal)
@@ -310,35 +308,45 @@ class Matcher:
         return Prior.of(narrowing, self.frame, noted)
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
-        """Return a query's rays; raises `InputError` if the matcher needs its field of view."""
-        fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
-        weight = query.confidence[query.trusted]
-        if fov_deg is not None:
-            may_bend = fov_deg > _WIDE_DEG and not is_panorama
-            rays = QueryRays(
-                *query.image_plane(),
-                weight,
-                fov_deg,
-                is_panorama=is_panorama,
-                distortion_sd=_DISTORTION_SD if may_bend else 0.0,
-            )
-            lens = query.lens or Lens(fov_deg)
-            slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else self._config.fov_slack
-            sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
-            return rays.about(sd_deg, lens.most_deg or math.inf)
-        if self._ranker.searches == PLACES and not is_panorama:
-            fov_deg, sd_deg = USUAL_FOV_DEG
-            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, FOV_RANGE_DEG, sd_deg)
-        raise InputError(
-            "the query's field of view is not known: it is not in the image; give --fov-deg"
+        return rays_of(query, self._config, finds_fov=self._ranker.searches == PLACES)
+
+
+def rays_of(query: QuerySkyline, config: MatchConfig, *, finds_fov: bool) -> QueryRays:
+    """Return a query's rays, with the fields of view that the query may have.
+
+    Raises `InputError` for a query of unknown field of view, unless the matcher finds it, and for
+    a panorama of unknown field of view.
+    """
+    fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
+    weight = query.confidence[query.trusted]
+    if fov_deg is not None:
+        may_bend = fov_deg > _WIDE_DEG and not is_panorama
+        rays = QueryRays(
+            *query.image_plane(),
+            weight,
+            fov_deg,
+            is_panorama=is_panorama,
+            distortion_sd=_DISTORTION_SD if may_bend else 0.0,
         )
+        lens = query.lens or Lens(fov_deg)
+        slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else config.fov_slack
+        sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
+        return rays.about(sd_deg, lens.most_deg or math.inf)
+    if finds_fov and not is_panorama:
+        fov_deg, sd_deg = USUAL_FOV_DEG
+        return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, FOV_RANGE_DEG, sd_deg)
+    raise InputError(
+        "the query's field of view is not known: it is not in the image; give --fov-deg"
+    )
 
 
-def _name_of(query: str | Path | QuerySkyline) -> str:
+def name_of(query: str | Path | QuerySkyline) -> str:
+    """Return the file of a query; empty for a query skyline."""
     return "" if isinstance(query, QuerySkyline) else str(query)
 
 
-def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
+def skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
+    """Return a query, read from its file if it is one, with its field of view or a given one."""
     if not isinstance(query, QuerySkyline):
         return read_query(query, fov_deg)
     return query if fov_deg is None else query.with_fov(fov_deg)

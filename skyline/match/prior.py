@@ -34,7 +34,7 @@ _REACH_M, _REACH_SD = 1000.0, 3.0
 """A search always looks within this distance, plus this many scales, of the noted place."""
 _LEAST_SD_M = 1e-6
 _GREATEST_SD = 20.0
-_GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
+GPS_SD_M, LEAST_GPS_SD_M = 30.0, 15.0
 """Scale of a position without a noted accuracy; least scale of one with it, as the terrain model
 is off too."""
 _LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
@@ -76,7 +76,7 @@ class PlacePrior:
         heading_deg = noted.heading_deg
         if heading_deg is not None:
             heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
+        sd_m = max(LEAST_GPS_SD_M, noted.accuracy_m or GPS_SD_M)
         compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
         elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
         if noted.accuracy_m is not None:

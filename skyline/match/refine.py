@@ -33,7 +33,13 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.geodesy import in_turn
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
+from skyline.match.candidate import (
+    DISTANCES_M,
+    RIGHT_WITHIN_M,
+    ROUGHLY_WITHIN_M,
+    Hypotheses,
+    RefinedPoses,
+)
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays
@@ -45,6 +51,7 @@ from skyline.match.solver import (
     FINE,
     HEADING,
     LOG_SCALE,
+    ROLL,
     ROUGH,
     SCOUT,
     TEMPERATURE,
@@ -187,12 +194,12 @@ class Refinement:
         particles = self.started(self.rough, hypotheses)
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
-            particles = self._moved(self.rough, self._survivors(particles, kept))
+            particles = self._moved(self.rough, self.survivors(particles, kept))
         particles = Particles.concatenate([particles, self._restarted(particles)])
-        particles = self.reweighted(self._finalists(particles))
+        particles = self.reweighted(self.finalists(particles))
         for _ in range(effort.final_rounds):
             particles = self._moved(self.fine, particles)
-        return self.poses(self._finalists(particles))
+        return self.poses(self.finalists(particles))
 
     def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
         """Return particles at hypotheses, their attitudes solved from there."""
@@ -277,7 +284,7 @@ class Refinement:
         ground_m = np.nan_to_num(ground_m)
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
-    def _survivors(self, particles: Particles, count: int) -> Particles:
+    def survivors(self, particles: Particles, count: int) -> Particles:
         """Return the particles of the next round: the best, and the very best one's rivals."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
@@ -287,7 +294,7 @@ class Refinement:
             chosen = np.union1d(chosen, rivals[:_RIVALS])
         return ordered[chosen]
 
-    def _finalists(self, particles: Particles) -> Particles:
+    def finalists(self, particles: Particles) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
         standing = self.hypotheses(particles, self.rough)
         return particles[best_and_rivals(standing, self._effort.finalists, _SAME_VIEW_DEG)]
@@ -316,8 +323,22 @@ class Refinement:
             found.effective_columns,
             solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            *(hypotheses.rival_margin(least_m) for least_m in DISTANCES_M),
+            hypotheses.rival_margin(RIGHT_WITHIN_M),
+            hypotheses.rival_margin(ROUGHLY_WITHIN_M),
+            self._angle_sd_deg(particles, covariance),
         )
+
+    def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
+        """Return the standard errors (M, 4) of heading, pitch, roll and field of view.
+
+        Columns share errors that the likelihood takes for independent, so variances are too small
+        by the temperature.
+        """
+        sd = np.sqrt(TEMPERATURE * np.diagonal(covariance, axis1=1, axis2=2))
+        scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
+        query = self.fine.query
+        fov_deg = np.abs(query.fov_at(scale + off) - query.fov_at(scale - off)) / 2.0
+        return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
 
 def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:

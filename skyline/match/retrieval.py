@@ -51,6 +51,8 @@ _FITS_AT_ONCE = 2048
 """Poses fitted together. Of 256, two threads wait for the interpreter half the time."""
 _PLACES_AT_ONCE = 512
 """Places whose best turns are found together; keeps the arrays in the cache."""
+_HEADING_STEP_DEG = 3.0
+"""Step of the headings from which poses are fitted at a known place."""
 _LIKELY_DEVIATIONS = 2.5
 """Fields of view more than this many standard deviations from the expected one are not screened,
 though fits may start there."""
@@ -154,6 +156,20 @@ class Retriever:
         fitted = self._fitted([query], [start])[0]
         fitted = fitted[prior.allows(fitted)]
         return fitted[fitted.suppress_non_maxima(count, _SEPARATION_M, _TURN_DEG)]
+
+    def fitted_all_round(self, query: QueryRays) -> Hypotheses:
+        """Return poses fitted to a query at every place, from headings all the way round.
+
+        The places are few, since none is screened out.
+        """
+        places = self.places.take(np.arange(len(self.places), dtype=np.intp))
+        heading_rad = np.radians(np.arange(0.0, 360.0, _HEADING_STEP_DEG))
+        row, heading, zoom = np.meshgrid(
+            np.arange(len(places)), heading_rad, _start_zooms(query), indexing="ij"
+        )
+        none = np.zeros(row.size, dtype=np.float32)
+        start = _Start(places[row.ravel()], none, heading.ravel(), zoom.ravel())
+        return self._fitted([query], [start])[0]
 
     def shortlist_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], count: int

@@ -24,6 +24,8 @@ T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
+VIEW_WIDTH = 360
+"""Columns of the views that refinement renders."""
 _PIECE_COLUMNS = 12_000
 """Columns of the views rendered in one piece: a few milliseconds without a GPU."""
 

@@ -1,0 +1,369 @@
+"""Orientation: how a camera was held at a known place.
+
+The place is known to some metres; the heading may be any. The skylines of the place and of a ring
+of places around it are rendered, and a pose is fitted to each of them from every heading, as
+retrieval fits poses to the places of a store. The best poses are then refined by rendering, with
+the known place as a prior, so the eye moves where the skyline asks for it.
+
+An orientation is trusted where the skylines fit, no other heading fits nearly as well, and the
+fit leaves little doubt about the heading. How much each of these counts was learned as the
+confidence of a match was (`skyline.match.confidence`).
+"""
+
+import math
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from skyline.errors import InputError, printable
+from skyline.geodesy import Curvature
+from skyline.match import confidence
+from skyline.match.answer import at_bound, too_little
+from skyline.match.candidate import Candidate, Ranking, RefinedPoses
+from skyline.match.matcher import name_of, rays_of, skyline_of
+from skyline.match.matchers import MatchConfig
+from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior
+from skyline.match.query_rays import QueryRays
+from skyline.match.refine import Effort, Particles, Refinement
+from skyline.match.retrieval import Retriever
+from skyline.match.scene import VIEW_WIDTH, RenderedScene
+from skyline.photo.query import QuerySkyline
+from skyline.render.context import RenderThread
+from skyline.render.horizon import PanoramaRenderer, RenderConfig
+from skyline.store.places import BINS, Places
+from skyline.terrain.dem import Dem, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_at, stand_where_possible
+
+RIGHT_DEG = 1.0
+"""Largest error of a heading that is right."""
+DEFAULT_WITHIN_M = 50.0
+"""Error of a place that a person reads off a map, or a phone notes between cliffs."""
+_MOST_WITHIN_M = 500.0
+"""Places that are known less well are searched for: that is a match."""
+_RING = 8
+"""Places rendered around the known one."""
+_HEADINGS, _PLACES = 48, 32
+"""Best fits that are refined: one for each heading, and those of any places and headings."""
+_SEPARATION_M, _TURN_DEG = 15.0, 4.0
+"""Fits nearer to a better one, that look within this angle of it, are the same."""
+_APART_DEG = 10.0
+"""Poses that look within this angle of each other are one answer."""
+_RIVALS = 6
+"""Best poses of other headings that are kept to the end: their fits show how sure a heading is."""
+_EFFORT = Effort(
+    shortlist=80, particles=80, rounds=5, keep_share=0.6, keep_least=10,
+    restarts=2, finalists=8, final_rounds=4,
+)  # fmt: skip
+_ELEVATION_SD_M = 15.0
+"""Scale of the error of a given elevation: its datum may differ from the terrain model's."""
+_CLOSE = 20.0
+"""A heading whose score is behind by less than this is named in a refusal."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Orientation:
+    """How a camera was held at a known place.
+
+    Attributes
+    ----------
+    query : QuerySkyline
+    pose : Candidate or None
+        The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
+    heading_sd_deg, pitch_sd_deg, roll_sd_deg, fov_sd_deg : float
+        Standard errors of the pose's angles, degrees; NaN without a pose.
+    confidence : float
+        Estimated probability that the heading is right within 1 degree.
+    moved_m : float
+        Distance of the pose from the known place; NaN without a pose.
+    seconds : float
+        From the query to the pose.
+    refusal : str or None
+        Why the pose cannot be trusted; None if it can.
+    name : str
+        The query's file; empty for a query skyline.
+    """
+
+    query: QuerySkyline
+    pose: Candidate | None
+    heading_sd_deg: float = math.nan
+    pitch_sd_deg: float = math.nan
+    roll_sd_deg: float = math.nan
+    fov_sd_deg: float = math.nan
+    confidence: float = 0.0
+    moved_m: float = math.nan
+    seconds: float = 0.0
+    refusal: str | None = None
+    name: str = ""
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The pose, if it can be trusted."""
+        return None if self.refusal else self.pose
+
+    def to_row(self) -> dict[str, Any]:
+        """Return the orientation as a row of numbers and text, as ``--results`` writes it."""
+        pose = self.pose
+        names = (
+            "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "lon", "lat",
+            "eye_elevation_m",
+        )  # fmt: skip
+        row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
+        for name in names:
+            row[name] = None if pose is None else getattr(pose, name)
+            sd = getattr(self, name.replace("_deg", "_sd_deg"), None)
+            if isinstance(sd, float):
+                row[name.replace("_deg", "_sd_deg")] = None if math.isnan(sd) else sd
+        row["residual_deg"] = None if pose is None else pose.residual_deg
+        row["moved_m"] = None if math.isnan(self.moved_m) else self.moved_m
+        row["confidence"] = self.confidence
+        row["seconds"] = self.seconds
+        row["refusal"] = self.refusal and printable(self.refusal)
+        return row
+
+    def to_text(self) -> str:
+        """Return the lines that ``skyline orient`` prints."""
+        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        if self.refusal:
+            lines.append(f"not trusted: {self.refusal}")
+        if self.pose is not None:
+            pose = self.pose
+            lines.append(
+                f"heading {pose.heading_deg:.2f} +- {self.heading_sd_deg:.2f} from true north  "
+                f"pitch {pose.pitch_deg:.2f} +- {self.pitch_sd_deg:.2f}  "
+                f"roll {pose.roll_deg:.2f} +- {self.roll_sd_deg:.2f}  "
+                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f}"
+            )
+            lines.append(
+                f"confidence {self.confidence:.2f} that the heading is right within "
+                f"{RIGHT_DEG:g} degree; the eye {self.moved_m:.0f} m from the place given"
+            )
+        return "\n  ".join(lines)
+
+
+class Orienter:
+    """Finds how cameras were held at one place, for any number of photos from there.
+
+    Parameters
+    ----------
+    dem : path, paths or HeightField
+        The elevation model, which must hold all terrain that is seen from the place.
+    lon, lat : float
+        The place, degrees (WGS 84).
+    elevation_m : float, optional
+        Elevation of the eye above the DEM's datum; by default the eye stands on the ground, which
+        the fit may correct.
+    within_m : float
+        Standard error of the place.
+    config : MatchConfig, optional
+    render_thread : RenderThread, optional
+        A thread that renders; without one only the thread that makes the orienter may use it.
+
+    Raises
+    ------
+    OffMapError
+        The place is off the map or on a hole.
+    InputError
+        ``within_m`` is not above 0, or above 500 m, or the DEM cannot be read.
+    """
+
+    def __init__(
+        self,
+        dem: Dem,
+        *,
+        lon: float,
+        lat: float,
+        elevation_m: float | None = None,
+        within_m: float = DEFAULT_WITHIN_M,
+        config: MatchConfig | None = None,
+        render_thread: RenderThread | None = None,
+    ) -> None:
+        if not 0.0 < within_m <= _MOST_WITHIN_M:
+            raise InputError(
+                f"the place is known to {within_m:g} m; expected above 0, at most "
+                f"{_MOST_WITHIN_M:g}: search a wider area with skyline match"
+            )
+        if not isinstance(dem, HeightField):
+            dem = read_dem([dem] if isinstance(dem, str | Path) else dem)
+        self.terrain, self.frame, self.curvature = dem, dem.frame, Curvature()
+        self._config, self._within_m = config or MatchConfig(), within_m
+        ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
+        self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
+        self._elevation_m = elevation_m
+        views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
+        self._scene = RenderedScene(self.terrain, views, render_thread)
+        places = self._rendered_places(render_thread)
+        self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
+        self._model = confidence.models()[confidence.ORIENTED]
+
+    def release(self) -> None:
+        """Free the orienter's GPU memory."""
+        self._scene.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def orient(
+        self, query: str | Path | QuerySkyline, fov_deg: float | None = None, name: str = ""
+    ) -> Orientation:
+        """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
+
+        The compass direction that a photo notes counts as a hint.
+
+        Parameters
+        ----------
+        query : path or QuerySkyline
+        fov_deg : float, optional
+            Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
+            that is not known.
+        name : str
+            Name of the result; by default the query's file.
+
+        Raises
+        ------
+        InputError
+            The query has no usable skyline, or is a panorama of unknown field of view.
+        """
+        started = time.perf_counter()
+        name, skyline = name or name_of(query), skyline_of(query, fov_deg)
+        refusal = too_little(skyline)
+        if refusal is not None:
+            return Orientation(skyline, None, refusal=refusal, name=name)
+        rays = rays_of(skyline, self._config, finds_fov=True)
+        poses = self._refined(rays, skyline)
+        found = self._orientation(skyline, rays, poses)
+        return replace(found, seconds=time.perf_counter() - started, name=name)
+
+    def _refined(self, rays: QueryRays, query: QuerySkyline) -> RefinedPoses:
+        """Return the best pose of each heading, best first."""
+        fitted = self._retriever.fitted_all_round(rays)
+        each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
+        best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
+        noted = PlacePrior.of_noted(query.noted, self.frame)
+        known = PlacePrior(
+            self._east,
+            self._north,
+            self._within_m,
+            elevation_m=self._elevation_m,
+            elevation_sd_m=_ELEVATION_SD_M,
+        )
+        if noted is not None:
+            known = replace(
+                known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
+            )
+        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, noted=known)
+        return refinement.run(fitted[np.union1d(each, best)])
+
+    def _orientation(
+        self, query: QuerySkyline, rays: QueryRays, poses: RefinedPoses
+    ) -> Orientation:
+        """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
+        if not len(poses):
+            return Orientation(query, None, refusal="no heading fits at this place")
+        place_m = poses.hypotheses.easting_m + 1j * poses.hypotheses.northing_m
+        moved_m = np.abs(place_m - complex(self._east, self._north))
+        figures = confidence.oriented_figures(poses, rays, moved_m)
+        sure = float(self._model.probability(figures)[0])
+        ranked = Ranking(poses.hypotheses[:1], refined=poses[:1])
+        pose = replace(ranked.candidates(self.frame)[0], rank=None)
+        refusal = at_bound(pose, rays)
+        if sure < self._config.min_confidence:
+            refusal = self._doubt(poses, pose, sure)
+        names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
+        errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
+        moved = float(moved_m[0])
+        return Orientation(
+            query, pose, **errors_deg, confidence=sure, moved_m=moved, refusal=refusal
+        )
+
+    def _doubt(self, poses: RefinedPoses, pose: Candidate, sure: float) -> str:
+        """Return the refusal of a pose of too little confidence, with what speaks against it."""
+        least = self._config.min_confidence
+        doubt = f"the heading has confidence {sure:.2f}, {least:.2f} is needed"
+        score = poses.hypotheses.score
+        if len(poses) > 1 and score[1] - score[0] < _CLOSE:
+            other_deg = (poses.hypotheses.heading_deg[1] + pose.convergence_deg) % 360.0
+            return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
+        return f"{doubt}; {pose.residual_in_words}"
+
+    def _rendered_places(self, thread: RenderThread | None) -> Places:
+        """Return the known place and a ring of places around it, with their skylines."""
+        ring = self._within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        place = complex(self._east, self._north) + np.concatenate([[0.0], ring])
+        eyes, _ = stand_where_possible(self.terrain, place.real, place.imag)
+        if self._elevation_m is not None:
+            np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
+
+        def rendered() -> Places:
+            with PanoramaRenderer(self.terrain, BINS, self.curvature) as renderer:
+                return Places.of(renderer.render(eyes), self._within_m / 2.0)
+
+        return rendered() if thread is None else thread.run(rendered)
+
+
+class _RefinementByHeading(Refinement):
+    """A refinement of poses at one place: other headings are the rivals, not other places."""
+
+    def survivors(self, particles: Particles, count: int) -> Particles:
+        """Return the particles of the next round: the best, and the best of each heading."""
+        ordered = particles.best(len(particles))
+        standing = self.hypotheses(ordered, self.rough)
+        rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
+        return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
+
+    def finalists(self, particles: Particles) -> Particles:
+        """Return the best particle of each heading, best first."""
+        standing = self.hypotheses(particles, self.rough)
+        return particles[standing.suppress_non_maxima(_EFFORT.finalists, np.inf, _APART_DEG)]
+
+
+def orient(
+    query: str | Path | QuerySkyline,
+    dem: Dem,
+    *,
+    lon: float | None = None,
+    lat: float | None = None,
+    elevation_m: float | None = None,
+    within_m: float | None = None,
+    fov_deg: float | None = None,
+) -> Orientation:
+    """Find how the camera of one photo was held at a known place; see `Orienter`.
+
+    Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the error that the
+    photo notes.
+
+    Raises
+    ------
+    InputError
+        The photo notes no position and none is given, or as `Orienter.orient`.
+    OffMapError
+        The place is off the map or on a hole.
+    """
+    skyline = skyline_of(query, fov_deg)
+    if lon is None or lat is None:
+        lon, lat, noted_m = noted_place(skyline, name_of(query))
+        within_m = noted_m if within_m is None else within_m
+    with Orienter(
+        dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m or DEFAULT_WITHIN_M
+    ) as orienter:
+        return orienter.orient(skyline, name=name_of(query))
+
+
+def noted_place(query: QuerySkyline, name: str) -> tuple[float, float, float]:
+    """Return the longitude, the latitude and the error, metres, that a photo notes of its place.
+
+    Raises `InputError` for a photo without a position.
+    """
+    if query.noted.lonlat_deg is None:
+        aside = f" ({query.noted.left_aside})" if query.noted.left_aside else ""
+        raise InputError(
+            f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
+        )
+    within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
+    return (*query.noted.lonlat_deg, min(within_m, _MOST_WITHIN_M))
