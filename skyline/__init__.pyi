@@ -15,6 +15,7 @@ from .match.answer import JointResult, MatchResult, to_geodataframe
 from .match.candidate import Candidate
 from .match.matcher import Matcher
 from .match.matchers import MatchConfig
+from .match.orient import Orientation, Orienter, orient
 from .match.prior import Narrowing
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
@@ -66,6 +67,8 @@ __all__ = [
     "Narrowing",
     "NotedPlace",
     "OffMapError",
+    "Orientation",
+    "Orienter",
     "PanoramaConfig",
     "Peaks",
     "Photo",
@@ -94,6 +97,7 @@ __all__ = [
     "export_matches",
     "horizon",
     "open_store",
+    "orient",
     "read_dem",
     "read_peaks",
     "read_photo",

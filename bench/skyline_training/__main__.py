@@ -7,8 +7,10 @@ from typer import Argument, Option
 
 from skyline.cli.console import command_line, progress_bar, run_app
 from skyline.errors import InputError
+from skyline.match.confidence import ORIENTED
 from skyline_bench import options
 from skyline_training import confidence as learning
+from skyline_training.orientation import gather, learn_orientation
 from skyline_training.photos import draw_training_photos
 
 app = command_line("skyline_training", "Train what Skyline has learned. Times are of 2 cores.")
@@ -68,6 +70,30 @@ def confidence(
         learning.write_models(model, learned.models, learned.about)
     if plot is not None:
         learning.save_reliability(plot, learned.shown)
+
+
+@app.command("orientation", short_help="How far a heading can be believed (half an hour).")
+def orientation(
+    data: Annotated[
+        Path,
+        Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
+    ],
+    queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
+    model: Annotated[
+        Path | None, options.new_file("Write the model: skyline's orientation.json.", "--model")
+    ] = None,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 100,
+    quick: options.Quick = False,
+) -> None:
+    """Learn how far headings at known places can be believed; show it on Davos."""
+    with progress_bar("terrains") as progress:
+        found = gather(data, 1 if quick else queries, seed, progress)
+    learned, rows = learn_orientation(found)
+    options.report(json_file, "orientation", rows)
+    if model is not None:
+        about = {"examples": {name: len(some) for name, some in found.items()}}
+        learning.write_models(model, {ORIENTED: learned}, about)
 
 
 if __name__ == "__main__":

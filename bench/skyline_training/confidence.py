@@ -50,7 +50,7 @@ class Example:
     """The figures of the best pose of one query, and how far off it is."""
 
     figures: Mapping[str, float]
-    error_m: float  # Infinite for a query of other terrain
+    error: float  # Of a place, metres; of a heading, degrees; infinite for a query of other terrain
 
 
 def examples_from(
@@ -84,7 +84,7 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
 
     Examples that are all right, or all wrong, raise `InputError`.
     """
-    right = np.array([example.error_m <= within_m for example in examples])
+    right = np.array([example.error <= within_m for example in examples])
     if not right.any() or right.all():
         raise InputError(
             f"{int(right.sum())} of {len(examples)} examples are right; a confidence is "
@@ -178,7 +178,7 @@ def _examples_on(
 
     Half of the kinds are searched in the terrain itself, and the rest in a coarse model of it.
     """
-    area = _middle_of(terrain, OUTSIDE)
+    area = middle_of(terrain, OUTSIDE)
     own = [(seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS]
     coarse = [(terrain, kind) for kind in COARSE_KINDS]
     strangers = _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed)
@@ -191,14 +191,14 @@ def _examples_on(
                 for name, example in examples_from(matcher, made):
                     found[name].append(example)
             for name, example in examples_from(matcher, strangers):
-                found[name].append(replace(example, error_m=math.inf))
+                found[name].append(replace(example, error=math.inf))
     return found
 
 
 @contextmanager
 def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
     """Open a matcher on places in a terrain's middle for the block."""
-    west, south, east, north = _middle_of(terrain)
+    west, south, east, north = middle_of(terrain)
     store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
@@ -209,7 +209,7 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
         yield ranker
 
 
-def _middle_of(terrain: HeightField, wider: float = 1.0) -> Rectangle:
+def middle_of(terrain: HeightField, wider: float = 1.0) -> Rectangle:
     """Return the square in a terrain's middle that is built, or one so much wider."""
     west, south, east, north = terrain.bounds_m
     half = 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
@@ -222,7 +222,7 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQ
     return [
         query
         for number, kind in enumerate((*KINDS, QueryConfig()), start=100)
-        for query in make_queries(terrain, _middle_of(terrain), queries, seed + number, kind)
+        for query in make_queries(terrain, middle_of(terrain), queries, seed + number, kind)
     ]
 
 
@@ -283,24 +283,27 @@ def learn_all(examples: Examples) -> Learned:
         models[model] = learn(learned_from[stage], within_m)
         for name, one in examples.items():
             sure = probabilities(models[model], one[stage])
-            right = np.array([example.error_m <= within_m for example in one[stage]])
-            answered = sure >= MatchConfig().min_confidence
-            rows.append(
-                {
-                    "model": model,
-                    "terrain": name,
-                    "held_out": name in HELD_OUT,
-                    "n": len(right),
-                    "right": float(right.mean()),
-                    "calibration_error": calibration_error(sure, right),
-                    "answered": float(answered.mean()),
-                    "precision": float(right[answered].mean()) if answered.any() else None,
-                }
-            )
+            right = np.array([example.error <= within_m for example in one[stage]])
+            rows.append(rated(model, name, sure, right))
             if name in HELD_OUT:
                 shown.append((f"{model}, {name}", sure, right))
     counts = {stage: len(some) for stage, some in learned_from.items()}
     return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)
+
+
+def rated(model: str, terrain: str, sure: Float64Array, right: BoolArray) -> Row:
+    """Return how well the probabilities (N,) of a model hold on a terrain."""
+    answered = sure >= MatchConfig().min_confidence
+    return {
+        "model": model,
+        "terrain": terrain,
+        "held_out": terrain in HELD_OUT,
+        "n": len(right),
+        "right": float(right.mean()),
+        "calibration_error": calibration_error(sure, right),
+        "answered": float(answered.mean()),
+        "precision": float(right[answered].mean()) if answered.any() else None,
+    }
 
 
 def save_reliability(path: Path, shown: Iterable[Reliability]) -> None:

@@ -38,7 +38,7 @@ _MOST_VISIBLE_DEG = 90.0
 """Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
 one."""
 _MOST_LENS_DEVIATIONS = 4.0
-_MODELS = "confidence.json"
+_MODELS, _ORIENTATION = "confidence.json", "orientation.json"
 ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place."""
 
@@ -161,9 +161,14 @@ def model_name(stage: str, within_m: float) -> str:
     return f"{stage}, {within_m:g} m"
 
 
-def models() -> dict[str, Logistic]:
-    """Return the learned models by `model_name`."""
-    text = resources.files(__package__).joinpath(_MODELS).read_text(encoding="utf-8")
+def orientation_model() -> Logistic:
+    """Return the learned model of headings at a known place: right within 1 degree."""
+    return models(_ORIENTATION)[ORIENTED]
+
+
+def models(file: str = _MODELS) -> dict[str, Logistic]:
+    """Return the learned models of a packaged file by name; see `model_name`."""
+    text = resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
     return {
         name: Logistic(
             tuple(model["names"]),

@@ -36,7 +36,7 @@ _SHOWN_EYES = 20_000
 
 
 @contextmanager
-def _one_blas_thread() -> Iterator[None]:
+def one_blas_thread() -> Iterator[None]:
     """Limit matrix products to one thread each within the block.
 
     A BLAS library that shares a small product among threads makes each wait for the slowest, a
@@ -116,7 +116,7 @@ class FullMatcher(Ranker):
             return found, None
         return found, self.refine(self._with_noted(found, query, prior), query, prior)
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def rank_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
     ) -> Sequence[Ranking]:
@@ -159,19 +159,19 @@ class FullMatcher(Ranker):
             for poses, belongs in zip(joint, agrees.tolist(), strict=True)
         ]
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def screened(self, query: QueryRays, prior: Prior, part: slice) -> Alike:
         """See `Ranker.screened`."""
         return self._retriever.screened(query, prior, part)
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def retrieve(
         self, query: QueryRays, prior: Prior = NOTHING_KNOWN, screened: Alike | None = None
     ) -> Hypotheses:
         """Return the poses retrieved for a query."""
         return self._retriever.shortlist(query, _SHORTLIST, prior, screened)
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def refine(
         self, found: Hypotheses, query: QueryRays, prior: Prior = NOTHING_KNOWN
     ) -> RefinedPoses | None:
@@ -188,7 +188,7 @@ class FullMatcher(Ranker):
             return poses
         return Refinement(query, self._scene, WHOLE, *known).run(found)
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking:
         """See `Ranker.fit_from`; raises `InputError` for a pose off the map or on a hole."""
         if self._scene is None:
@@ -205,7 +205,7 @@ class FullMatcher(Ranker):
         near, roughly = confidence.probabilities(self._models, "refined", figures)
         return Ranking(poses.hypotheses, near, roughly, poses)
 
-    @_one_blas_thread()
+    @one_blas_thread()
     def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:
         """Return retrieved poses with those around the place that the photo's EXIF notes.
 

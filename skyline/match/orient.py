@@ -18,11 +18,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature
 from skyline.match import confidence
 from skyline.match.answer import at_bound, too_little
 from skyline.match.candidate import Candidate, Ranking, RefinedPoses
+from skyline.match.full import one_blas_thread
 from skyline.match.matcher import name_of, rays_of, skyline_of
 from skyline.match.matchers import MatchConfig
 from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior
@@ -197,7 +199,7 @@ class Orienter:
         self._scene = RenderedScene(self.terrain, views, render_thread)
         places = self._rendered_places(render_thread)
         self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
-        self._model = confidence.models()[confidence.ORIENTED]
+        self._model = confidence.orientation_model()
 
     def release(self) -> None:
         """Free the orienter's GPU memory."""
@@ -209,6 +211,7 @@ class Orienter:
     def __exit__(self, *_: object) -> None:
         self.release()
 
+    @one_blas_thread()
     def orient(
         self, query: str | Path | QuerySkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
@@ -266,8 +269,7 @@ class Orienter:
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
             return Orientation(query, None, refusal="no heading fits at this place")
-        place_m = poses.hypotheses.easting_m + 1j * poses.hypotheses.northing_m
-        moved_m = np.abs(place_m - complex(self._east, self._north))
+        moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         ranked = Ranking(poses.hypotheses[:1], refined=poses[:1])
@@ -281,6 +283,11 @@ class Orienter:
         return Orientation(
             query, pose, **errors_deg, confidence=sure, moved_m=moved, refusal=refusal
         )
+
+    def _moved_m(self, poses: RefinedPoses) -> Float64Array:
+        """Return how far poses (M,) lie from the known place."""
+        place_m = poses.hypotheses.easting_m + 1j * poses.hypotheses.northing_m
+        return np.abs(place_m - complex(self._east, self._north))
 
     def _doubt(self, poses: RefinedPoses, pose: Candidate, sure: float) -> str:
         """Return the refusal of a pose of too little confidence, with what speaks against it."""

@@ -118,7 +118,7 @@ def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
     assert weight[1] == pytest.approx(0.0, abs=0.15)
     others = examples(4000, seed=3)
     sure = probabilities(model, others)
-    right = np.array([one.error_m <= NEAR_M for one in others])
+    right = np.array([one.error <= NEAR_M for one in others])
     assert calibration_error(sure, right) < 0.03
     assert calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
     save_reliability(tmp_path / "reliability.png", [("made", sure, right)])

@@ -1,0 +1,121 @@
+"""Learning how far a heading at a known place can be believed.
+
+Synthetic queries are oriented from places beside the true ones, as far off as they are said to be;
+strangers, photos of other terrain, from any place. For each the figures of the best pose
+(`skyline.match.confidence.oriented_figures`) and the error of its heading are an example.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from skyline import Orienter, read_dem
+from skyline.arrays import Progress
+from skyline.errors import SkylineError
+from skyline.geodesy import in_turn
+from skyline.match import confidence
+from skyline.match.confidence import ORIENTED, Logistic
+from skyline.match.orient import RIGHT_DEG
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.measuring.record import Row
+from skyline_bench.queries.kinds import perturbed, resampled
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.confidence import (
+    COARSE_M,
+    HELD_OUT,
+    KINDS,
+    LEARNED,
+    STRANGERS,
+    Example,
+    learn,
+    middle_of,
+    probabilities,
+    rated,
+)
+
+WITHIN_M = (15.0, 50.0, 100.0)
+"""Standard errors of the places, drawn in turn."""
+
+
+def gather(data: Path, queries: int, seed: int, progress: Progress) -> dict[str, list[Example]]:
+    """Orient queries of each kind on every terrain; return the examples by terrain."""
+    terrains = LEARNED | HELD_OUT
+    found: dict[str, list[Example]] = {}
+    for name in terrains:
+        terrain, strange = (
+            read_dem([data / path], options)
+            for path, options in (terrains[one] for one in (name, STRANGERS[name]))
+        )
+        found[name] = list(_examples_on(terrain, strange, queries, seed))
+        progress(len(found), len(terrains))
+    return found
+
+
+def _examples_on(
+    terrain: HeightField, strange: HeightField, queries: int, seed: int
+) -> Iterator[Example]:
+    """Orient queries of the terrain, of others like it, of a coarse model's, and strangers."""
+    area = middle_of(terrain)
+    other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
+    own = [(terrain, terrain, kind) for kind in KINDS] + [(terrain, other, kind) for kind in KINDS]
+    for number, (model, seen, kind) in enumerate([*own, (coarse, terrain, KINDS[0])]):
+        made = make_queries(seen, area, queries, seed + number, kind)
+        yield from _oriented(model, made, seed + number, is_strange=False)
+    strangers = make_queries(strange, middle_of(strange), queries, seed + 100, QueryConfig())
+    yield from _oriented(terrain, strangers, seed + 100, is_strange=True)
+
+
+def _oriented(
+    model: HeightField, queries: tuple[SyntheticQuery, ...], seed: int, *, is_strange: bool
+) -> Iterator[Example]:
+    """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
+    rng = np.random.default_rng([seed, 1])
+    west, south, east, north = middle_of(model)
+    for number, query in enumerate(queries):
+        within_m, truth = WITHIN_M[number % len(WITHIN_M)], query.truth
+        off = within_m / math.sqrt(2.0) * rng.standard_normal(2)
+        place = truth.easting_m + off[0], truth.northing_m + off[1]
+        if is_strange:
+            place = rng.uniform(west, east), rng.uniform(south, north)
+        lon, lat = map(float, model.frame.to_lonlat(*place))
+        try:
+            with Orienter(model, lon=lon, lat=lat, within_m=within_m) as orienter:
+                found = _figures_of(orienter, query)
+        except SkylineError:  # The place is on a hole.
+            continue
+        if found is not None:
+            figures, heading_deg = found
+            off_deg = abs(float(in_turn(heading_deg - truth.heading_deg)))
+            yield Example(figures, math.inf if is_strange else off_deg)
+
+
+def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, float], float] | None:
+    """Return the figures of the best pose, and its grid heading; None if nothing fits."""
+    if not query.skyline.trusted.any():
+        return None
+    rays = query.rays()
+    poses = orienter._refined(rays, query.skyline)
+    if not len(poses):
+        return None
+    figures = confidence.oriented_figures(poses, rays, orienter._moved_m(poses))
+    first = {name: float(values[0]) for name, values in figures.items()}
+    return first, float(poses.hypotheses.heading_deg[0])
+
+
+def learn_orientation(
+    examples: dict[str, list[Example]],
+) -> tuple[Logistic, list[Row]]:
+    """Learn the model, and hold it to every terrain."""
+    model = learn([one for name in LEARNED for one in examples[name]], RIGHT_DEG)
+    rows = [
+        rated(
+            ORIENTED,
+            name,
+            probabilities(model, some),
+            np.array([example.error <= RIGHT_DEG for example in some]),
+        )
+        for name, some in examples.items()
+    ]
+    return model, rows

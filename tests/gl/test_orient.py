@@ -1,0 +1,121 @@
+"""Orientation: heading, pitch, roll and field of view of a camera at a known place."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scenes import NORTH_M, WEST_M, field_of
+from test_matcher import MIDDLE, SHARP, write_hills
+
+from skyline import OffMapError, Orienter, orient, read_dem
+from skyline.errors import InputError
+from skyline.geodesy import in_turn
+from skyline.photo.exif import NotedPlace
+from skyline.photo.query import QuerySkyline
+from skyline_bench.queries.synthetic import make_queries
+
+AWAY_M = 30.0
+
+
+@pytest.fixture(scope="module")
+def terrain(tmp_path_factory):
+    return read_dem([write_hills(tmp_path_factory.mktemp("dem") / "dem.tif", seed=11)])
+
+
+@pytest.fixture(scope="module")
+def queries(terrain):
+    return make_queries(terrain, MIDDLE, 5, seed=3, config=SHARP)
+
+
+def beside(terrain, truth, away_m=AWAY_M):
+    """Return the longitude and latitude of a place so far east of a query's."""
+    lon, lat = terrain.frame.to_lonlat(truth.easting_m + away_m, truth.northing_m)
+    return {"lon": float(lon), "lat": float(lat)}
+
+
+def off_deg(found, truth):
+    """Return the errors of heading, pitch, roll and field of view."""
+    pose = found.pose
+    return np.array(
+        [
+            float(in_turn(pose.grid_heading_deg - truth.heading_deg)),
+            pose.pitch_deg - truth.pitch_deg,
+            pose.roll_deg - truth.roll_deg,
+            pose.fov_deg - truth.fov_deg,
+        ]
+    )
+
+
+def errors_deg(found):
+    return np.array([found.heading_sd_deg, found.pitch_sd_deg, found.roll_sd_deg, found.fov_sd_deg])
+
+
+def test_angles_are_found_from_a_place_beside_the_true_one(terrain, queries):
+    found = [orient(one.skyline, terrain, **beside(terrain, one.truth)) for one in queries]
+    assert not any(one.refusal for one in found)
+    off = np.array([off_deg(one, query.truth) for one, query in zip(found, queries, strict=True)])
+    assert np.abs(off).max() < 0.6
+    assert np.median(np.abs(off)) < 0.1
+    shares = np.abs(off) / [errors_deg(one) for one in found]
+    assert np.median(shares) < 1.0
+    assert shares.max() < 4.0
+
+
+def test_an_unknown_field_of_view_is_found(terrain, queries):
+    query = queries[0]
+    unknown = replace(query.skyline, fov_deg=None)
+    found = orient(unknown, terrain, **beside(terrain, query.truth))
+    assert found.refusal is None
+    assert np.abs(off_deg(found, query.truth)).max() < 0.6
+
+
+def test_one_orienter_takes_many_photos_and_a_known_elevation(terrain, queries):
+    query = queries[1]
+    place = beside(terrain, query.truth, 0.0)
+    with Orienter(terrain, **place, elevation_m=query.truth.eye_elevation_m) as orienter:
+        first, again = (orienter.orient(query.skyline, name=name) for name in "ab")
+    assert (first.name, again.name) == ("a", "b")
+    assert first.pose == again.pose
+    assert abs(first.pose.eye_elevation_m - query.truth.eye_elevation_m) < 10.0
+
+
+def test_a_photo_of_another_place_is_refused(terrain, queries):
+    for query, other in pairwise(queries):
+        found = orient(query.skyline, terrain, **beside(terrain, other.truth))
+        assert found.answer is None
+        assert "is needed" in found.refusal
+        assert found.pose is not None
+
+
+def test_a_flat_horizon_has_no_heading():
+    plain = field_of(np.zeros((200, 200)), 30.0, west_m=WEST_M, north_m=NORTH_M)
+    lon, lat = plain.frame.to_lonlat(WEST_M + 3000.0, NORTH_M - 3000.0)
+    level = QuerySkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
+    found = orient(level, plain, lon=float(lon), lat=float(lat))
+    assert found.answer is None
+
+
+def test_too_little_skyline_is_refused_without_a_pose(terrain, queries):
+    bare = QuerySkyline(np.full(640, np.nan), np.zeros(640), 640, 480, 60.0)
+    found = orient(bare, terrain, **beside(terrain, queries[0].truth))
+    assert (found.answer, found.pose) == (None, None)
+    assert "degrees of skyline" in found.refusal
+
+
+def test_the_place_that_a_photo_notes_is_used(terrain, queries):
+    query = queries[2]
+    place = beside(terrain, query.truth)
+    noted = NotedPlace((place["lon"], place["lat"]), accuracy_m=20.0)
+    found = orient(replace(query.skyline, noted=noted), terrain)
+    assert abs(off_deg(found, query.truth)[0]) < 0.6
+    with pytest.raises(InputError, match="notes no GPS position; give the place: --at"):
+        orient(query.skyline, terrain)
+
+
+def test_places_that_cannot_be_are_refused(terrain):
+    with pytest.raises(OffMapError, match="off the map"):
+        Orienter(terrain, lon=0.0, lat=0.0)
+    for within_m in (0.0, np.nan, 501.0):
+        with pytest.raises(InputError, match="expected above 0"):
+            Orienter(terrain, lon=10.3, lat=46.7, within_m=within_m)
