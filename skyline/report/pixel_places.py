@@ -2,10 +2,12 @@
 
 import io
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skyline.arrays import Float32Array, Float64Array
@@ -65,7 +67,8 @@ class PixelPlaces:
             return
         height, width = self.lon.shape
         size = {"width": width, "height": height, "count": len(_BANDS), "dtype": "float64"}
-        with MemoryFile() as memory:
+        with MemoryFile() as memory, warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with memory.open(
                 driver="GTiff", **size, nodata=np.nan, compress="deflate", BIGTIFF="IF_SAFER"
             ) as raster:

@@ -228,8 +228,9 @@ def _up_m(
 def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:
     """Return the distance of the map's border along azimuths."""
     west, south, east, north = field.bounds_m
+    at_east, at_north = float(eye.easting_m[0]), float(eye.northing_m[0])
     sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sideways = (np.where(sine > 0.0, east, west) - eye.easting_m[0]) / sine
-        along = (np.where(cosine > 0.0, north, south) - eye.northing_m[0]) / cosine
+        sideways = np.where(sine > 0.0, east - at_east, at_east - west) / np.abs(sine)
+        along = np.where(cosine > 0.0, north - at_north, at_north - south) / np.abs(cosine)
     return np.asarray(np.fmin(sideways, along))

@@ -108,7 +108,7 @@ def test_the_overlay_draws_both_skylines_where_they_are():
 
 def peak(label, elevation_tan=0.2):
     column, row = pixels_of(BEST, QUERY, BEST.grid_heading_deg, elevation_tan)
-    return SeenPeak(label, label, float(column), float(row), 2000.0, 1500.0)
+    return SeenPeak(label, label, float(column), float(row), 2000.0, 900.0)
 
 
 def test_peaks_in_the_picture_are_named_above_it():
@@ -127,8 +127,8 @@ def test_peaks_in_the_picture_are_named_above_it():
 
 def test_only_peaks_in_the_picture_are_in_it():
     ahead = Sighting("Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
-    above = replace(ahead, label="Above", elevation_tan=3.0)
+    behind = replace(ahead, name="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
+    above = replace(ahead, name="Above", elevation_tan=3.0)
     assert peaks_in_picture(BEST, QUERY, [behind, ahead, above]) == [peak("Ahead")]
 
 
