@@ -31,6 +31,7 @@ from .report.landscape import PanoramaConfig
 from .report.located import write_located
 from .report.match_report import report_matches
 from .report.peaks import Peaks, read_peaks
+from .report.pixel_places import PixelPlaces
 from .report.relief_tiles import ReliefTiles
 from .report.viewer import SeenPeak, Sight, Viewer
 from .skylines import Views
@@ -69,6 +70,7 @@ __all__ = [
     "PanoramaConfig",
     "Peaks",
     "Photo",
+    "PixelPlaces",
     "PlaceMap",
     "Places",
     "Projection",

@@ -23,7 +23,6 @@ from skyline.errors import InputError, MissingFileError, named, printable
 from skyline.files import write_whole
 from skyline.match.candidate import Candidate
 from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo
 from skyline.report.peaks import read_peaks
 from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
@@ -78,7 +77,8 @@ def label(
 
     kind = named("--output's suffix", output.suffix.lower(), _LABEL_FILES)
     check_outputs([output], [photo, pose, peaks])
-    rgb, query = _read_photo(photo, projection)
+    picture = read_photo(photo, projection=projection)
+    query = picture.blank
     record = _read_pose(pose, photo, query.projection)
     with note_if_slow("reading the elevation model"):
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
@@ -91,7 +91,7 @@ def label(
     if kind == "json":
         written: str | bytes = json.dumps([_record_of(one) for one in seen], indent=1) + "\n"
     else:
-        written, unnamed = draw_labels(query, rgb, seen, sight, kind)
+        written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
     write_whole(output, written)
     without = f", {unnamed} of them without a name for want of room" if unnamed else ""
     print_line(f"{output}: {len(seen)} of {len(gazetteer)} peaks are seen{without}")
@@ -118,7 +118,7 @@ def pixels(
     """
     check_pixel_file(output)
     check_outputs([output], [photo, pose])
-    _, query = _read_photo(photo, projection)
+    query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
     with note_if_slow("reading the elevation model"):
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
@@ -130,16 +130,6 @@ def pixels(
     ground = 100.0 * float(np.isfinite(places.distance_m).mean())
     height, width = places.distance_m.shape
     print_line(f"{output}: {width} x {height} pixels, {ground:.0f} % of them on terrain")
-
-
-def _read_photo(path: Path, projection: Projection | None) -> tuple[Any, QuerySkyline]:
-    """Return a photo's pixels, and its size and projection as a query without a skyline."""
-    photo = read_photo(path, projection=projection)
-    height, width = photo.rgb.shape[:2]
-    unknown = np.full(width, np.nan)
-    return photo.rgb, QuerySkyline(
-        unknown, np.zeros(width), width, height, projection=photo.projection
-    )
 
 
 def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, float]:
