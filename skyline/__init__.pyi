@@ -30,6 +30,7 @@ from .report.labelled_panorama import save_panorama
 from .report.landscape import PanoramaConfig
 from .report.located import write_located
 from .report.match_report import report_matches
+from .report.overlay import draw_labels
 from .report.peaks import Peaks, read_peaks
 from .report.pixel_places import PixelPlaces
 from .report.relief_tiles import ReliefTiles
@@ -93,6 +94,7 @@ __all__ = [
     "Views",
     "build_places",
     "build_uniform",
+    "draw_labels",
     "export_matches",
     "horizon",
     "open_store",

@@ -19,7 +19,7 @@ PIXEL_FILES = (".npz", ".tif")
 _BANDS = ("distance_m", "lon", "lat", "elevation_m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PixelPlaces:
     """The place on the terrain that each pixel of a photo shows; NaN for sky.
 

@@ -323,14 +323,13 @@ class Viewer:
             pose.northing_m + distance_m * np.cos(azimuth_rad),
         )
         is_sky = np.isnan(distance_m)
+        elevation_m = eye_m + elevation_tan * distance_m + self.curvature.drop_m(distance_m)
         return PixelPlaces(
-            distance_m.astype(np.float32),
-            np.where(is_sky, np.nan, lon),
-            np.where(is_sky, np.nan, lat),
-            (eye_m + elevation_tan * distance_m + self.curvature.drop_m(distance_m)).astype(
-                np.float32
-            ),
-            step,
+            distance_m=distance_m.astype(np.float32),
+            lon=np.where(is_sky, np.nan, lon),
+            lat=np.where(is_sky, np.nan, lat),
+            elevation_m=elevation_m.astype(np.float32),
+            step=step,
         )
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
