@@ -180,6 +180,8 @@ def peaks_in_picture(
 class Viewer:
     """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
 
+    Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
+
     Parameters
     ----------
     terrain : HeightField
