@@ -161,7 +161,7 @@ def _carried_over(
     for _ in range(_NEWTON_STEPS):
         over_m, slope = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # A ray enters the terrain where it rises towards the ray's line of sight.
+            # A ray enters the terrain only where the terrain rises more steeply than the ray.
             away_m = np.where(slope > 0.0, away_m - over_m / slope, np.nan)
     over_m, _ = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
     is_met = (np.abs(over_m) <= _MET_RAD * away_m) & (np.abs(away_m - near_m) <= reach_m)
