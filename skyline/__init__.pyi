@@ -31,7 +31,9 @@ from .report.labelled_panorama import save_panorama
 from .report.landscape import PanoramaConfig
 from .report.located import write_located
 from .report.match_report import report_matches
+from .report.overlay import draw_labels
 from .report.peaks import Peaks, read_peaks
+from .report.pixel_places import PixelPlaces
 from .report.relief_tiles import ReliefTiles
 from .report.viewer import SeenPeak, Sight, Viewer
 from .skylines import Views
@@ -72,6 +74,7 @@ __all__ = [
     "PanoramaConfig",
     "Peaks",
     "Photo",
+    "PixelPlaces",
     "PlaceMap",
     "Places",
     "Projection",
@@ -94,6 +97,7 @@ __all__ = [
     "Views",
     "build_places",
     "build_uniform",
+    "draw_labels",
     "export_matches",
     "horizon",
     "open_store",

@@ -181,7 +181,7 @@ def measure(
         place.mkdir(exist_ok=True)
         area_deg = _area_deg(terrain, group[0], side_m)
         store = StoreSpec(spacing_m=spacing_m).build(terrain, place, area_deg)
-        with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
+        with Matcher(store.path, terrain) as matcher, Viewer(terrain) as viewer:
             for one in group:
                 yield _located(one, matcher, viewer, use_gps), viewer
 

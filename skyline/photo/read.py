@@ -77,6 +77,13 @@ class Photo:
     place: NotedPlace
     lens: Lens | None = None
 
+    @property
+    def blank(self) -> QuerySkyline:
+        """The photo as a query without a skyline, which is enough to see what a pose shows."""
+        height, width = self.rgb.shape[:2]
+        unknown = np.full(width, np.nan)
+        return self.described(QuerySkyline(unknown, np.zeros(width), width, height))
+
     def described(self, query: QuerySkyline) -> QuerySkyline:
         """Return a skyline of this photo with the file's notes on the camera."""
         return replace(

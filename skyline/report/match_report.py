@@ -69,7 +69,10 @@ def report_matches(
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
-    viewer = None if terrain is None else Viewer(matcher, peaks, terrain)
+    viewer = None
+    if terrain is not None:
+        curvature, thread = matcher.header.curvature, matcher.render_thread
+        viewer = Viewer(terrain, peaks, curvature=curvature, render_thread=thread)
     try:
         sections = [
             _section(folder, number, one, photo, matcher, viewer, done)

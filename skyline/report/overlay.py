@@ -1,10 +1,11 @@
-"""A query's picture with its skyline, the skyline rendered at a candidate, and named peaks."""
+"""A query's picture with its skyline, the skyline rendered at a pose, and named peaks."""
 
 import warnings
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -57,12 +58,10 @@ def draw_overlay(
         without room for their names.
     """
     figure = Figure(dpi=_DPI)
-    FigureCanvasAgg(figure)
-    width, height = (max(8.0, side * _scale(query)) for side in (query.width_px, query.height_px))
-    widths = [extent_px(figure, one.label, _LABEL_POINTS)[0] for one in peaks]
-    anchors = [float(_drawn(query, one.column_px)) for one in peaks]
-    labels = place_labels(anchors, widths, width, _MOST_ROWS)
-    axis = _draw_picture(figure, photo, (width, height), labels)
+    width, height = _size_px(query)
+    labels = _placed(figure, query, peaks, [one.label for one in peaks])
+    foot = _KEY_ROW_PX * 4 / _keys_across(width)
+    axis = _draw_picture(figure, photo, (width, height), labels, foot)
     _draw_masked(axis, query, height)
     if pose is not None and sight is not None:
         _draw_rendered(axis, query, pose, sight)
@@ -80,10 +79,74 @@ def draw_overlay(
     axis.legend(
         loc="lower left", fontsize=9, frameon=False, ncols=_keys_across(width), borderpad=0.1
     )
-    with warnings.catch_warnings():
+    return _encoded(figure, "jpeg"), len(peaks) - len(labels)
+
+
+def draw_labels(
+    query: QuerySkyline,
+    photo: UInt8Array,
+    peaks: Sequence[SeenPeak],
+    sight: Sight | None = None,
+    kind: str = "png",
+) -> tuple[bytes, int]:
+    """Draw a photo with the names and distances of the peaks in it.
+
+    Parameters
+    ----------
+    photo : (H, W, 3) uint8
+        RGB, of the query's size.
+    peaks : sequence of SeenPeak
+        Peaks in the picture, the most important first.
+    sight : Sight, optional
+        A rendered skyline, which is drawn faintly.
+    kind : str
+        ``png``, ``jpeg`` or ``svg``; in SVG names are text, and the photo is embedded.
+
+    Returns
+    -------
+    bytes, int
+        The picture, the photo at most 1600 px wide and high, and the number of peaks without room
+        for their names.
+    """
+    figure = Figure(dpi=_DPI)
+    texts = [one.with_distance for one in peaks]
+    labels = _placed(figure, query, peaks, texts)
+    axis = _draw_picture(figure, photo, _size_px(query), labels, 0.0)
+    if sight is not None:
+        axis.plot(
+            _drawn(query, sight.column_px),
+            _drawn(query, sight.row_px),
+            color=_RENDERED_COLOUR,
+            linewidth=1.0,
+            alpha=0.6,
+        )
+    for label in labels:
+        row = float(_drawn(query, peaks[label.index].row_px))
+        _draw_label(axis, texts[label.index], label, row)
+    return _encoded(figure, kind), len(peaks) - len(labels)
+
+
+def _encoded(figure: Figure, kind: str) -> bytes:
+    with warnings.catch_warnings(), rc_context({"svg.fonttype": "none"}):
         # Letters that the font lacks are drawn as boxes, which needs no warning.
         warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
-        return encode_figure(figure, "jpeg", _DPI), len(peaks) - len(labels)
+        return encode_figure(figure, kind, _DPI)
+
+
+def _placed(
+    figure: Figure, query: QuerySkyline, peaks: Sequence[SeenPeak], texts: Sequence[str]
+) -> list[Placed]:
+    """Return the places of the peaks' texts above the picture."""
+    FigureCanvasAgg(figure)
+    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text in texts]
+    anchors = [float(_drawn(query, one.column_px)) for one in peaks]
+    return place_labels(anchors, widths, _size_px(query)[0], _MOST_ROWS)
+
+
+def _size_px(query: QuerySkyline) -> tuple[float, float]:
+    """Return the width and height of the query's picture as drawn."""
+    scale = _scale(query)
+    return max(8.0, query.width_px * scale), max(8.0, query.height_px * scale)
 
 
 def _scale(query: QuerySkyline) -> float:
@@ -105,14 +168,17 @@ def _keys_across(width: float) -> int:
 
 
 def _draw_picture(
-    figure: Figure, photo: UInt8Array | None, size_px: tuple[float, float], labels: Sequence[Placed]
+    figure: Figure,
+    photo: UInt8Array | None,
+    size_px: tuple[float, float],
+    labels: Sequence[Placed],
+    foot: float,
 ) -> Axes:
-    """Draw the photo, or a blank canvas, between a band of labels and the legend."""
+    """Draw the photo, or a blank canvas, between a band of labels and a foot of so many pixels."""
     width, height = size_px
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )
-    foot = _KEY_ROW_PX * 4 / _keys_across(width)
     figure.set_size_inches(width / _DPI, (height + band + foot) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()

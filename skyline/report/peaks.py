@@ -22,6 +22,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError, printable
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.sightlines import edge_crossings_m
 from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -216,7 +217,7 @@ def _number(path: Path, record: dict[str, str], column: str) -> float:
 class Sighting:
     """A visible peak, as seen from one eye."""
 
-    label: str
+    name: str
     easting_m: float
     northing_m: float
     surface_m: float
@@ -228,6 +229,13 @@ class Sighting:
     """Tangent of the elevation angle: up over horizontal distance."""
     distance_m: float
     """Horizontal."""
+    height_m: float = math.nan
+    """Height in the gazetteer; NaN if it has none."""
+
+    @property
+    def label(self) -> str:
+        """The name, with the height if the gazetteer has one."""
+        return self.name if math.isnan(self.height_m) else f"{self.name} {self.height_m:.0f} m"
 
 
 def visible_peaks(
@@ -260,16 +268,16 @@ def visible_peaks(
         )
         if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
             continue
-        height_m = peaks.height_m[index]
         seen.append(
             Sighting(
-                label=name if math.isnan(height_m) else f"{name} {height_m:.0f} m",
+                name=name,
                 easting_m=easting_m,
                 northing_m=northing_m,
                 surface_m=surface_m,
                 azimuth_deg=math.degrees(azimuth_rad) % 360.0,
                 elevation_tan=up_m / distance_m,
                 distance_m=distance_m,
+                height_m=float(peaks.height_m[index]),
             )
         )
     return seen
@@ -328,19 +336,7 @@ def highest_between_deg(
     grid_rad, near_m, far_m : (K,) float64
         Grid azimuth of each ray, and the distances between which it is followed.
     """
-    row, col = terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(grid_rad) / terrain.spacing_north_m
-    right = np.sin(grid_rad) / terrain.spacing_east_m
-    crossings_m = []
-    for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
-        ends = start + a_metre * np.stack([near_m, far_m])
-        first, count = np.ceil(ends.min(axis=0)), int(np.ceil(np.ptp(ends, axis=0).max())) + 1
-        edge = first[:, np.newaxis] + np.arange(count)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossings_m.append((edge - start) / a_metre[:, np.newaxis])
-    away_m = np.concatenate(crossings_m, axis=1)
-    is_between = (away_m > near_m[:, np.newaxis]) & (away_m < far_m[:, np.newaxis])
-    away_m = np.where(is_between, away_m, near_m[:, np.newaxis])
+    away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
     up_deg = elevation_deg(terrain, eye, curvature, grid_rad, away_m)
     return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
 

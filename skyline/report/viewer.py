@@ -7,25 +7,28 @@ azimuths in degrees, elevations the tangent of the elevation angle: up over hori
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float64Array, Progress
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
-from skyline.geodesy import in_turn
+from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
-from skyline.match.matcher import Matcher
 from skyline.match.query_rays import level, project
 from skyline.match.scene import RenderedScene
-from skyline.photo.projection import distorted
+from skyline.photo.projection import distorted, undistorted
 from skyline.photo.query import QuerySkyline
+from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
+from skyline.report.pixel_places import PixelPlaces
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -61,6 +64,18 @@ def pixels_of(
     )
 
 
+def directions_of(
+    pose: Candidate, query: QuerySkyline, column_px: ArrayLike, row_px: ArrayLike
+) -> tuple[Float64Array, Float64Array]:
+    """Return grid azimuths and elevations of pixels; the inverse of `pixels_of`."""
+    across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / query.width_px - 1.0
+    above = (query.height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / query.width_px
+    u, v = query.projection.rays(*undistorted(across, above, pose.distortion), pose.fov_deg)
+    is_panorama = query.projection.is_panorama
+    turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
+    return np.degrees(turn) + pose.grid_heading_deg, y
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """The skyline rendered at a pose, in pixels of a photo, and its difference from the photo's.
@@ -90,12 +105,31 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class SeenPeak:
-    """A named summit in a photo; ``distance_m`` is horizontal."""
+    """A named summit in a photo.
 
+    Attributes
+    ----------
+    name, label : str
+        The name in the gazetteer; with the height if the gazetteer has one.
+    column_px, row_px : float
+        Place in the photo; pixel centres are at whole numbers.
+    distance_m : float
+        Horizontal.
+    elevation_m : float
+        Height in the gazetteer; where it has none, that of the summit on the terrain model.
+    """
+
+    name: str
     label: str
     column_px: float
     row_px: float
     distance_m: float
+    elevation_m: float
+
+    @property
+    def with_distance(self) -> str:
+        """The label with the distance in kilometres."""
+        return f"{self.label}  {self.distance_m / 1000.0:.1f} km"
 
 
 def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
@@ -116,10 +150,8 @@ def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
     near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
     gap_deg, known = np.full(query.width_px, np.nan), np.isfinite(elevation_tan)
     if known.any():
-        is_panorama = query.projection.is_panorama
-        u, v = query.image_plane(pose.fov_deg, pose.distortion)
-        turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
-        photo_deg = np.degrees(turn) + pose.grid_heading_deg
+        trusted = np.flatnonzero(query.trusted)
+        photo_deg, y = directions_of(pose, query, trusted, query.row_px[trusted])
         there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
         gap_deg[query.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
     return Sight(column[near], row[near], is_sure[near], gap_deg)
@@ -132,46 +164,53 @@ def peaks_in_picture(
     azimuth_deg = [one.azimuth_deg for one in sightings]
     column, row = pixels_of(pose, query, azimuth_deg, [one.elevation_tan for one in sightings])
     return [
-        SeenPeak(one.label, x, y, one.distance_m)
+        SeenPeak(
+            one.name,
+            one.label,
+            x,
+            y,
+            one.distance_m,
+            one.surface_m if math.isnan(one.height_m) else one.height_m,
+        )
         for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
         if 0.0 <= x < query.width_px and 0.0 <= y < query.height_px
     ]
 
 
 class Viewer:
-    """Renders the skylines of poses on a matcher's terrain, with priority over its own renderings.
+    """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
+
+    Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
 
     Parameters
     ----------
-    matcher : Matcher
-        If it has a render thread, that thread renders here too, and any thread may call.
+    terrain : HeightField
     peaks : Peaks, optional
         Names of summits.
-    terrain : HeightField, optional
-        The terrain for a matcher that has none.
-
-    Raises
-    ------
-    InputError
-        There is no elevation model.
-    ContextError
-        No OpenGL context can be created.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13; a store's header has that of its matcher.
+    render_thread : RenderThread, optional
+        A thread that renders, so that any thread may call, with priority over a matcher that
+        renders there too. Without one only the thread that first calls `look` may call it.
     """
 
     def __init__(
-        self, matcher: Matcher, peaks: Peaks | None = None, terrain: HeightField | None = None
+        self,
+        terrain: HeightField,
+        peaks: Peaks | None = None,
+        *,
+        curvature: Curvature | None = None,
+        render_thread: RenderThread | None = None,
     ) -> None:
-        terrain = matcher.terrain or terrain
-        if terrain is None:
-            raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
-        self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
-        self.curvature = matcher.header.curvature
-        config = RenderConfig(width=_WIDTH, curvature=self.curvature)
-        self._scene = RenderedScene(self.terrain, config, matcher.render_thread)
+        self.frame, self.terrain, self.peaks = terrain.frame, terrain, peaks
+        self.curvature = curvature or Curvature()
+        self._thread, self._making = render_thread, Lock()
+        self._scene: RenderedScene | None = None
 
     def release(self) -> None:
         """Free the textures and buffers on the GPU."""
-        self._scene.release()
+        if self._scene is not None:
+            self._scene.release()
 
     def __enter__(self) -> Self:
         return self
@@ -228,12 +267,72 @@ class Viewer:
             The pose has a field of view that the photo's projection cannot have.
         OffMapError
             The pose is off the map or on a hole.
+        ContextError
+            No OpenGL context can be created.
         """
         query.projection.check_fov_deg(pose.fov_deg)
-        eye = self._eye_of(pose)
-        if eye is None:
-            raise OffMapError("the pose is off the map or on a hole; move it")
-        return sight_of(pose, query, self._views(eye, pose))
+        return sight_of(pose, query, self._views(self._standing(pose), pose))
+
+    def places(
+        self,
+        pose: Candidate,
+        query: QuerySkyline,
+        step: int = 1,
+        progress: Progress | None = None,
+    ) -> PixelPlaces:
+        """Return the places on the terrain that are seen in the pixels of a photo.
+
+        A place lies on the ray through its pixel's centre, where the ray first meets the surface of
+        the terrain model, or a surface within a quarter of a pixel beside the ray.
+
+        Parameters
+        ----------
+        query : QuerySkyline
+            Its size and projection count; a skyline is not needed.
+        step : int
+            Of ``step`` rows and of ``step`` columns one is computed, from the first on.
+        progress : callable, optional
+            Called with the number of pixels that are done, and of all.
+
+        Raises
+        ------
+        InputError
+            The pose has a field of view that the photo's projection cannot have, or ``step`` is
+            below 1.
+        OffMapError
+            The pose is off the map or on a hole.
+        """
+        query.projection.check_fov_deg(pose.fov_deg)
+        if step < 1:
+            raise InputError(f"the step is {step} pixels; expected 1 or more")
+        eye = self._standing(pose)
+        row_px, column_px = np.mgrid[: query.height_px : step, : query.width_px : step]
+        azimuth_deg, elevation_tan = directions_of(pose, query, column_px, row_px)
+        azimuth_rad = np.radians(azimuth_deg)
+        narrowest_deg = query.projection.column_deg(query.width_px, pose.fov_deg).min()
+        distance_m = first_hits_m(
+            self.terrain,
+            eye,
+            self.curvature,
+            azimuth_rad.ravel(),
+            elevation_tan.ravel(),
+            math.radians(narrowest_deg) / 2.0,
+            progress,
+        ).reshape(row_px.shape)
+        eye_m = float(eye.eye_elevation_m[0])
+        lon, lat = self.frame.to_lonlat(
+            pose.easting_m + distance_m * np.sin(azimuth_rad),
+            pose.northing_m + distance_m * np.cos(azimuth_rad),
+        )
+        is_sky = np.isnan(distance_m)
+        elevation_m = eye_m + elevation_tan * distance_m + self.curvature.drop_m(distance_m)
+        return PixelPlaces(
+            distance_m=distance_m.astype(np.float32),
+            lon=np.where(is_sky, np.nan, lon),
+            lat=np.where(is_sky, np.nan, lat),
+            elevation_m=elevation_m.astype(np.float32),
+            step=step,
+        )
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
         """Return the summits visible in the photo of a pose, the most prominent first."""
@@ -252,6 +351,13 @@ class Viewer:
             seen = [one for one in seen if peaks_in_picture(pose, query, [one])]
         return most_prominent_first(self.terrain, seen)
 
+    def _standing(self, pose: Candidate) -> Viewpoints:
+        """Return the eye of a pose; raises `OffMapError` where it cannot stand."""
+        eye = self._eye_of(pose)
+        if eye is None:
+            raise OffMapError("the pose is off the map or on a hole; move it")
+        return eye
+
     def _eye_of(self, pose: Candidate) -> Viewpoints | None:
         """Return the eye of a pose, lifted to the ground from below it; None off the map."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
@@ -266,4 +372,8 @@ class Viewer:
         """Render the views in the directions around the photo."""
         away_deg = np.abs(in_turn(90.0 * np.array(HEADINGS) - pose.grid_heading_deg))
         headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
+        with self._making:
+            if self._scene is None:
+                config = RenderConfig(width=_WIDTH, curvature=self.curvature)
+                self._scene = RenderedScene(self.terrain, config, self._thread)
         return self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)

@@ -53,7 +53,12 @@ class Engine:
             self.matcher = Matcher(given.store, given.dem or None, render_thread=self.thread)
             peaks = given.peaks and read_peaks(given.peaks, self.matcher.frame)
             terrain = self.matcher.terrain
-            self.viewer = None if terrain is None else Viewer(self.matcher, peaks or None)
+            self.viewer = None
+            if terrain is not None:
+                curvature = self.matcher.header.curvature
+                self.viewer = Viewer(
+                    terrain, peaks or None, curvature=curvature, render_thread=self.thread
+                )
             self.relief = None if terrain is None else ReliefTiles(terrain)
         except SkylineError:
             self.thread.close()

@@ -26,6 +26,7 @@ from skyline import (
     QuerySkyline,
     SkylineError,
     Stroke,
+    draw_labels,
     export_matches,
     read_photo,
     report_matches,
@@ -54,6 +55,7 @@ KINDS = {
     "trace": ("csv", "text/csv"),
     "report": ("html", "application/octet-stream"),
     "photo": ("jpg", "image/jpeg"),
+    "names": ("png", "image/png"),
 }
 """Suffix and media type of each kind of file that the page saves."""
 
@@ -288,6 +290,8 @@ def saved(
             write_trace(photo.known(), path)
         elif kind == "photo":
             write_located(photo.path, path, candidates[0])
+        elif kind == "names":
+            path.write_bytes(_named(engine, photo, candidates[0]))
         else:
             result, photos = _result(photo, candidates), [opened(photo)[0].rgb]
             if kind == "report":
@@ -300,6 +304,15 @@ def saved(
     finally:
         path.unlink(missing_ok=True)
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def _named(engine: Engine, photo: PagePhoto, pose: Candidate) -> bytes:
+    """Return the photo with the names of the summits in it, as PNG."""
+    if engine.viewer is None or engine.viewer.peaks is None:
+        raise InputError("no names are known; start skyline serve with --peaks FILE")
+    picture = opened(photo)[0]
+    seen = engine.viewer.summits(pose, picture.blank)
+    return draw_labels(picture.blank, picture.rgb, seen)[0]
 
 
 def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:

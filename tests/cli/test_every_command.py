@@ -1,5 +1,6 @@
 """How every command ends after Ctrl-C, and when its output has no reader any more."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import lonlat_of
+from commands import csv_of, lonlat_of
 
 from skyline import Matcher, cli
 from skyline.fetch.dem_tiles import FetchResult
@@ -23,6 +24,14 @@ COMMANDS = {
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_dem"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
+    "label": (
+        ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--peaks", "{peaks}", "-o", "{out}.png"),
+        "label.read_dem",
+    ),
+    "pixels": (
+        ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--step", "40", "-o", "{out}.npz"),
+        "label.read_dem",
+    ),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_dem"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_dem"),
@@ -78,6 +87,19 @@ def second(trace, tmp_path):
 
 
 @pytest.fixture
+def pose(dem, tmp_path):
+    lon, lat = lonlat_of(dem, 601_800.0, 5_178_000.0)
+    path = tmp_path / "pose.json"
+    path.write_text(json.dumps({"lon": lon, "lat": lat, "heading_deg": 140.0, "fov_deg": 60.0}))
+    return path
+
+
+@pytest.fixture
+def peaks(tmp_path):
+    return csv_of(tmp_path / "peaks.csv", ["A,602400,5177400"], "name,easting,northing")
+
+
+@pytest.fixture
 def command(request, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
@@ -85,7 +107,7 @@ def command(request, tmp_path, dem):
 
     def arguments_of(name):
         arguments = [str(one) for one in COMMANDS[name][0]]
-        for fixture in ("store", "photo", "trace"):
+        for fixture in ("store", "photo", "trace", "pose", "peaks"):
             if f"{{{fixture}}}" in arguments:
                 given[fixture] = request.getfixturevalue(fixture)
         return [*name.split(), *(one.format(**given) for one in arguments)]

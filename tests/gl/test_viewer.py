@@ -49,7 +49,7 @@ def true_pose(viewer, frame, **other):
 
 def test_a_pose_says_where_the_eye_stands(matcher, dem):
     ground_m = float(read_dem([dem]).height_at(easting_m=EASTING_M, northing_m=NORTHING_M))
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         pose = true_pose(viewer, matcher.frame, eye_height_m=7.0, pitch_deg=3.0)
         assert pose.easting_m == pytest.approx(EASTING_M, abs=1e-3)
         assert pose.northing_m == pytest.approx(NORTHING_M, abs=1e-3)
@@ -70,7 +70,7 @@ def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
     lon, lat = (float(one) for one in matcher.frame.to_lonlat(*place))
     ground_m = float(terrain.height_at(**at_m(place)))
     assert ground_m < tops_m[first]
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         # Down to the surface, heights above the summit may be negative.
         below_m = ground_m - tops_m[first]
         for above_m in (2.0, below_m):
@@ -81,7 +81,7 @@ def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
 
 
 def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         sight = viewer.look(true_pose(viewer, matcher.frame), query)
         assert sight.median_gap_deg < 0.1
         aside = viewer.look(true_pose(viewer, matcher.frame, pitch_deg=2.0), query)
@@ -96,7 +96,7 @@ def test_a_sight_is_what_four_fine_views_show(
     matcher, query, heading_deg, pitch_deg, roll_deg, fov_deg
 ):
     """Between columns a skyline is straight: a column's height apart where it is not."""
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         pose = replace(
             true_pose(viewer, matcher.frame, pitch_deg=pitch_deg, roll_deg=roll_deg,
                       fov_deg=fov_deg),
@@ -118,7 +118,7 @@ def test_a_sight_is_what_four_fine_views_show(
 
 
 def test_a_sight_has_a_field_of_view_that_the_photo_can_have(matcher, query):
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         pose = replace(true_pose(viewer, matcher.frame), fov_deg=200.0)
         with pytest.raises(InputError, match="200 degrees; expected 1 to 179"):
             viewer.look(pose, query)
@@ -131,7 +131,7 @@ def test_a_sight_has_a_field_of_view_that_the_photo_can_have(matcher, query):
 def test_summits_are_named_where_they_are_seen(matcher, query, tmp_path):
     gazetteer = tmp_path / "peaks.csv"
     gazetteer.write_text("name,easting,northing\nBehind,601500,5179500\nOff,700000,5100000\n")
-    with Viewer(matcher, read_peaks(gazetteer, matcher.frame)) as viewer:
+    with Viewer(matcher.terrain, read_peaks(gazetteer, matcher.frame)) as viewer:
         pose = true_pose(viewer, matcher.frame)
         assert viewer.summits(pose, query) == []
         back = replace(pose, heading_deg=(pose.heading_deg + 202.0) % 360.0)
@@ -142,7 +142,7 @@ def test_summits_are_named_where_they_are_seen(matcher, query, tmp_path):
 
 @pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [(60.0, 0.0, 3.0), (-40.0, 50.0, -4.0)])
 def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg):
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         true = true_pose(viewer, matcher.frame)
         start = replace(
             true,
@@ -161,7 +161,7 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
 
 
 def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query):
-    with Viewer(matcher) as viewer:
+    with Viewer(matcher.terrain) as viewer:
         true = true_pose(viewer, matcher.frame)
         fit = matcher.fit(query, replace(true, heading_deg=true.heading_deg + 180.0))
         (found,) = fit.candidates

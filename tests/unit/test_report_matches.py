@@ -17,7 +17,6 @@ from scenes import candidate_at, field_of, fractal
 from store_rows import VIEWS_HEADER
 
 from skyline.build.plans import uniform_grid
-from skyline.geodesy import Curvature
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels
@@ -47,15 +46,8 @@ BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HE
 class OracleViewer(Viewer):
     """A viewer on one field, whose views are the oracle's."""
 
-    def __init__(self, matcher, peaks, terrain):
-        self.frame, self.terrain, self.peaks = matcher.frame, terrain, peaks
-        self.curvature = Curvature()
-
     def _views(self, eye, pose):
         return oracle.skyline(self.terrain, eye, 256)
-
-    def release(self):
-        pass
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +67,13 @@ def true_query():
 
 QUERY = true_query()
 SIGHT = sight_of(BEST, QUERY, VIEWS)
-MATCHER = SimpleNamespace(frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD)
+MATCHER = SimpleNamespace(
+    frame=FIELD.frame,
+    viewpoints=uniform_grid(FIELD, 600.0),
+    terrain=FIELD,
+    header=VIEWS_HEADER,
+    render_thread=None,
+)
 
 
 def pixels(data):
@@ -110,7 +108,7 @@ def test_the_overlay_draws_both_skylines_where_they_are():
 
 def peak(label, elevation_tan=0.2):
     column, row = pixels_of(BEST, QUERY, BEST.grid_heading_deg, elevation_tan)
-    return SeenPeak(label, float(column), float(row), 2000.0)
+    return SeenPeak(label, label, float(column), float(row), 2000.0, 900.0)
 
 
 def test_peaks_in_the_picture_are_named_above_it():
@@ -129,8 +127,8 @@ def test_peaks_in_the_picture_are_named_above_it():
 
 def test_only_peaks_in_the_picture_are_in_it():
     ahead = Sighting("Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
-    above = replace(ahead, label="Above", elevation_tan=3.0)
+    behind = replace(ahead, name="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
+    above = replace(ahead, name="Above", elevation_tan=3.0)
     assert peaks_in_picture(BEST, QUERY, [behind, ahead, above]) == [peak("Ahead")]
 
 

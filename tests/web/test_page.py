@@ -175,6 +175,8 @@ def check_origin(page, downloads, origin, report):
     said = saved(page, downloads, "report", ".html").read_text()
     assert report in said
     assert "right within" not in said
+    with Image.open(saved(page, downloads, "names", ".png")) as picture:
+        assert picture.height > picture.width * 0.6
     with Image.open(saved(page, downloads, "photo", ".jpg")) as picture:
         method = picture.getexif().get_ifd(IFD.GPSInfo)[GPS.GPSProcessingMethod]
     by_hand = origin == "set by hand"

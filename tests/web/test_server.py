@@ -291,6 +291,14 @@ def test_matches_end_when_the_page_closes(served, photo):
     assert (400, {"error": "cancelled"}) in answers
 
 
+def test_a_photo_is_saved_with_names(served, photo):
+    _, of_photo = ready(served, photo)
+    body = json.dumps({"pose": POSE})
+    status, picture = served.ask("POST", f"{of_photo}/save/names", body)
+    assert status == 200
+    assert bytes(picture).startswith(b"\x89PNG")
+
+
 def test_what_was_judged_with_another_skyline_is_not_saved_as_judged(served, photo):
     session, of_photo = ready(served, photo)
     strokes = {"strokes": [{"kind": "erase", "points": [[20, 100], [40, 100]], "radius": 2}]}

@@ -5,6 +5,7 @@ import { $, alertUser, element, on, showStatus, state } from "./state.js";
 
 const KINDS = [
   ["photo", "jpg", "Photo with place", "A copy of the photo with position and direction in its EXIF"],
+  ["names", "png", "Names", "The photo with the names and distances of the summits in it"],
   ["report", "html", "Report", "One page with pictures and maps"],
   ["geojson", "geojson", "GeoJSON", "Candidates, views and ellipses"],
   ["kml", "kml", "KML", "The photo stands in the landscape; keep the photo beside the file"],
@@ -12,6 +13,8 @@ const KINDS = [
   ["gpx", "gpx", "GPX", "A waypoint for a navigation device"],
   ["trace", "csv", "Trace", "The skyline as it is now, to load again"],
 ];
+
+const SUFFIXES = { photo: "-located", names: "-names", report: "-report" };
 
 async function save(kind, suffix, button) {
   button.disabled = true;
@@ -21,7 +24,7 @@ async function save(kind, suffix, button) {
     const chosen = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
     const blob = await server.save(state.photo, kind, chosen);
     const stem = state.photo.name.replace(/\.[^.]*$/, "");
-    const link = element("a", { download: `${stem}${kind === "photo" ? "-located" : kind === "report" ? "-report" : ""}.${suffix}`, href: URL.createObjectURL(blob) });
+    const link = element("a", { download: `${stem}${SUFFIXES[kind] ?? ""}.${suffix}`, href: URL.createObjectURL(blob) });
     document.body.append(link);
     link.click();
     link.remove();
@@ -34,13 +37,15 @@ async function save(kind, suffix, button) {
   show();
 }
 
+const offered = () => KINDS.filter(([kind]) => kind !== "names" || (state.store.peaks && state.store.rendering));
+
 function show() {
-  for (const [kind] of KINDS) $(`save-${kind}`).disabled = !state.photo || (kind !== "trace" && !state.pose);
+  for (const [kind] of offered()) $(`save-${kind}`).disabled = !state.photo || (kind !== "trace" && !state.pose);
   $("load-trace").disabled = !state.photo;
 }
 
 export function start() {
-  for (const [kind, suffix, label, about] of KINDS) {
+  for (const [kind, suffix, label, about] of offered()) {
     const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, suffix, button) }, label);
     $("load-trace").before(button);
   }

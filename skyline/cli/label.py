@@ -1,0 +1,200 @@
+"""``skyline label`` and ``skyline pixels``: the terrain in a photo whose camera is known."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from typer import Argument, Option
+
+from skyline.cli.console import (
+    Crs,
+    Reproject,
+    are_degrees,
+    note_if_slow,
+    print_line,
+    print_note,
+    progress_bar,
+)
+from skyline.cli.photo import PhotoProjection, check_outputs
+from skyline.errors import InputError, MissingFileError, named, printable
+from skyline.files import write_whole
+from skyline.match.candidate import Candidate
+from skyline.photo.projection import Projection
+from skyline.photo.read import read_photo
+from skyline.report.peaks import read_peaks
+from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
+from skyline.report.viewer import SeenPeak, Viewer
+from skyline.terrain.dem import DemOptions, read_dem
+
+_LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
+_NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
+_ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
+_EXPECTED = (
+    "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
+    f"with {', '.join(_NEEDED)}"
+)
+
+PhotoFile = Annotated[Path, Argument(metavar="PHOTO")]
+PoseFile = Annotated[
+    Path,
+    Option(
+        metavar="FILE.json",
+        help="The camera's place and direction, as `match --json` and `orient --json` print them.",
+    ),
+]
+Dem = Annotated[
+    list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
+]
+
+
+def label(
+    photo: PhotoFile,
+    pose: PoseFile,
+    dem: Dem,
+    peaks: Annotated[
+        Path,
+        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV with name,lon,lat[,height_m]."),
+    ],
+    output: Annotated[
+        Path,
+        Option("--output", "-o", metavar="FILE", help=f"By its suffix: {', '.join(_LABEL_FILES)}."),
+    ],
+    ridges: Annotated[
+        bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
+    ] = False,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Write the names and distances of the summits that a photo shows on it.
+
+    What terrain hides is not named.
+    """
+    from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
+
+    kind = named("--output's suffix", output.suffix.lower(), _LABEL_FILES)
+    check_outputs([output], [photo, pose, peaks])
+    picture = read_photo(photo, projection=projection)
+    query = picture.blank
+    record = _read_pose(pose, photo, query.projection)
+    with note_if_slow("reading the elevation model"):
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    gazetteer = read_peaks(peaks, terrain.frame)
+    with note_if_slow("looking for summits"), Viewer(terrain, gazetteer) as viewer:
+        camera = _camera(record, viewer)
+        seen = viewer.summits(camera, query)
+        sight = viewer.look(camera, query) if ridges and kind != "json" else None
+    unnamed = 0
+    if kind == "json":
+        written: str | bytes = json.dumps([_record_of(one) for one in seen], indent=1) + "\n"
+    else:
+        written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
+    write_whole(output, written)
+    without = f", {unnamed} of them without a name for want of room" if unnamed else ""
+    print_line(f"{output}: {len(seen)} of {len(gazetteer)} peaks are seen{without}")
+
+
+def pixels(
+    photo: PhotoFile,
+    pose: PoseFile,
+    dem: Dem,
+    output: Annotated[
+        Path,
+        Option(
+            "--output", "-o", metavar="FILE", help=f"By its suffix: {' or '.join(PIXEL_FILES)}."
+        ),
+    ],
+    step: Annotated[int, Option(min=1, help="Of so many rows and columns take one.")] = 1,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Give the place on the terrain that each pixel of a photo shows.
+
+    Distance, longitude, latitude and elevation are NaN for sky.
+    """
+    check_pixel_file(output)
+    check_outputs([output], [photo, pose])
+    query = read_photo(photo, projection=projection).blank
+    record = _read_pose(pose, photo, query.projection)
+    with note_if_slow("reading the elevation model"):
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    with progress_bar("following rays") as progress:
+        viewer = Viewer(terrain)
+        camera = _camera(record, viewer)
+        places = viewer.places(camera, query, step, progress)
+    places.save(output, camera)
+    ground = 100.0 * float(np.isfinite(places.distance_m).mean())
+    height, width = places.distance_m.shape
+    print_line(f"{output}: {width} x {height} pixels, {ground:.0f} % of them on terrain")
+
+
+def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, float]:
+    """Return the numbers of a photo's pose in a file; raises `InputError` unless all are there.
+
+    A file of several photos has the pose in the line that names the photo.
+    """
+    if not path.is_file():
+        raise MissingFileError(f"pose {path} does not exist; {_EXPECTED}")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        try:
+            records = [json.loads(text)]
+        except ValueError:
+            records = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"pose {path} cannot be read ({error}); {_EXPECTED}") from None
+    if len(records) > 1:
+        records = [one for one in records if _is_of(one, photo)]
+        if len(records) != 1:
+            raise InputError(
+                f"pose {path} has {len(records)} lines whose `query` is {photo}; expected one: "
+                "give a file of this photo alone"
+            )
+    record = records[0] if records else None
+    if isinstance(record, dict) and "candidates" in record:
+        candidates = record["candidates"] or [None]
+        if record.get("answer") is None and candidates[0] is not None:
+            print_note(f"{path} has no answer, so the best candidate is taken")
+        record = record.get("answer") or candidates[0]
+    elif isinstance(record, dict) and record.get("refusal"):
+        print_note(f"the pose in {path} is not trusted: {printable(str(record['refusal']))}")
+    if not isinstance(record, dict) or any(record.get(name) is None for name in _NEEDED):
+        raise InputError(f"pose {path} has no pose; {_EXPECTED}")
+    names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
+    given = {name: record[name] for name in names if record.get(name) is not None}
+    for name, value in given.items():
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (is_number and math.isfinite(value)):
+            raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
+    if not are_degrees(given["lon"], given["lat"]):
+        raise InputError(
+            f"pose {path}: lon is {given['lon']:g} and lat {given['lat']:g}; expected degrees (WGS "
+            "84)"
+        )
+    projection.check_fov_deg(given["fov_deg"])
+    return {name: float(value) for name, value in given.items()}
+
+
+def _is_of(record: Any, photo: Path) -> bool:
+    """Return whether a line of a file of poses names a photo."""
+    return isinstance(record, dict) and record.get("query") == printable(photo)
+
+
+def _camera(record: dict[str, float], viewer: Viewer) -> Candidate:
+    """Return the pose of a record; without an elevation the eye stands on the ground."""
+    angles = {name: record[name] for name in _ANGLES if name in record}
+    pose = viewer.pose(lon=record["lon"], lat=record["lat"], **angles)
+    return replace(
+        pose,
+        distortion=record.get("distortion", 0.0),
+        eye_elevation_m=record.get("eye_elevation_m", pose.eye_elevation_m),
+    )
+
+
+def _record_of(peak: SeenPeak) -> dict[str, Any]:
+    names = ("name", "column_px", "row_px", "distance_m", "elevation_m")
+    return {name: getattr(peak, name) for name in names}

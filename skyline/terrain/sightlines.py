@@ -1,0 +1,236 @@
+"""Lines of sight over the surface: where rays cross its edges, and where they first meet it.
+
+All is float64 and exact on the surface of triangles. A ray's ``elevation_tan`` is up over
+horizontal distance, and the terrain drops with the square of the distance (`Curvature`).
+"""
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float64Array, Int64Array, Progress
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+_CROSSINGS_AT_ONCE = 400_000
+"""Crossings evaluated together: small enough to stay in the processor's cache."""
+_JUST_INSIDE = 1.0 - 1e-12
+"""Factor on the distance of the map's border, so that rounding leaves no point outside."""
+_ENDS = np.minimum, np.maximum
+_NEWTON_STEPS = 4
+_MET_RAD = 1e-6
+"""Angle between a ray and the terrain below which they have met."""
+_REACH_SAMPLES = 2.0
+"""Farthest that the distance of a ray's own azimuth is sought from that of the azimuth near it."""
+
+
+def edge_crossings_m(
+    field: HeightField,
+    eye: Viewpoints,
+    azimuth_rad: Float64Array,
+    near_m: Float64Array,
+    far_m: Float64Array,
+) -> tuple[Float64Array, BoolArray]:
+    """Return the distances at which K level rays of one eye cross edges of the surface, unordered.
+
+    The surface is a plane between two of them.
+
+    Parameters
+    ----------
+    azimuth_rad, near_m, far_m : (K,) float64
+        Grid azimuth of each ray, and the distances between which it is followed.
+
+    Returns
+    -------
+    distance_m : (K, C) float64
+        ``near_m`` where ``is_between`` is False.
+    is_between : (K, C) bool
+    """
+    row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    down = -np.cos(azimuth_rad) / field.spacing_north_m
+    right = np.sin(azimuth_rad) / field.spacing_east_m
+    crossings_m = []
+    for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
+        ends = start + a_metre * np.stack([near_m, far_m])
+        first, count = np.ceil(ends.min(axis=0)), int(np.ceil(np.ptp(ends, axis=0).max())) + 1
+        edge = first[:, np.newaxis] + np.arange(count)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossings_m.append((edge - start) / a_metre[:, np.newaxis])
+    away_m = np.concatenate(crossings_m, axis=1)
+    is_between = (away_m > near_m[:, np.newaxis]) & (away_m < far_m[:, np.newaxis])
+    return np.where(is_between, away_m, near_m[:, np.newaxis]), is_between
+
+
+def first_hits_m(
+    field: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    azimuth_rad: Float64Array,
+    elevation_tan: Float64Array,
+    step_rad: float,
+    progress: Progress | None = None,
+) -> Float64Array:
+    """Return the horizontal distances at which N rays of one eye first meet the surface.
+
+    The profile of the terrain is followed along azimuths ``step_rad`` apart, and each ray is met on
+    the profile nearest to it. From there the distance is carried over to the ray's own azimuth,
+    where the surface allows it: beside a ridge's edge, that azimuth may see other terrain.
+
+    Parameters
+    ----------
+    eye : Viewpoints
+        A single eye on the map, at the surface or above it.
+    azimuth_rad, elevation_tan : (N,) float64
+        Grid azimuths and directions up of the rays.
+    step_rad : float
+        Step of azimuth.
+    progress : callable, optional
+        Called with the number of rays that are done and N.
+
+    Returns
+    -------
+    (N,) float64
+        Exact for a ray within ``step_rad / 2`` of the true one in azimuth; NaN for sky.
+    """
+    distance_m = np.full(len(azimuth_rad), np.nan)
+    steps = np.rint(azimuth_rad / step_rad).astype(np.int64)
+    order = np.argsort(steps, kind="stable")
+    begins = np.append(np.flatnonzero(np.diff(steps[order], prepend=-(1 << 62))), len(order))
+    crossings = 3 * (field.rows + field.cols)
+    at_once = max(1, _CROSSINGS_AT_ONCE // crossings)
+    for start in range(0, len(begins) - 1, at_once):
+        bounds = begins[start : start + at_once + 1]
+        rays = order[bounds[0] : bounds[-1]]
+        # The middle of its rays' azimuths, so that rays of one azimuth are met exactly.
+        least, most = (of.reduceat(azimuth_rad[rays], bounds[:-1] - bounds[0]) for of in _ENDS)
+        along = 0.5 * (least + most)
+        found = _met(field, eye, curvature, along, elevation_tan[rays], bounds - bounds[0])
+        distance_m[rays] = _carried_over(
+            field, eye, curvature, azimuth_rad[rays], elevation_tan[rays], found
+        )
+        if progress is not None:
+            progress(int(bounds[-1]), len(order))
+    return distance_m
+
+
+def _met(
+    field: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    azimuth_rad: Float64Array,
+    elevation_tan: Float64Array,
+    bounds: Int64Array,
+) -> Float64Array:
+    """Return where rays meet the profiles of K azimuths, ``bounds`` (K + 1,) those of each."""
+    far_m = _JUST_INSIDE * _border_m(field, eye, azimuth_rad)
+    crossing_m, _ = edge_crossings_m(field, eye, azimuth_rad, np.zeros_like(far_m), far_m)
+    away_m = np.sort(np.column_stack([crossing_m, np.zeros_like(far_m), far_m]), axis=1)
+    up_m = _up_m(field, eye, curvature, azimuth_rad[:, np.newaxis], away_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tan = np.where((away_m > 0.0) & np.isfinite(up_m), up_m / away_m, -np.inf)
+    highest = np.maximum.accumulate(tan, axis=1)
+    width = away_m.shape[1]
+    first = np.concatenate(
+        [
+            np.searchsorted(line, elevation_tan[begin:end])
+            for line, begin, end in zip(highest, bounds[:-1], bounds[1:], strict=True)
+        ]
+    )
+    rows = np.repeat(np.arange(len(away_m)), np.diff(bounds))
+    after = np.clip(first, 1, width - 1)
+    before_m, after_m = away_m[rows, after - 1], away_m[rows, after]
+    below = up_m[rows, after - 1] - elevation_tan * before_m
+    above = up_m[rows, after] - elevation_tan * after_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -below / (above - below)
+    # Past a hole the surface begins at the crossing.
+    found = np.where(np.isfinite(share), before_m + share * (after_m - before_m), after_m)
+    return np.where(first < width, found, np.nan)
+
+
+def _carried_over(
+    field: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    azimuth_rad: Float64Array,
+    elevation_tan: Float64Array,
+    near_m: Float64Array,
+) -> Float64Array:
+    """Return where rays meet the surface near given distances, by Newton's method; else these."""
+    away_m = near_m.copy()
+    reach_m = _REACH_SAMPLES * field.spacing_m
+    for _ in range(_NEWTON_STEPS):
+        over_m, slope = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # A ray enters the terrain only where the terrain rises more steeply than the ray.
+            away_m = np.where(slope > 0.0, away_m - over_m / slope, np.nan)
+    over_m, _ = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
+    is_met = (np.abs(over_m) <= _MET_RAD * away_m) & (np.abs(away_m - near_m) <= reach_m)
+    return np.where(is_met & (away_m > 0.0), away_m, near_m)
+
+
+def _over(
+    field: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    azimuth_rad: Float64Array,
+    elevation_tan: Float64Array,
+    away_m: Float64Array,
+) -> tuple[Float64Array, Float64Array]:
+    """Return how far the terrain is above rays at distances, and its change with the distance."""
+    row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    down = -np.cos(azimuth_rad) / field.spacing_north_m
+    right = np.sin(azimuth_rad) / field.spacing_east_m
+    height_m, south, east = _planes(field, row + down * away_m, col + right * away_m)
+    up_m = height_m - eye.eye_elevation_m - curvature.drop_m(away_m)
+    falls = 2.0 * curvature.drop_per_m2 * away_m
+    return up_m - elevation_tan * away_m, south * down + east * right - falls - elevation_tan
+
+
+def _planes(
+    field: HeightField, row: Float64Array, col: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return heights, and rises a sample southwards and eastwards, of the triangles at places.
+
+    NaN off the map and over holes.
+    """
+    with np.errstate(invalid="ignore"):
+        inside = (row >= 0.0) & (row <= field.rows - 1) & (col >= 0.0) & (col <= field.cols - 1)
+    row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
+    top = np.minimum(row.astype(np.int64), max(field.rows - 2, 0))
+    left = np.minimum(col.astype(np.int64), max(field.cols - 2, 0))
+    bottom, right = np.minimum(top + 1, field.rows - 1), np.minimum(left + 1, field.cols - 1)
+    down, across = row - top, col - left
+    is_north_east = across >= down
+    heights = field.heights_m
+    first = heights[top, left].astype(np.float64)
+    last = heights[bottom, right].astype(np.float64)
+    third = heights[np.where(is_north_east, top, bottom), np.where(is_north_east, right, left)]
+    south = np.where(is_north_east, last - third, third - first)
+    east = np.where(is_north_east, third - first, last - third)
+    return np.where(inside, first + down * south + across * east, np.nan), south, east
+
+
+def _up_m(
+    field: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    azimuth_rad: Float64Array,
+    away_m: Float64Array,
+) -> Float64Array:
+    """Return how far the terrain is above the level of the eye; NaN without data."""
+    ground_m = field.height_at(
+        easting_m=eye.easting_m[0] + away_m * np.sin(azimuth_rad),
+        northing_m=eye.northing_m[0] + away_m * np.cos(azimuth_rad),
+    )
+    return np.asarray(ground_m - eye.eye_elevation_m[0] - curvature.drop_m(away_m))
+
+
+def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:
+    """Return the distance of the map's border along azimuths."""
+    west, south, east, north = field.bounds_m
+    at_east, at_north = float(eye.easting_m[0]), float(eye.northing_m[0])
+    sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sideways = np.where(sine > 0.0, east - at_east, at_east - west) / np.abs(sine)
+        along = np.where(cosine > 0.0, north - at_north, at_north - south) / np.abs(cosine)
+    return np.asarray(np.fmin(sideways, along))

@@ -1,0 +1,148 @@
+"""The names of summits in a photo, and the places of its pixels, from the command line."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from commands import assert_refused, lonlat_of
+from PIL import Image
+
+from skyline import read_dem
+
+POSE = {"heading_deg": 140.0, "pitch_deg": 0.0, "roll_deg": 0.0, "fov_deg": 60.0}
+
+
+@pytest.fixture(scope="module")
+def pose(dem, tmp_path_factory):
+    """The true pose of the photo as a person writes it; its heading is from true north."""
+    frame = read_dem([dem]).frame
+    lon, lat = lonlat_of(dem, 601_800.0, 5_178_000.0)
+    turn = float(frame.convergence_deg(easting_m=601_800.0, northing_m=5_178_000.0))
+    path = tmp_path_factory.mktemp("pose") / "pose.json"
+    path.write_text(json.dumps(POSE | {"lon": lon, "lat": lat, "heading_deg": 140.0 + turn}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def peaks(dem, tmp_path_factory):
+    """A gazetteer of the highest point of each part of the terrain."""
+    terrain = read_dem([dem])
+    rows = ["name,easting,northing,height_m"]
+    for top in range(0, terrain.rows - 10, 10):
+        for left in range(0, terrain.cols - 10, 10):
+            part = terrain.heights_m[top : top + 10, left : left + 10]
+            row, col = np.unravel_index(part.argmax(), part.shape)
+            east, north = terrain.to_map(top + row, left + col)
+            rows.append(f"P{top}-{left},{east},{north},")
+    path = tmp_path_factory.mktemp("peaks") / "peaks.csv"
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_summits_are_named_where_the_pixels_show_them(run, dem, photo, pose, peaks, tmp_path):
+    places = tmp_path / "places.npz"
+    assert run("pixels", photo, "--pose", pose, "--dem", dem, "-o", places).code == 0
+    with np.load(places) as file:
+        distance_m = file["distance_m"]
+    with Image.open(photo) as picture:
+        assert distance_m.shape == picture.size[::-1]
+    out = tmp_path / "names.json"
+    done = run("label", photo, "--pose", pose, "--dem", dem, "--peaks", peaks, "-o", out)
+    named = json.loads(out.read_text())
+    total = peaks.read_text().count("\n")
+    assert done.out == f"{out}: {len(named)} of {total} peaks are seen\n"
+    assert 3 < len(named) < total
+    assert set(named[0]) == {"name", "column_px", "row_px", "distance_m", "elevation_m"}
+    terrain = read_dem([dem])
+    for one in named:
+        row, col = round(one["row_px"]), round(one["column_px"])
+        around = distance_m[max(row - 5, 0) : row + 6, max(col - 5, 0) : col + 6]
+        assert np.nanmin(np.abs(around - one["distance_m"])) < 60.0, one
+        assert one["elevation_m"] <= terrain.heights_m.max()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])
+def test_pictures_have_the_names(run, dem, photo, pose, peaks, tmp_path, suffix):
+    out = tmp_path / f"names{suffix}"
+    common = "label", photo, "--pose", pose, "--dem", dem, "--peaks", peaks, "--ridges"
+    done = run(*common, "-o", out)
+    assert (done.code, done.err) == (0, "")
+    assert "peaks are seen" in done.out
+    if suffix == ".svg":
+        text = out.read_text()
+        assert re.search(r"<text[^>]*>P\d+-\d+  \d+\.\d km</text>", text)
+        assert "data:image/png;base64" in text
+    else:
+        with Image.open(out) as picture, Image.open(photo) as taken:
+            assert picture.height > taken.height * picture.width / taken.width
+
+
+def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
+    record = json.loads(pose.read_text())
+    off = record | {"heading_deg": 10.0}
+    result = {"query": str(photo), "answer": record, "candidates": [record, off]}
+    other = {"query": "other.jpg", "answer": off, "candidates": [off]}
+    forms = {
+        "record": json.dumps(record),
+        "answer": json.dumps(result),
+        "lines": f"{json.dumps(other)}\n{json.dumps(result)}\n",
+        "no answer": json.dumps(result | {"answer": None}),
+        "refused": json.dumps(record | {"query": str(photo), "refusal": "fog"}),
+    }
+    found, notes = {}, {}
+    for name, text in forms.items():
+        (tmp_path / "form.json").write_text(text)
+        common = "pixels", photo, "--pose", tmp_path / "form.json", "--dem", dem, "--step", 20
+        done = run(*common, "-o", tmp_path / "form.npz")
+        assert done.code == 0, done
+        notes[name] = done.err
+        with np.load(tmp_path / "form.npz") as file:
+            found[name] = file["distance_m"]
+    for name in forms:
+        np.testing.assert_array_equal(found[name], found["record"])
+    assert notes["record"] == notes["answer"] == notes["lines"] == ""
+    assert "no answer, so the best candidate is taken" in notes["no answer"]
+    assert "not trusted: fog" in notes["refused"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "cannot be read"),
+        ("[]", "has no pose"),
+        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no pose"),
+        ('{"candidates": []}', "has no pose"),
+        ('{"lon": 9, "lat": 46, "heading_deg": "N", "fov_deg": 60}', "heading_deg is N"),
+        ('{"lon": 9, "lat": 460, "heading_deg": 1, "fov_deg": 60}', "expected degrees"),
+        ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
+        ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
+        ('{"query": "a"}\n{"query": "b"}', "has 0 lines whose `query`"),
+    ],
+)
+def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
+    bad = tmp_path / "bad.json"
+    bad.write_text(text)
+    out = tmp_path / "out.npz"
+    assert_refused(run("pixels", photo, "--pose", bad, "--dem", dem, "-o", out), message)
+    assert not out.exists()
+
+
+def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):
+    def label(**other):
+        given = {"--pose": pose, "--dem": dem, "--peaks": peaks, "-o": tmp_path / "n.png"}
+        words = [word for pair in (given | other).items() for word in pair]
+        return run("label", photo, *words)
+
+    for option, path, message in (
+        ("-o", tmp_path / "n.gif", "suffix is '.gif'; expected one of .png"),
+        ("-o", tmp_path / "none" / "n.png", "cannot be written"),
+        ("--pose", tmp_path / "none.json", "does not exist; expected JSON as"),
+        ("--peaks", tmp_path / "none.csv", "gazetteer"),
+        ("--dem", tmp_path / "none.tif", "none.tif"),
+    ):
+        assert_refused(label(**{option: path}), message)
+    assert_refused(label(**{"-o": pose}), "is an input")
+    done = run("pixels", photo, "--pose", pose, "--dem", dem, "-o", tmp_path / "p.csv")
+    assert_refused(done, "ends in .npz or .tif")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,231 @@
+"""The place on the terrain in each pixel, against closed forms and a march along every ray."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+from scenes import candidate_at, field_from, field_of, fractal
+
+from skyline.errors import InputError, OffMapError
+from skyline.geodesy import Curvature
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
+from skyline.report.viewer import Viewer, directions_of, pixels_of, sight_of
+from skyline.terrain.sightlines import first_hits_m
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline_bench.truth import oracle
+
+FLAT = Curvature(enabled=False)
+WIDTH_PX, HEIGHT_PX = 90, 45
+
+
+def size_of(projection=Projection.PERSPECTIVE):
+    """A query of a small photo, without a skyline."""
+    unknown = np.full(WIDTH_PX, np.nan)
+    return QuerySkyline(unknown, np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, projection=projection)
+
+
+CAMERAS = {
+    "level": ({}, Projection.PERSPECTIVE),
+    "held askew": ({"pitch_deg": 8.0, "roll_deg": -6.0, "fov_deg": 75.0}, Projection.PERSPECTIVE),
+    "down, distorted": ({"pitch_deg": -25.0, "roll_deg": 3.0}, Projection.PERSPECTIVE),
+    "panorama": ({"pitch_deg": 4.0, "roll_deg": 2.0, "fov_deg": 200.0}, Projection.CYLINDRICAL),
+    "around": ({"fov_deg": 360.0}, Projection.EQUIRECTANGULAR),
+}
+"""Angles and projection of cameras."""
+
+
+def pose_at(field, east_m, north_m, eye_height_m, name, heading_deg=130.0):
+    angles, projection = CAMERAS[name]
+    ground_m = float(field.height_at(easting_m=east_m, northing_m=north_m))
+    pose = candidate_at(
+        east_m, north_m, heading_deg, **angles, eye_elevation_m=ground_m + eye_height_m
+    )
+    return replace(pose, distortion=0.06 if "distorted" in name else 0.0), size_of(projection)
+
+
+def rays_of(pose, query):
+    row_px, column_px = np.mgrid[:HEIGHT_PX, :WIDTH_PX]
+    azimuth_deg, elevation_tan = directions_of(pose, query, column_px, row_px)
+    return np.radians(azimuth_deg), elevation_tan
+
+
+def eye_of(pose):
+    names = ("easting_m", "northing_m", "eye_elevation_m")
+    return Viewpoints(**{name: np.array([getattr(pose, name)]) for name in names})
+
+
+def marched_m(field, pose, curvature, azimuth_rad, elevation_tan, step_m):
+    """Return where rays (N,) first are below the surface, to ``step_m``; NaN for sky."""
+    away_m = np.arange(
+        step_m, field.reach_m(easting_m=pose.easting_m, northing_m=pose.northing_m), step_m
+    )
+    found = np.full(len(azimuth_rad), np.nan)
+    for index, (azimuth, tan) in enumerate(zip(azimuth_rad, elevation_tan, strict=True)):
+        ground_m = field.height_at(
+            easting_m=pose.easting_m + away_m * np.sin(azimuth),
+            northing_m=pose.northing_m + away_m * np.cos(azimuth),
+        )
+        ray_m = pose.eye_elevation_m + tan * away_m + curvature.drop_per_m2 * away_m**2
+        below = np.flatnonzero(ground_m >= ray_m)
+        if len(below):
+            found[index] = away_m[below[0]]
+    return found
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_plane_is_met_where_it_is(name):
+    field = field_from(lambda east, north: 0.1 * east - 0.05 * north, 81, 50.0)
+    pose, query = pose_at(field, 13.0, -21.0, 40.0, name)
+    places = Viewer(field, curvature=FLAT).places(pose, query)
+    azimuth_rad, elevation_tan = rays_of(pose, query)
+    rise = 0.1 * np.sin(azimuth_rad) - 0.05 * np.cos(azimuth_rad)
+    with np.errstate(divide="ignore"):
+        true_m = np.where(elevation_tan < rise, 40.0 / (rise - elevation_tan), np.nan)
+    east_m = pose.easting_m + true_m * np.sin(azimuth_rad)
+    north_m = pose.northing_m + true_m * np.cos(azimuth_rad)
+    inside = (np.abs(east_m) <= 1999.0) & (np.abs(north_m) <= 1999.0)
+    outside = ~((np.abs(east_m) <= 2001.0) & (np.abs(north_m) <= 2001.0))
+    np.testing.assert_allclose(places.distance_m[inside], true_m[inside], rtol=1e-5)
+    assert np.isnan(places.distance_m[outside]).all()
+    assert inside.any()
+    lon, lat = field.frame.to_lonlat(east_m[inside], north_m[inside])
+    np.testing.assert_allclose(places.lon[inside], lon, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(places.lat[inside], lat, rtol=0.0, atol=1e-8)
+
+
+def test_a_cone_stands_before_the_sky():
+    slope, top_m, away_m = 0.5, 600.0, 3000.0
+    field = field_from(
+        lambda east, north: np.maximum(top_m - slope * np.hypot(east, north - away_m), 0.0),
+        401,
+        20.0,
+    )
+    pose, query = pose_at(field, 0.0, -900.0, 2.0, "level", heading_deg=0.0)
+    places = Viewer(field, curvature=FLAT).places(pose, query)
+    column, row = pixels_of(pose, query, 0.0, (top_m - 2.0) / (away_m + 900.0))
+    middle = round(float(column))
+    seen = np.flatnonzero(np.isfinite(places.distance_m[:, middle]))
+    assert abs(seen[0] - float(row)) <= 1.0
+    assert (np.diff(seen) == 1).all()
+    # A circle of radius r is L^2 / 8 r above a chord of length L, at most a cell's diagonal.
+    on_cone = places.elevation_m > 100.0
+    east_m, north_m = field.frame.from_lonlat(places.lon[on_cone], places.lat[on_cone])
+    radius_m = np.hypot(east_m, north_m - away_m)
+    low_m = (top_m - slope * radius_m) - places.elevation_m[on_cone]
+    near_top = radius_m < 60.0
+    assert (low_m > -0.01).all()
+    assert (low_m < np.where(near_top, 20.0, 1.01 * slope * 800.0 / (8.0 * radius_m) + 0.01)).all()
+    assert on_cone.sum() > 3
+
+
+@pytest.fixture(scope="module")
+def rough():
+    heights = 1000.0 + fractal(90, 100, 500.0, seed=4)
+    heights[30:36, 50:58] = np.nan
+    return field_of(heights, 30.0)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_rough_terrain_is_met_where_a_march_meets_it(rough, name):
+    """Beside edges a ray may see what rays a quarter of a pixel beside it see."""
+    pose, query = pose_at(rough, 1400.0, -1300.0, 25.0, name)
+    curvature = Curvature()
+    places = Viewer(rough).places(pose, query)
+    azimuth_rad, elevation_tan = (one[::3, ::3].ravel() for one in rays_of(pose, query))
+    found_m = places.distance_m[::3, ::3].ravel()
+    step_m = 0.5
+    true_m = marched_m(rough, pose, curvature, azimuth_rad, elevation_tan, step_m)
+    off_m = np.abs(found_m - true_m + 0.5 * step_m)
+    is_exact = (off_m <= 0.5 * step_m + 1e-3) | (np.isnan(found_m) & np.isnan(true_m))
+    assert is_exact.mean() > 0.96
+    column_deg = query.projection.column_deg(WIDTH_PX, pose.fov_deg).min()
+    rest = np.flatnonzero(~is_exact)
+    beside = np.radians(column_deg) * np.linspace(-0.26, 0.26, 41)
+    for index in rest:
+        around_m = marched_m(
+            rough, pose, curvature, azimuth_rad[index] + beside,
+            np.full(len(beside), elevation_tan[index]), step_m,
+        )  # fmt: skip
+        if np.isnan(found_m[index]):
+            assert np.isnan(around_m).any()
+        else:
+            # Between two of these rays the surface changes by its slope times their distance.
+            slack_m = step_m + 3.0 * np.radians(column_deg) * found_m[index]
+            assert np.nanmin(np.abs(around_m - found_m[index])) < slack_m
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_places_are_seen_in_their_pixels_and_sky_is_above_the_skyline(rough, name):
+    pose, query = pose_at(rough, 1400.0, -1300.0, 25.0, name)
+    places = Viewer(rough).places(pose, query)
+    easting_m, northing_m = rough.frame.from_lonlat(places.lon, places.lat)
+    east_m, north_m = easting_m - pose.easting_m, northing_m - pose.northing_m
+    away_m = np.hypot(east_m, north_m)
+    up_m = places.elevation_m - pose.eye_elevation_m - Curvature().drop_m(away_m)
+    column, row = pixels_of(pose, query, np.degrees(np.arctan2(east_m, north_m)), up_m / away_m)
+    seen = np.isfinite(places.distance_m)
+    rows, columns = np.nonzero(seen)
+    across = np.abs(column[seen] - columns)
+    across = np.minimum(across, WIDTH_PX - across) if pose.fov_deg == 360.0 else across
+    assert across.max() < 0.01
+    assert np.abs(row[seen] - rows).max() < 0.01
+    # The elevation is that of the terrain, except where a quarter of a pixel beside is seen.
+    off_m = np.abs(places.elevation_m - rough.height_at(easting_m=easting_m, northing_m=northing_m))
+    assert np.mean(off_m[seen] < 0.01) > 0.96
+    sight = sight_of(pose, query, oracle.skyline(rough, eye_of(pose), 2048))
+    order = np.argsort(sight.column_px)
+    border = np.interp(np.arange(WIDTH_PX), sight.column_px[order], sight.row_px[order])
+    steep = np.abs(np.gradient(border))
+    is_ground = np.arange(HEIGHT_PX)[:, np.newaxis] > border
+    wrong = (seen != is_ground) & (
+        np.abs(np.arange(HEIGHT_PX)[:, np.newaxis] - border) > 1.0 + steep
+    )
+    if name != "around":  # Its last column is where the sight begins.
+        assert wrong.sum() == 0
+    assert not wrong[:, 2:-2].any()
+
+
+def test_coarser_pixels_are_those_of_all_pixels(rough):
+    pose, query = pose_at(rough, 1400.0, -1300.0, 25.0, "held askew")
+    viewer, reports = Viewer(rough), []
+    whole = viewer.places(pose, query)
+    coarse = viewer.places(pose, query, 4, lambda *done: reports.append(done))
+    same = np.isclose(whole.distance_m[::4, ::4], coarse.distance_m, rtol=1e-6, equal_nan=True)
+    assert same.mean() > 0.96
+    assert reports[-1] == (coarse.distance_m.size, coarse.distance_m.size)
+    with pytest.raises(InputError, match="step is 0"):
+        viewer.places(pose, query, 0)
+    with pytest.raises(OffMapError, match="off the map"):
+        viewer.places(replace(pose, easting_m=9e5), query)
+
+
+def test_rays_of_an_eye_on_the_ground_meet_it_at_once(rough):
+    eye = stand_on(rough, easting_m=1400.0, northing_m=-1300.0, eye_height_m=0.0)
+    down = np.array([-50.0, -5.0])
+    found = first_hits_m(rough, eye, FLAT, np.array([0.3, 2.0]), down, 1e-3)
+    np.testing.assert_allclose(found, 0.0, atol=1e-6)
+
+
+def test_files_of_places_hold_the_arrays_and_the_pose(rough, tmp_path):
+    pose, query = pose_at(rough, 1400.0, -1300.0, 25.0, "level")
+    places = Viewer(rough).places(pose, query, 2)
+    places.save(tmp_path / "p.npz", pose)
+    places.save(tmp_path / "p.tif", pose)
+    with np.load(tmp_path / "p.npz") as file:
+        held = dict(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        raster = rasterio.open(tmp_path / "p.tif")
+    with raster:
+        bands = dict(zip(raster.descriptions, raster.read(), strict=True))
+        assert raster.tags()["pose"] == str(held["pose"])
+    for name in ("distance_m", "lon", "lat", "elevation_m"):
+        np.testing.assert_array_equal(held[name], getattr(places, name))
+        np.testing.assert_array_equal(bands[name], getattr(places, name))
+    assert '"heading_deg": 130.0' in str(held["pose"])
+    with pytest.raises(InputError, match="ends in"):
+        places.save(tmp_path / "p.csv", pose)
