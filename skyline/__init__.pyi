@@ -13,6 +13,7 @@ from .errors import (
 from .geodesy import Curvature, Frame
 from .match.answer import JointResult, MatchResult, to_geodataframe
 from .match.candidate import Candidate
+from .match.locate import locate
 from .match.matcher import Matcher
 from .match.matchers import MatchConfig
 from .match.prior import Narrowing
@@ -93,6 +94,7 @@ __all__ = [
     "build_uniform",
     "export_matches",
     "horizon",
+    "locate",
     "open_store",
     "read_dem",
     "read_peaks",
