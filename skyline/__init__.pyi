@@ -13,6 +13,7 @@ from .errors import (
 from .geodesy import Curvature, Frame
 from .match.answer import JointResult, MatchResult, to_geodataframe
 from .match.candidate import Candidate
+from .match.locate import locate
 from .match.matcher import Matcher
 from .match.matchers import MatchConfig
 from .match.orient import Orientation, Orienter, orient
@@ -100,6 +101,7 @@ __all__ = [
     "draw_labels",
     "export_matches",
     "horizon",
+    "locate",
     "open_store",
     "orient",
     "read_dem",

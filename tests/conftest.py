@@ -31,6 +31,15 @@ class Result:
     err: str
 
 
+@pytest.fixture(scope="session", autouse=True)
+def cache_of_tests(tmp_path_factory):
+    """Let no test read or write the user's own cache, nor fetch from the user's own source."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SKYLINE_CACHE", str(tmp_path_factory.mktemp("cache") / "skyline"))
+        patch.delenv("SKYLINE_DEM_SOURCE", raising=False)
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of real DEMs and photos beside the checkout; skips where it is absent."""

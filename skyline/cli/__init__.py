@@ -10,6 +10,8 @@ from skyline.cli.console import command_line, run_app
 
 COMMANDS = {
     "Photos": {
+        "locate.locate": "Find where photos were taken: fetches the elevation of the area and "
+        "builds its store.",
         "match.match": "Find where photos were taken and in which direction the camera looked.",
         "orient.orient": "Find how cameras were held at a known place: heading, pitch, roll and "
         "field of view.",
@@ -40,6 +42,7 @@ COMMANDS = {
         "info.explain": "Show which terrain a skyline depends on, what is left out, and the "
         "error of that.",
         "fetch.dem": "Elevation data for an area.",
+        "locate.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }
 """Commands by subject: module and name of each, and the first line of its own help."""

@@ -139,7 +139,7 @@ def match(
         if is_wrong:
             raise InputError(error)
     config = MatchConfig(refine=matcher != _UNREFINED)
-    common = Query("", fov_deg, None, projection, _narrowing(near, heading, use_gps))
+    common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(query, common))
     check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
     for path in exports:
@@ -187,7 +187,8 @@ def match(
     if report is not None and found:
         from skyline.report.match_report import report_matches  # noqa: PLC0415  (slow to load)
 
-        report_matches(report, matching, found, gazetteer, done=done)
+        page = report_matches(report, matching, found, gazetteer, done=done)
+        print_note(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 
@@ -298,7 +299,8 @@ def _search_of(store: Path, matcher: str, common: Query, surfaces: Iterable[str]
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 
-def _narrowing(near: str | None, heading: str | None, use_gps: bool) -> Narrowing:
+def narrowing_of(near: str | None, heading: str | None, use_gps: bool) -> Narrowing:
+    """Return the narrowing of ``--near`` and ``--heading``; raises `InputError` for bad text."""
     circle = box = sector = None
     if near is not None:
         is_box = near.count(",") == 3

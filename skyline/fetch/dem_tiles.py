@@ -146,8 +146,9 @@ def fetch_dem(
             cuts.append(cut)
     if not files:
         raise InputError(
-            f"the source has none of {', '.join(missing)} ({shown(address(template, *corners[0]))}"
-            ", for one, is not there); check the bounds, or the source's template"
+            f"the source has none of {', '.join(missing)}, which is usual in the sea "
+            f"({shown(address(template, *corners[0]))}, for one, is not there); check the place, "
+            "or the source's template"
         )
     _check_together(cuts)
     folder.mkdir(parents=True, exist_ok=True)

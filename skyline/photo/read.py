@@ -24,7 +24,14 @@ from PIL.ExifTags import IFD
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.exif import MAX_PINHOLE_ASPECT, Lens, NotedPlace, camera_of, place_from_exif
+from skyline.photo.exif import (
+    MAX_PINHOLE_ASPECT,
+    NOTHING_NOTED,
+    Lens,
+    NotedPlace,
+    camera_of,
+    place_from_exif,
+)
 from skyline.photo.extract import extract_skyline
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
@@ -196,6 +203,18 @@ def read_photo(
     if fov_deg is not None or not is_as_noted:
         return Photo(rgb, fov_deg, projection or noted, place)
     return Photo(rgb, lens.fov_deg, projection or noted, place, lens)
+
+
+def read_noted_place(path: str | Path) -> NotedPlace:
+    """Return the place noted in a query's EXIF, without decoding its pixels.
+
+    A trace notes none. Raises as `read_photo`.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        return NOTHING_NOTED
+    with opened_image(path) as image:
+        return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo))
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

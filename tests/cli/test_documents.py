@@ -168,7 +168,7 @@ def world(tmp_path_factory):
             for part in ("skyline extract", "--planner lpov"):
                 run_command(shown(part))
             shutil.copy("davos.h5", "other.h5")
-    return folder
+        yield folder
 
 
 def make_queries():

@@ -1,0 +1,134 @@
+"""``skyline locate`` and ``skyline cache``: photos in, places out, without a store at hand."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from skyline.cli.console import (
+    AsJson,
+    on_interrupt,
+    print_line,
+    print_note,
+    progress_bar,
+)
+from skyline.cli.match import match, narrowing_of
+from skyline.cli.photo import FieldOfView
+from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.fetch.dem_tiles import SOURCES
+from skyline.match.areas import cache_folder, cached_areas, clear_cache, prepare_area
+from skyline.match.locate import area_of
+from skyline.match.queries import Query, listed
+
+
+def locate(
+    photos: Annotated[
+        list[Path], Argument(metavar="PHOTO...", help="Photos of one area, or folders of them.")
+    ],
+    near: Annotated[
+        str | None,
+        Option(
+            metavar="LON,LAT,KM|W,S,E,N",
+            help="Search within so many km of a point, or in a box, in degrees.",
+            show_default="10 km round the photo's own GPS position",
+        ),
+    ] = None,
+    dem: Annotated[
+        list[str] | None,
+        Option(
+            metavar="FILE|DIR",
+            help="Elevation files, or a folder of them; may be repeated.",
+            show_default="tiles are fetched",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="DIR", help="The folder for the report.")
+    ] = Path("skyline-report"),
+    fov_deg: FieldOfView = None,
+    source: Annotated[
+        str | None,
+        Option(
+            metavar="NAME|URL",
+            help=f"Source of tiles, as of `dem fetch`: {', '.join(SOURCES)}, or an address.",
+            show_default="$SKYLINE_DEM_SOURCE, else copernicus",
+        ),
+    ] = None,
+    peaks: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find where photos were taken: fetches the elevation of the area and builds its store.
+
+    Both are kept for the next photo of the area; `skyline cache` lists them.
+    """
+    narrowing = narrowing_of(near, None, use_gps=False)
+    if dem and source:
+        raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
+    # These checks come before minutes of work.
+    queries = list(listed(photos, Query("", fov_deg)))
+    usable = _usable(queries)
+    if peaks is not None and not peaks.is_file():
+        raise MissingFileError(f"{peaks} does not exist; expected peaks to name")
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output} is a file; name a folder for the report")
+    area, narrowing = area_of([one.path for one in usable], narrowing)
+    on_interrupt("what was fetched and built is kept, and the same command continues from there")
+    ready = prepare_area(area, dem or (), source, print_note, progress_bar)
+    on_interrupt(f"the area is kept in {ready.store.parent}")
+    within = narrowing.near or narrowing.bounds_deg or ()
+    match(
+        ready.store,
+        photos,
+        fov_deg,
+        ",".join(map(str, within)),
+        list(ready.dem),
+        output,
+        as_json,
+        peaks=peaks,
+    )
+
+
+def cache(
+    clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List what `locate` keeps: elevation tiles and stores of areas."""
+    areas = cached_areas()
+    total = sum(one.tile_bytes + one.store_bytes for one in areas)
+    if clear:
+        count = clear_cache(print_note)
+        left = sum(one.tile_bytes + one.store_bytes for one in cached_areas())
+        print_line(f"{cache_folder()}: {count} areas removed, {(total - left) / 1e6:.1f} MB")
+        return
+    if as_json:
+        about = {"folder": str(cache_folder()), "areas": [one.to_dict() for one in areas]}
+        print_line(json.dumps(about | {"bytes": total}))
+        return
+    for one in areas:
+        store = f"store {one.store_bytes / 1e6:.1f} MB" + (
+            "" if one.is_finished else ", unfinished"
+        )
+        tiles = f"{one.tiles} tiles {one.tile_bytes / 1e6:.1f} MB, " if one.tiles else ""
+        box = ",".join(f"{side:g}" for side in one.bounds_deg)
+        print_line(f"{one.origin} {box}: {tiles}{store}, {one.changed:%Y-%m-%d %H:%M}")
+    print_line(f"{cache_folder()}: {len(areas)} areas, {total / 1e6:.1f} MB")
+
+
+def _usable(queries: list[Query]) -> list[Query]:
+    """Return the queries that can be read; raises the error of the first if there are none."""
+    usable, first = [], None
+    for one in queries:
+        try:
+            one.check()
+            usable.append(one)
+        except SkylineError as error:
+            first = first or error
+    if first is not None and not usable:
+        raise first
+    return usable

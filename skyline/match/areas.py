@@ -1,0 +1,417 @@
+"""The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
+
+An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
+and ``places-DIGEST.h5``. ORIGIN has a digest of the source, or of the DEM's files with their sizes
+and times, DIGEST one of all else on which the rows of a store depend. A store is there when it is
+finished, so whoever finds one needs no server.
+"""
+
+import errno
+import fcntl
+import hashlib
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from skyline.arrays import Progress
+from skyline.build.parts import build_places
+from skyline.build.plans import DEFAULT_LOSS, map_bounds
+from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
+from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.rasters import absolute_name
+
+SEEN_KM = 30.0
+"""Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
+is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
+100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
+
+DEFAULT_SOURCE = "copernicus"
+
+_PLACE_BYTES_KM2 = 200_000
+_SAMPLE_BYTES_DEG2 = 4 * 3600**2
+"""Greatest usual size of a store, for a square kilometre, and of unpacked tiles of 1 arc-second."""
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
+_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".asc")
+
+Say = Callable[[str], None]
+"""Prints a line on what is done."""
+Bar = Callable[[str], AbstractContextManager[Progress | None]]
+"""Shows the progress of a step that it is given by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A box to search. A cached store serves if it contains ``needed``; else ``built`` is built."""
+
+    needed: Bounds
+    built: Bounds
+
+    @classmethod
+    def around(
+        cls, lonlat_deg: Sequence[tuple[float, float]], built_km: float, needed_km: float
+    ) -> "Area":
+        """Return the area that contains circles round places, which lie close together."""
+        needed, built = (_around(lonlat_deg, km) for km in (needed_km, built_km))
+        return cls(needed, built)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadyArea:
+    """The store of an area and the files of its DEM."""
+
+    store: Path
+    dem: tuple[str, ...]
+    terrain: HeightField | None
+    """The DEM, where it has just been read to build the store."""
+
+
+@dataclass(frozen=True, slots=True)
+class CachedArea:
+    """What the cache holds of one area."""
+
+    folder: Path
+    origin: str
+    bounds_deg: Bounds
+    is_finished: bool
+    tiles: int
+    tile_bytes: int
+    store_bytes: int
+    changed: datetime
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the area as JSON can hold it."""
+        return {
+            "folder": str(self.folder),
+            "origin": self.origin,
+            "bounds_deg": list(self.bounds_deg),
+            "finished": self.is_finished,
+            "tiles": self.tiles,
+            "tile_bytes": self.tile_bytes,
+            "store_bytes": self.store_bytes,
+            "changed": self.changed.isoformat(timespec="seconds"),
+        }
+
+
+def cache_folder() -> Path:
+    """Return ``$SKYLINE_CACHE``, else ``$XDG_CACHE_HOME/skyline``, else ``~/.cache/skyline``."""
+    if given := os.environ.get("SKYLINE_CACHE"):
+        return Path(given).absolute()
+    base = os.environ.get("XDG_CACHE_HOME")
+    # The standard wants relative paths to be left aside.
+    if not base or not Path(base).is_absolute():
+        base = os.path.expanduser("~/.cache")  # noqa: PTH111  (Path raises without a home)
+    return Path(base).absolute() / "skyline"
+
+
+def prepare_area(
+    area: Area,
+    dem: Sequence[str | Path] = (),
+    source: str | None = None,
+    say: Say = lambda _: None,
+    bar: Bar = lambda _: nullcontext(),
+) -> ReadyArea:
+    """Return the store of an area from the cache, where it is built if it is not there.
+
+    Parameters
+    ----------
+    area : Area
+    dem : sequence of paths
+        Elevation files, or folders of them; by default tiles of the source are fetched.
+    source : str, optional
+        As of `fetch_dem`; by default ``$SKYLINE_DEM_SOURCE``, else Copernicus.
+
+    Raises
+    ------
+    InputError
+        The DEM does not cover the area, there is only sea, or the cache cannot be written.
+    FetchError
+        A server fails.
+    """
+    check_bounds(area.built)
+    files = tuple(_dem_files(dem))
+    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or DEFAULT_SOURCE
+    origin = _origin_of_files(files) if files else _origin_of_source(source)
+    home = _areas() / origin
+    with _explained():
+        serving = _serving(home, area.needed, with_tiles=not files)
+        if serving is not None:
+            say(f"{serving}: the area is there already")
+            return ReadyArea(serving / _STORE, files or _tiles(serving), None)
+        folder = home / _name_of(area.built)
+        bounds = _bounds_of(folder.name) or area.built
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder, say):
+            if (folder / _STORE).exists() and (files or _tiles(folder)):
+                return ReadyArea(folder / _STORE, files or _tiles(folder), None)
+            _check_room(folder, bounds, with_tiles=not files)
+            say(f"{folder} keeps what is made for this area")
+            if not files:
+                files = _fetch(folder, bounds, source, say, bar)
+            with bar("reading the elevation model"):
+                terrain = read_dem(files)
+            _check_terrain(terrain, area, dem)
+            say(f"building the store of {_km2(bounds):.0f} km2")
+            with bar("building the store") as progress:
+                built = build_places(terrain, folder / _STORE, bounds_deg=bounds, progress=progress)
+            say(f"{built.rows} places are built, in {built.seconds:.0f} s")
+            return ReadyArea(folder / _STORE, files, terrain)
+
+
+def cached_areas() -> list[CachedArea]:
+    """Return the areas in the cache, by origin and bounds."""
+    found = []
+    with _explained():
+        for folder in sorted(_areas().glob("*/*")):
+            bounds = _bounds_of(folder.name)
+            if bounds is None:
+                continue
+            sizes = [(path, path.stat()) for path in folder.rglob("*") if path.is_file()]
+            tiles = [about.st_size for path, about in sizes if path.parent.name == "tiles"]
+            total = sum(about.st_size for _, about in sizes)
+            latest = max((about.st_mtime for _, about in sizes), default=folder.stat().st_mtime)
+            found.append(
+                CachedArea(
+                    folder,
+                    folder.parent.name,
+                    bounds,
+                    (folder / _STORE).exists(),
+                    len(tiles),
+                    sum(tiles),
+                    total - sum(tiles),
+                    datetime.fromtimestamp(latest).astimezone(),
+                )
+            )
+    return found
+
+
+def clear_cache(say: Say = lambda _: None) -> int:
+    """Remove all areas but those that another process is making; return their number."""
+    cleared = 0
+    with _explained():
+        for area in cached_areas():
+            with _locked(area.folder) as is_alone:
+                if not is_alone:
+                    say(f"{area.folder} is being made by another skyline, and stays")
+                    continue
+                shutil.rmtree(area.folder)
+                cleared += 1
+            with suppress(OSError):
+                area.folder.parent.rmdir()
+    return cleared
+
+
+def _areas() -> Path:
+    return cache_folder() / "areas"
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
+
+
+_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_LOSS, PLACE_CODING)}.h5"
+"""Name of a store, which differs between releases that would build another one."""
+
+
+def _origin_of_source(source: str) -> str:
+    template = SOURCES.get(source, source)
+    name = source if source in SOURCES else urlsplit(template).hostname or "source"
+    return f"{name}-{_digest(template)}"
+
+
+def _origin_of_files(files: Sequence[str]) -> str:
+    about: list[object] = []
+    for file in files:
+        path = Path(file)
+        facts = path.stat() if path.is_file() else None
+        about.append((file, facts and (facts.st_size, facts.st_mtime_ns)))
+    return f"dem-{_digest(*about)}"
+
+
+def _dem_files(dem: Sequence[str | Path]) -> Iterator[str]:
+    """Yield the absolute names of files, and those of the rasters in folders."""
+    for one in dem:
+        path = Path(one)
+        if not path.is_dir():
+            yield absolute_name(str(one))
+            continue
+        some = sorted(file for file in path.iterdir() if file.suffix.lower() in _RASTERS)
+        if not some:
+            raise InputError(
+                f"{path} has no elevation files; expected {', '.join(_RASTERS)}, or name files"
+            )
+        yield from (absolute_name(str(file)) for file in some)
+
+
+def _around(lonlat_deg: Sequence[tuple[float, float]], km: float) -> Bounds:
+    """Return the box that contains circles round places, which lie close together."""
+    frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
+    east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
+    margin = np.array([-1000.0, 1000.0]) * km
+    return frame.box_deg(
+        easting_m=np.add.outer(east, margin), northing_m=np.add.outer(north, margin)
+    )
+
+
+def _grown(bounds_deg: Bounds, km: float) -> Bounds:
+    """Return a box grown by a distance to each side."""
+    west, south, _, north = bounds_deg
+    east = west + width_deg(bounds_deg)
+    frame = Frame.local(lon=(west + east) / 2.0, lat=(south + north) / 2.0)
+    left, low, right, high = frame.rectangle_m(bounds_deg)
+    margin_m = 1000.0 * km
+    return frame.box_deg(
+        easting_m=[left - margin_m, right + margin_m], northing_m=[low - margin_m, high + margin_m]
+    )
+
+
+def _km2(bounds_deg: Bounds) -> float:
+    _, south, _, north = bounds_deg
+    height, width = math.radians(north - south), math.radians(width_deg(bounds_deg))
+    return 6371.0**2 * height * width * math.cos(math.radians((south + north) / 2.0))
+
+
+def _contains(outer: Bounds, inner: Bounds) -> bool:
+    off_deg = (inner[0] - outer[0]) % 360.0
+    return (
+        off_deg + width_deg(inner) <= width_deg(outer)
+        and outer[1] <= inner[1]
+        and inner[3] <= outer[3]
+    )
+
+
+def _name_of(bounds_deg: Bounds) -> str:
+    """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
+    rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
+    rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
+    limits = (-18000, -9000, 18000, 9000)
+    within = (
+        min(max(side, -abs(limit)), abs(limit)) for side, limit in zip(rounded, limits, strict=True)
+    )
+    return "_".join(f"{side / 100.0:.2f}" for side in within)
+
+
+def _bounds_of(name: str) -> Bounds | None:
+    """Return the bounds that a folder's name gives; None for the name of something else."""
+    try:
+        west, south, east, north = map(float, name.split("_"))
+        return check_bounds((west, south, east, north))
+    except ValueError:
+        return None
+
+
+def _tiles(folder: Path) -> tuple[str, ...]:
+    return tuple(str(path) for path in sorted((folder / "tiles").glob("*.tif")))
+
+
+def _serving(home: Path, needed: Bounds, with_tiles: bool) -> Path | None:
+    """Return the smallest finished area that contains a box; None if there is none."""
+    found = [
+        (_km2(bounds), folder)
+        for folder in home.glob("*")
+        if (bounds := _bounds_of(folder.name)) is not None
+        and _contains(bounds, needed)
+        and (folder / _STORE).is_file()
+        and (not with_tiles or _tiles(folder))
+    ]
+    return min(found)[1] if found else None
+
+
+def _fetch(folder: Path, bounds: Bounds, source: str, say: Say, bar: Bar) -> tuple[str, ...]:
+    """Fetch the tiles of all terrain that is seen from an area; return their files."""
+    seen = _grown(bounds, SEEN_KM)
+    where = ",".join(f"{side:.2f}" for side in seen)
+    say(f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}")
+    try:
+        with bar("fetching tiles") as progress:
+            done = fetch_dem(seen, source, folder / "tiles", progress=progress)
+    except FetchError as error:
+        raise FetchError(f"{error}; or give elevation files with --dem") from error
+    if done.missing:
+        say(f"the source has no tile (usually sea) for {', '.join(done.missing)}")
+    return tuple(str(path) for path in done.files)
+
+
+def _check_terrain(terrain: HeightField, area: Area, dem: Sequence[str | Path]) -> None:
+    """Raise `InputError` where terrain does not cover the middle of an area, or is all sea."""
+    west, south, east, north = map_bounds(terrain, area.needed)
+    lon = area.needed[0] + width_deg(area.needed) / 2.0
+    lat = (area.needed[1] + area.needed[3]) / 2.0
+    easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
+    if not (west <= easting_m <= east and south <= northing_m <= north):
+        data = terrain.bounds_m
+        box = terrain.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+        raise InputError(
+            f"the DEM covers {','.join(f'{side:.4f}' for side in box)}, and not the place "
+            f"{lon:.4f},{lat:.4f}; give elevation of the place with --dem, or another --near"
+        )
+    rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
+    (top, bottom), (left, right) = np.rint(rows).astype(int), np.rint(cols).astype(int)
+    inside = terrain.heights_m[top : bottom + 1, left : right + 1]
+    if not np.any(np.isfinite(inside) & (inside != 0.0)):
+        raise InputError(
+            f"round {lon:.4f},{lat:.4f} the elevation model has nothing but sea or holes; give "
+            f"another --near{', or another --dem' if dem else ''}"
+        )
+
+
+def _check_room(folder: Path, bounds: Bounds, with_tiles: bool) -> None:
+    _, south, _, north = seen = _grown(bounds, SEEN_KM)
+    wanted = _PLACE_BYTES_KM2 * _km2(bounds)
+    if with_tiles:
+        wanted += _SAMPLE_BYTES_DEG2 * (north - south) * width_deg(seen)
+    free = shutil.disk_usage(folder).free
+    if free < wanted:
+        raise _unwritable(f"{free / 1e6:.0f} MB are free, and this may take {wanted / 1e6:.0f} MB")
+
+
+def _unwritable(reason: str) -> InputError:
+    return InputError(
+        f"the cache {cache_folder()} cannot be used ({reason}); name another folder with "
+        "SKYLINE_CACHE, or make room with `skyline cache --clear`"
+    )
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Turn errors of writing to a full or forbidden disk into one that names the cache."""
+    try:
+        yield
+    except (MissingFileError, FetchError):
+        raise
+    except (SkylineError, OSError) as error:
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, OSError) and cause.errno in _NO_ROOM | _NO_RIGHTS:
+                raise _unwritable(os.strerror(cause.errno or 0)) from error
+            cause = cause.__cause__
+        raise
+
+
+@contextmanager
+def _locked(folder: Path, say: Say | None = None) -> Iterator[bool]:
+    """Hold the lock of an area; yields whether it is held, and waits for it if ``say`` is given."""
+    with (folder / "lock").open("w") as file:
+        is_alone = True
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            is_alone = say is not None
+            if say is not None:
+                say(f"waiting for another skyline, which is making {folder}")
+                fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError:
+            pass  # Some network folders have no locks.
+        yield is_alone

@@ -1,0 +1,111 @@
+"""Locating photos without a store: the area comes from the user or from the photos' EXIF."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from skyline.errors import InputError
+from skyline.geodesy import Bounds, Frame, check_bounds
+from skyline.match.answer import MatchResult
+from skyline.match.areas import Area, prepare_area
+from skyline.match.matcher import Matcher
+from skyline.match.prior import Narrowing
+from skyline.photo.read import read_noted_place
+
+NOTED_KM, NEEDED_KM = 10.0, 5.0
+"""Radius of the area that is built round a photo's own position, and of the area that a cached
+store must have there, so that photos taken within some kilometres share a store."""
+
+_TOGETHER_KM = 50.0
+"""Greatest extent of the positions of photos that are located together."""
+
+
+def locate(
+    photo: str | Path,
+    near: tuple[float, float, float] | Bounds | None = None,
+    dem: str | Path | Sequence[str | Path] | None = None,
+    *,
+    source: str | None = None,
+    fov_deg: float | None = None,
+) -> MatchResult:
+    """Find where a photo was taken, without a store at hand.
+
+    The elevation of the area is fetched and its store is built, into the cache that ``skyline
+    cache`` lists; another photo of the area takes both from there. For many photos, make one
+    `Matcher` instead.
+
+    Parameters
+    ----------
+    photo : str or Path
+        A photo, a sky mask or a trace.
+    near : tuple, optional
+        Longitude, latitude and a radius in km, or W, S, E, N in degrees; by default 10 km round the
+        position in the photo's EXIF.
+    dem : path or paths, optional
+        Elevation files, or folders of them; by default tiles are fetched.
+    source : str, optional
+        Source of tiles, a name or address as of ``skyline dem fetch``; by default
+        ``$SKYLINE_DEM_SOURCE``, else Copernicus.
+    fov_deg : float, optional
+        Horizontal field of view; by default the photo's own.
+
+    Raises
+    ------
+    InputError
+        There is no position, the DEM does not cover it, there is only sea, or the cache cannot be
+        written.
+    FetchError
+        The server of tiles fails.
+    """
+    area, narrowing = area_of([photo], narrowing_near(near))
+    files = [dem] if isinstance(dem, str | Path) else dem or ()
+    ready = prepare_area(area, files, source)
+    with Matcher(ready.store, ready.terrain or ready.dem) as matcher:
+        return matcher.match(photo, fov_deg, narrowing=narrowing)
+
+
+def narrowing_near(near: tuple[float, ...] | None) -> Narrowing:
+    """Return the narrowing to a circle of 3 numbers or a box of 4; raises `InputError`."""
+    if near is None:
+        return Narrowing()
+    if len(near) == 3:
+        return Narrowing(near=near)
+    if len(near) == 4:
+        return Narrowing(bounds_deg=check_bounds(near))
+    raise InputError(
+        f"near has {len(near)} numbers; expected longitude, latitude and km, or W, S, E, N"
+    )
+
+
+def area_of(photos: Sequence[str | Path], narrowing: Narrowing) -> tuple[Area, Narrowing]:
+    """Return the area in which to search for photos, and the narrowing to it.
+
+    Raises `InputError` if neither the narrowing nor a photo has a place, or the photos lie far
+    apart.
+    """
+    if narrowing.near is not None:
+        lon, lat, km = narrowing.near
+        return Area.around([(lon, lat)], km, km), narrowing
+    if narrowing.bounds_deg is not None:
+        return Area(narrowing.bounds_deg, narrowing.bounds_deg), narrowing
+    noted = [read_noted_place(photo) for photo in photos]
+    places = [one.lonlat_deg for one in noted if one.lonlat_deg is not None]
+    if not places:
+        why = next((f" ({one.left_aside})" for one in noted if one.left_aside), "")
+        which = photos[0] if len(photos) == 1 else f"none of {len(photos)} photos"
+        notes = "notes no position" if len(photos) == 1 else "notes a position"
+        raise InputError(
+            f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10"
+        )
+    east, north = Frame.local(lon=places[0][0], lat=places[0][1]).from_lonlat(*np.transpose(places))
+    if not np.hypot(np.ptp(east), np.ptp(north)) <= 1000.0 * _TOGETHER_KM:
+        raise InputError(
+            f"the photos were taken more than {_TOGETHER_KM:g} km apart, by their EXIF; locate "
+            "those of one area at a time, or give --near LON,LAT,KM"
+        )
+    area = Area.around(places, NOTED_KM, NEEDED_KM)
+    if len(places) == 1:
+        return area, replace(narrowing, near=(*places[0], NOTED_KM))
+    return area, replace(narrowing, bounds_deg=area.built)

@@ -1,0 +1,268 @@
+"""`skyline locate` and `skyline cache`: areas from EXIF or --near, tiles, stores, refusals."""
+
+import errno
+import json
+import shutil
+import threading
+from collections import namedtuple
+
+import numpy as np
+import pytest
+from commands import assert_refused
+from PIL import Image
+from PIL.ExifTags import GPS, IFD
+from PIL.TiffImagePlugin import IFDRational
+from range_server import Behaviour, serve
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+from scenes import fractal, write_dem
+
+import skyline
+from skyline import read_dem, stand_at
+from skyline.fetch import remote
+from skyline.match import areas
+from skyline.match.areas import Area, prepare_area
+from skyline.render.depth import DepthRenderer
+from skyline_bench.queries.made_photos import photograph
+from skyline_bench.queries.pinhole import Camera
+
+PLACE = 9.5, 46.5
+NEAR = "9.5,46.5,1.5"
+_PER_DEGREE = 240
+
+
+def tile(heights):
+    with MemoryFile() as memory:
+        transform = from_origin(9, 47, 1 / _PER_DEGREE, 1 / _PER_DEGREE)
+        write_dem(memory.name, heights, "EPSG:4326", transform=transform)
+        return memory.read()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A tile, and a photo in its middle."""
+    folder = tmp_path_factory.mktemp("made")
+    heights = 1500.0 + fractal(_PER_DEGREE, _PER_DEGREE, 1200.0, seed=5)
+    (folder / "dem.tif").write_bytes(tile(heights))
+    terrain = read_dem(folder / "dem.tif")
+    eye = stand_at(terrain, lon=PLACE[0], lat=PLACE[1])
+    with DepthRenderer(terrain, 1024) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
+    Image.fromarray(picture).save(folder / "photo.jpg", quality=92)
+    return folder
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.0)
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def server(made, monkeypatch):
+    """The behaviour of a server that has the one tile and is the source by default."""
+    behaviour = Behaviour(files={"/N46E009.tif": (made / "dem.tif").read_bytes()})
+    with serve(behaviour) as address:
+        monkeypatch.setenv("SKYLINE_DEM_SOURCE", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
+        yield behaviour
+
+
+def noting(made, path, lonlat):
+    """Write a copy of the photo that notes a position."""
+    exif = Image.Exif()
+    gps = exif.get_ifd(IFD.GPSInfo)
+    for angle, name, side in zip(lonlat, ("Longitude", "Latitude"), "EN", strict=True):
+        gps[GPS[f"GPS{name}"]] = (IFDRational(round(angle * 1e6), 1_000_000), 0.0, 0.0)
+        gps[GPS[f"GPS{name}Ref"]] = side
+    with Image.open(made / "photo.jpg") as image:
+        image.save(path, quality=95, exif=exif)
+    return path
+
+
+def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, server, tmp_path):
+    first = run(
+        "locate", made / "photo.jpg", "--near", NEAR, "--fov-deg", 60, "--json", "-o", "page"
+    )
+    assert first.code == 0, first.err
+    candidates = json.loads(first.out)["candidates"]
+    assert abs(candidates[0]["lon"] - PLACE[0]) < 0.02
+    assert abs(candidates[0]["lat"] - PLACE[1]) < 0.014
+    assert f"{cache}" in first.err, "it says where it keeps what it makes"
+    assert "report: page/index.html" in first.err
+    assert (tmp_path / "page" / "index.html").stat().st_size > 0
+    server.requests.clear()
+    server.files.clear()
+    again = run("locate", made / "photo.jpg", "--near", "9.501,46.5,1", "--fov-deg", 60, "--json")
+    assert again.code == 0, again.err
+    assert "there already" in again.err
+    assert not server.requests
+    assert (tmp_path / "skyline-report" / "index.html").exists()
+    found = skyline.locate(made / "photo.jpg", (*PLACE, 1.0), fov_deg=60.0)
+    assert not server.requests
+    assert abs(found.best.lon - PLACE[0]) < 0.02
+    listed = json.loads(run("cache", "--json").out)
+    (area,) = listed["areas"]
+    assert (area["tiles"], area["finished"]) == (1, True)
+    assert listed["bytes"] == area["tile_bytes"] + area["store_bytes"] > 0
+    assert "1 areas" in run("cache").out
+    (cache / "mine.txt").write_text("not of skyline")
+    assert "1 areas removed" in run("cache", "--clear").out
+    assert [path.name for path in cache.rglob("*") if path.is_file()] == ["mine.txt"]
+
+
+def test_the_area_is_that_of_the_photo_s_own_position(made, tmp_path):
+    photo = noting(made, tmp_path / "noted.jpg", PLACE)
+    area, narrowing = skyline.match.locate.area_of([photo], skyline.Narrowing())
+    assert narrowing.near == pytest.approx((*PLACE, 10.0))
+    frame = skyline.Frame.local(lon=PLACE[0], lat=PLACE[1])
+    np.testing.assert_allclose(frame.rectangle_m(area.built), [-1e4, -1e4, 1e4, 1e4], rtol=0.02)
+    near = noting(made, tmp_path / "near.jpg", (PLACE[0] + 0.3, PLACE[1]))
+    both, narrowing = skyline.match.locate.area_of([photo, near], skyline.Narrowing())
+    assert areas._contains(both.built, area.built)
+    assert narrowing.bounds_deg == both.built
+    far = noting(made, tmp_path / "far.jpg", (PLACE[0] + 100.0, PLACE[1]))
+    with pytest.raises(skyline.InputError, match="more than 50 km apart"):
+        skyline.match.locate.area_of([photo, far], skyline.Narrowing())
+
+
+def test_an_area_that_is_contained_is_served_also_across_the_antimeridian():
+    assert areas._contains((179.5, -1.0, -179.0, 1.0), (-179.9, 0.0, -179.5, 0.5))
+    assert not areas._contains((179.5, -1.0, -179.0, 1.0), (-179.9, 0.0, -178.5, 0.5))
+    box = Area.around([(180.0, 0.0)], 10.0, 5.0).built
+    assert box[0] > 179.0
+    assert box[2] < -179.0
+    assert areas._contains(areas._bounds_of(areas._name_of(box)), box)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("{photo}",), "notes no position; say where to search: --near LON,LAT,KM"),
+        (("{none}", "--near", NEAR), "does not exist"),
+        (("{photo}", "--near", "9.5,46.5"), "expected 3 numbers LON,LAT,KM"),
+        (("{photo}", "--near", "7.5,46.5,1", "--dem", "{dem}"), "do not meet the DEM"),
+        (("{photo}", "--near", "8.99,46.5,2", "--dem", "{dem}"), "not the place 8.99"),
+        (("{photo}", "--near", "9.5,46.5,1", "--dem", "{sea}"), "nothing but sea or holes"),
+        (("{photo}", "--near", "9.5,46.5,1", "--dem", "{empty}"), "no elevation files"),
+        (("{photo}", "--near", "9.5,46.5,1", "-o", "{photo}"), "name a folder"),
+        (("{photo}", "--near", "9.5,46.5,1", "--peaks", "none.csv"), "none.csv does not exist"),
+    ],
+)
+def test_bad_input_is_one_line(run, made, cache, tmp_path, arguments, message):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "sea.tif").write_bytes(tile(np.zeros((_PER_DEGREE, _PER_DEGREE), np.float32)))
+    given = {
+        "photo": made / "photo.jpg",
+        "dem": made / "dem.tif",
+        "sea": tmp_path / "sea.tif",
+        "none": tmp_path / "none.jpg",
+        "empty": tmp_path / "empty",
+    }
+    done = run("locate", *(one.format(**given) for one in arguments))
+    assert done.code == 2, done
+    error = done.err.splitlines()[-1]
+    assert error.startswith("error: ")
+    assert message in error
+    assert done.out == ""
+    assert "error" not in done.err[: -len(error) - 1]
+    assert not list(cache.rglob("*.h5"))
+
+
+def test_failures_of_a_server_are_one_line_and_the_next_try_continues(run, made, cache, server):
+    locate = "locate", made / "photo.jpg", "--near", NEAR
+    server.status["/N46E009.tif"] = 503
+    done = run(*locate)
+    assert done.code == 1
+    assert "503" in done.err.splitlines()[-1]
+    assert "--dem" in done.err.splitlines()[-1]
+    assert not list(cache.rglob("*.tif*"))
+    server.status.clear()
+    server.truncate = 1000
+    assert "breaks off" in run(*locate).err.splitlines()[-1]
+    server.truncate = 0
+    server.status["/N46E009.tif"] = 404
+    assert "usual in the sea" in run(*locate).err.splitlines()[-1]
+    server.status.clear()
+    assert run(*locate).code == 0
+    nowhere = run(*locate, "--source", "http://127.0.0.1:9/{lat}{lon}.tif")
+    assert nowhere.code == 1
+    assert "check the address and the connection" in nowhere.err.splitlines()[-1]
+
+
+def test_a_cache_without_rights_or_room_is_one_line(
+    run, made, cache, server, tmp_path, monkeypatch
+):
+    locate = "locate", made / "photo.jpg", "--near", NEAR
+    usage = namedtuple("usage", "total used free")
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: usage(9, 9, 0))
+        assert "0 MB are free" in run(*locate).err.splitlines()[-1]
+
+    def full(*_args, **_options):
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as error:
+            raise skyline.InputError("it cannot be written") from error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(areas, "fetch_dem", full)
+        assert "(No space left on device); name another" in run(*locate).err.splitlines()[-1]
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "file"))
+    done = run(*locate)
+    assert_refused(done, "name another folder with SKYLINE_CACHE")
+
+
+def test_an_interrupted_build_continues(made, cache, server):
+    area = Area.around([PLACE], 1.5, 1.5)
+
+    def stop(done, total):
+        if done == total:
+            raise KeyboardInterrupt
+
+    class Stopping:
+        def __init__(self, doing):
+            self.progress = stop if "building" in doing else None
+
+        def __enter__(self):
+            return self.progress
+
+        def __exit__(self, *_):
+            pass
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare_area(area, bar=Stopping)
+    (unfinished,) = areas.cached_areas()
+    assert not unfinished.is_finished
+    assert list(unfinished.folder.rglob("*-of-*.h5"))
+    server.requests.clear()
+    ready = prepare_area(area)
+    assert ready.store.exists()
+    assert not server.requests
+    assert not list(unfinished.folder.rglob("*-of-*.h5"))
+
+
+def test_one_process_waits_for_another_and_clear_leaves_its_area(cache, server):
+    area = Area.around([PLACE], 1.5, 1.5)
+    first = prepare_area(area)
+    folder, store = first.store.parent, first.store
+    kept = store.rename(cache / "kept.h5")
+    notes, ended = [], threading.Event()
+
+    def say(note):
+        notes.append(note)
+        if "waiting" in note:
+            ended.set()
+
+    with areas._locked(folder) as is_alone:
+        assert is_alone
+        assert areas.clear_cache() == 0
+        waiting = threading.Thread(target=lambda: prepare_area(area, say=say))
+        waiting.start()
+        assert ended.wait(20.0)
+        kept.rename(store)
+    waiting.join(20.0)
+    assert len(notes) == 1, "it takes the store that the other has made"
+    assert areas.clear_cache() == 1
