@@ -60,6 +60,8 @@ _EFFORT = Effort(
     shortlist=80, particles=80, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, finalists=8, final_rounds=4,
 )  # fmt: skip
+_FAR_SD = 4.0
+"""A pose farther from the known place than so many of its standard errors is of another place."""
 _ELEVATION_SD_M = 15.0
 """Scale of the error of a given elevation: its datum may differ from the terrain model's."""
 _CLOSE = 20.0
@@ -275,6 +277,11 @@ class Orienter:
         ranked = Ranking(poses.hypotheses[:1], refined=poses[:1])
         pose = replace(ranked.candidates(self.frame)[0], rank=None)
         refusal = at_bound(pose, rays)
+        if moved_m[0] > _FAR_SD * self._within_m:
+            refusal = (
+                f"the skyline fits best {moved_m[0]:.0f} m from the place, which is known to "
+                f"{self._within_m:g} m; check the place"
+            )
         if sure < self._config.min_confidence:
             refusal = self._doubt(poses, pose, sure)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")

@@ -1,0 +1,36 @@
+"""``skyline orient``: photos and traces at a place, as a table, JSON and lines."""
+
+import csv
+import json
+
+from commands import assert_refused, lonlat_of
+
+PLACE_M = 601_800.0, 5_178_000.0
+"""Where the photo and the trace were taken; see `off_m` of tests/commands.py."""
+
+
+def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
+    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    table = tmp_path / "held.csv"
+    asked = ("orient", photo, photo, "--at", at, "--dem", dem, "--fov-deg", "60")
+    done = run(*asked, "--csv", table)
+    assert done.code == 0, done.err
+    assert "not trusted" not in done.out
+    assert "heading" in done.out
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["trusted"] for row in rows] == ["1", "1"]
+    assert rows[0]["heading_deg"] == rows[1]["heading_deg"]
+    assert 0.0 < float(rows[0]["heading_sd_deg"]) < 1.0
+    record = json.loads(run(*asked, "--json").out.splitlines()[0])
+    assert abs(record["heading_deg"] - float(rows[0]["heading_deg"])) < 1e-6
+
+
+def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):
+    orient = "orient", photo, "--dem", dem
+    assert_refused(run(*orient), "notes no GPS position; give the place: --at LON,LAT")
+    assert_refused(run(*orient, "--at", "9"), "expected LON,LAT or LON,LAT,ELEV")
+    assert_refused(run(*orient, "--at", "0,0"), "off the map")
+    assert_refused(run(*orient, "--at", "9.2,46.7", "--within", "900"), "skyline match")
+    assert_refused(
+        run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46"), "does not exist"
+    )
