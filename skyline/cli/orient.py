@@ -67,7 +67,9 @@ def orient(
     reproject: Reproject = False,
 ) -> None:
     """Find how cameras were held at a known place: heading, pitch, roll and field of view."""
-    place = None if at is None else _place(at, within or DEFAULT_WITHIN_M)
+    place = None
+    if at is not None:
+        place = _place(at, DEFAULT_WITHIN_M if within is None else within)
     queries = list(listed(photo, Query("", fov_deg, None, projection)))
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
     for one in queries:
@@ -83,15 +85,20 @@ def orient(
                 there = place
                 if there is None:
                     lon, lat, noted_m = noted_place(skyline, one.path)
-                    there = lon, lat, None, within or noted_m
+                    there = lon, lat, None, noted_m if within is None else within
                 result = orienter_at(there).orient(skyline, name=one.path)
             except SkylineError as error:
                 print_error(str(error))
                 exit_code = error.exit_code
                 continue
             found.append(result)
-            for line in [json.dumps(result.to_row())] if as_json else result.to_text().splitlines():
-                print_line(line)
+            text = json.dumps(result.to_row()) if as_json else result.to_text()
+            try:
+                for line in text.splitlines():
+                    print_line(line)
+            except BrokenPipeError:
+                if csv_file is None:
+                    raise
     if csv_file is not None and found:
         write_whole(csv_file, _csv(found))
     if exit_code:

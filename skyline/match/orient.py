@@ -363,9 +363,8 @@ def orient(
     if lon is None or lat is None:
         lon, lat, noted_m = noted_place(skyline, name_of(query))
         within_m = noted_m if within_m is None else within_m
-    with Orienter(
-        dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m or DEFAULT_WITHIN_M
-    ) as orienter:
+    within_m = DEFAULT_WITHIN_M if within_m is None else within_m
+    with Orienter(dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m) as orienter:
         return orienter.orient(skyline, name=name_of(query))
 
 

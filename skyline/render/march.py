@@ -182,7 +182,7 @@ class ColumnRenderer:
             if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
                 while self._resident:
                     self._resident.pop(next(iter(self._resident))).release()
-            self._resident[window] = WindowTextures(self._ctx, self.field, window)
+            self._resident[window] = WindowTextures.shared(self._ctx, self.field, window)
         return self._resident[window]
 
     def _march(

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakValueDictionary
 
 import moderngl
 import numpy as np
@@ -82,6 +83,10 @@ class Trees:
     rows a bin, blocks before column 0."""
 
 
+_shared: WeakValueDictionary[tuple[int, int, Window], "WindowTextures"] = WeakValueDictionary()
+"""Textures that renderers of one context and one field share, by their identities."""
+
+
 class WindowTextures:
     """The textures of one window that `horizon.comp` reads.
 
@@ -107,8 +112,22 @@ class WindowTextures:
         Whether there are edges without triangles.
     """
 
+    @classmethod
+    def shared(cls, ctx: moderngl.Context, field: HeightField, window: Window) -> "WindowTextures":
+        """Return the textures of a window, made unless another renderer of the context holds them.
+
+        Every holder releases them; the last release frees them.
+        """
+        key = id(ctx), id(field), window
+        textures = _shared.get(key)
+        if textures is None:
+            textures = _shared[key] = cls(ctx, field, window)
+        textures._holders.append(key)
+        return textures
+
     def __init__(self, ctx: moderngl.Context, field: HeightField, window: Window) -> None:
-        self._ctx, self.window = ctx, window
+        self._ctx, self._field, self.window = ctx, field, window
+        self._holders: list[tuple[int, int, Window]] = []
         ratio = field.spacing_north_m / field.spacing_east_m
         self.slope_max = (ratio, 1.0 / ratio)
         self._levels = level_count(max(window.rows, window.cols) - 1)
@@ -133,7 +152,12 @@ class WindowTextures:
         self.slabs = self._trees_of_heights(inner)
 
     def release(self) -> None:
-        """Free the textures."""
+        """Free the textures, unless another renderer holds them."""
+        if self._holders:
+            key = self._holders.pop()
+            if self._holders:
+                return
+            _shared.pop(key, None)
         trees = [self.slabs, self.rims] if self.rims else [self.slabs]
         for texture in (self.heights, *self.columns, *(tree.texture for tree in trees)):
             texture.release()

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scenes import at_m, field_of
+from scenes import at_m, field_of, fractal, scattered
 
 from skyline.geodesy import Curvature
 from skyline.render import windows
-from skyline.render.horizon import PanoramaRenderer
+from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -123,3 +123,19 @@ def test_the_largest_window_sees_its_holes():
     with PanoramaRenderer(field, BINS) as renderer:
         horizons = renderer.render(stand_on(field, **at_m(field.to_map(cells / 2, cells / 2))))
     assert (horizons.flags & FLAG_HOLE == FLAG_HOLE).all()
+
+
+def test_renderers_of_one_field_share_its_textures_until_the_last_is_released():
+    field = field_of(fractal(60, 60, relief_m=300.0, seed=4))
+    eyes = scattered(field, 3, seed=5)
+    first, second = PanoramaRenderer(field, 96), HorizonRenderer(field, 64)
+    alone = first.render(eyes)
+    second.render(eyes[:1])
+    held, shared = (next(iter(one._resident.values())) for one in (first, second))
+    assert held is shared
+    second.release()
+    np.testing.assert_array_equal(first.render(eyes).elevation_tan, alone.elevation_tan)
+    first.release()
+    with PanoramaRenderer(field, 96) as third:
+        np.testing.assert_array_equal(third.render(eyes).elevation_tan, alone.elevation_tan)
+        assert next(iter(third._resident.values())) is not held
