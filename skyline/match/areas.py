@@ -80,7 +80,7 @@ class ReadyArea:
 
 @dataclass(frozen=True, slots=True)
 class CachedArea:
-    """What the cache holds of one area."""
+    """One area of the cache: its tiles and its store."""
 
     folder: Path
     origin: str
