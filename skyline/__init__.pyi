@@ -28,12 +28,12 @@ from .photo.trace import read_trace, write_trace
 from .render.context import RenderThread
 from .render.horizon import RenderConfig, render_views
 from .report.exports import export_matches
+from .report.gazetteer import Peaks, read_peaks
 from .report.labelled_panorama import save_panorama
 from .report.landscape import PanoramaConfig
 from .report.located import write_located
 from .report.match_report import report_matches
 from .report.overlay import draw_labels
-from .report.peaks import Peaks, read_peaks
 from .report.pixel_places import PixelPlaces
 from .report.relief_tiles import ReliefTiles
 from .report.viewer import SeenPeak, Sight, Viewer

@@ -19,12 +19,12 @@ from skyline.cli.console import (
     parse_bounds,
     print_line,
     progress_bar,
+    read_terrain,
 )
 from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.store import open_store
 from skyline.store.places import Places
-from skyline.terrain.dem import DemOptions, read_dem
 
 Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
 Bounds = Annotated[
@@ -69,8 +69,8 @@ def build(
         DEFAULT_LOSS if loss is None else loss,
         Curvature(refraction_k=k, enabled=not no_curvature),
     )
+    terrain = read_terrain(dem, crs, reproject)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         result = build_store(terrain, output, plan, runner, bar)
     print_built(result, output, "places")
     if drawn is not None:

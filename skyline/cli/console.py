@@ -25,6 +25,7 @@ from skyline.errors import InputError, SkylineError, printable, start_logging, s
 
 if TYPE_CHECKING:
     from skyline.arrays import Progress
+    from skyline.terrain.heightfield import HeightField
 
 # Typer's versions bring click under different names; this name is public in all of them.
 _UsageError: Any = typer.BadParameter.__base__
@@ -174,6 +175,14 @@ def note_if_slow(doing: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def read_terrain(dem: list[str], crs: str | None, reproject: bool) -> "HeightField":
+    """Read a command's elevation model; a line names the step if it takes more than 5 seconds."""
+    from skyline.terrain.dem import DemOptions, read_dem  # noqa: PLC0415  (slow to load)
+
+    with note_if_slow("reading the elevation model"):
+        return read_dem(dem, DemOptions(crs=crs, reproject=reproject))
 
 
 def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:

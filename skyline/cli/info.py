@@ -20,6 +20,7 @@ from skyline.cli.console import (
     Width,
     parse_numbers,
     print_line,
+    read_terrain,
 )
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, Frame
@@ -28,7 +29,6 @@ from skyline.render.horizon import RenderConfig, render_views
 from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.conventions import model_of
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
@@ -59,7 +59,7 @@ def info(
         if len(path) == 1 and is_store(path[0]):
             facts |= describe_store(path[0])
         else:
-            facts |= _describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
+            facts |= _describe_terrain(read_terrain(path, crs, reproject))
     _print_facts(facts, as_json)
 
 
@@ -81,7 +81,7 @@ def explain(
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     east_m: ArrayLike = first
     north_m: ArrayLike = second
     if max(abs(first), abs(second)) <= 360.0:

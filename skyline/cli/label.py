@@ -17,6 +17,7 @@ from skyline.cli.console import (
     print_line,
     print_note,
     progress_bar,
+    read_terrain,
 )
 from skyline.cli.photo import PhotoProjection, check_outputs
 from skyline.errors import InputError, MissingFileError, named, printable
@@ -24,10 +25,9 @@ from skyline.files import write_whole
 from skyline.match.candidate import Candidate
 from skyline.photo.projection import Projection
 from skyline.photo.read import read_photo
-from skyline.report.peaks import read_peaks
+from skyline.report.gazetteer import read_peaks
 from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
 from skyline.report.viewer import SeenPeak, Viewer
-from skyline.terrain.dem import DemOptions, read_dem
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
@@ -80,8 +80,7 @@ def label(
     picture = read_photo(photo, projection=projection)
     query = picture.blank
     record = _read_pose(pose, photo, query.projection)
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     gazetteer = read_peaks(peaks, terrain.frame)
     with note_if_slow("looking for summits"), Viewer(terrain, gazetteer) as viewer:
         camera = _camera(record, viewer)
@@ -120,8 +119,7 @@ def pixels(
     check_outputs([output], [photo, pose])
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     with progress_bar("following rays") as progress:
         viewer = Viewer(terrain)
         camera = _camera(record, viewer)

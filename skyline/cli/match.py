@@ -37,7 +37,7 @@ from skyline.match.queries import Query, listed, match_here, match_many
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.peaks import read_peaks
+from skyline.report.gazetteer import read_peaks
 from skyline.terrain.rasters import absolute_name
 
 _UNREFINED = "unrefined"
@@ -221,15 +221,17 @@ class _Output:
             self._file.add(result.to_row())
         self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
 
-    def error(self, query: str, error: SkylineError, is_tried: bool) -> None:
+    def error(self, query: Query, error: SkylineError, is_tried: bool) -> None:
         """Print and write that a query failed; one that was not tried is tried again next time."""
         self.exit_code = error.exit_code
-        name = printable(query)
+        names = {"query": printable(query.path)}
+        if query.label:
+            names["id"] = printable(query.label)
         if is_tried:
             print_error(str(error))
             if self._file is not None:
-                self._file.add({"query": name, "answered": 0, "reason": str(error)})
-        self._print({"query": name, "error": str(error)}, "")
+                self._file.add(names | {"answered": 0, "reason": str(error)})
+        self._print(names | {"error": str(error)}, "")
 
     def _print(self, record: dict[str, Any], text: str) -> None:
         try:
@@ -270,7 +272,7 @@ def _match_each(
         with nullcontext() if found else note_if_slow(f"matching {one.path}"):
             result = refused.get(one) or next(results)
         if isinstance(result, SkylineError):
-            output.error(one.path, result, is_tried=one not in refused)
+            output.error(one, result, is_tried=one not in refused)
         else:
             found.append(result)
             output.result(result)
@@ -285,7 +287,7 @@ def _match_together(
         narrowings = [query.narrowing for query, _ in photos]
         joint = matching.match_together([one for _, one in photos], narrowings=narrowings)
     results = [
-        replace(result, name=query.path)
+        replace(result, name=query.path, id=query.label)
         for (query, _), result in zip(photos, joint.results, strict=True)
     ]
     output.result(replace(joint, results=tuple(results)))

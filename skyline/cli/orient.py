@@ -16,17 +16,16 @@ from skyline.cli.console import (
     Crs,
     Reproject,
     are_degrees,
-    note_if_slow,
     parse_numbers,
     print_error,
     print_line,
+    read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError
 from skyline.files import write_whole
 from skyline.match.orient import DEFAULT_WITHIN_M, Orientation, Orienter, noted_place
 from skyline.match.queries import Query, listed
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
 Place = tuple[float, float, float | None, float]
@@ -74,8 +73,7 @@ def orient(
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
     for one in queries:
         one.check()
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     found: list[Orientation] = []
     exit_code = 0
     with _orienters(terrain) as orienter_at:

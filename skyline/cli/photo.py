@@ -75,7 +75,7 @@ def serve(
     except ImportError as error:
         raise InputError(
             f"the page needs packages that are not installed ({error.name}); "
-            "pip install 'skyline[web]'"
+            "pip install starlette uvicorn websockets XStatic-Leaflet"
         ) from error
     given = Given(store, tuple(dem or ()), tuple(path.absolute() for path in photos or ()), peaks)
     serve_page(given, host, port)

@@ -60,6 +60,8 @@ class MatchResult:
         sure. None without an answer, and for matchers without a confidence.
     name : str
         The query's file, as it was given to the matcher; empty for a `QuerySkyline`.
+    id : str
+        The ``id`` or ``name`` that a list of queries gives it; else empty.
     """
 
     query: QuerySkyline
@@ -68,6 +70,7 @@ class MatchResult:
     refusal: str | None = None
     within_m: float | None = None
     name: str = ""
+    id: str = ""
 
     @property
     def best(self) -> Candidate | None:
@@ -191,6 +194,7 @@ class MatchResult:
         lens, exif = self.query.lens, self.exif
         return {
             "query": printable(self.name),
+            **({"id": printable(self.id)} if self.id else {}),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
             "candidates": candidates,
@@ -206,6 +210,7 @@ class MatchResult:
         row = {} if best is None else best.to_dict()
         return row | {
             "query": printable(self.name),
+            "id": printable(self.id) or None,
             "answered": int(self.answer is not None),
             "within_m": self.within_m,
             "exif_distance_m": None if exif is None else exif["distance_m"],
@@ -314,7 +319,8 @@ class JointResult:
             if one.best is not None:
                 about = {name: getattr(one.best, name) for name in _OF_CAMERA}
             agrees = one.best is not None
-            photos.append({"query": printable(one.name), "agrees": agrees, **about})
+            names = {"query": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
+            photos.append({**names, "agrees": agrees, **about})
         return {
             "answer": places[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
@@ -366,7 +372,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     InputError
         GeoPandas is not installed.
     """
-    geopandas = library("geopandas", "geo", "a GeoDataFrame")
+    geopandas = library("geopandas", "a GeoDataFrame")
     names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
     columns: dict[str, list[Any]] = {
         name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)

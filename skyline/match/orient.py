@@ -13,7 +13,6 @@ confidence of a match was (`skyline.match.confidence`).
 import math
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -33,11 +32,11 @@ from skyline.match.refine import Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import VIEW_WIDTH, RenderedScene
 from skyline.photo.query import QuerySkyline
+from skyline.photo.read import Picture
 from skyline.render.context import RenderThread
 from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_where_possible
 
 RIGHT_DEG = 1.0
@@ -190,9 +189,8 @@ class Orienter:
                 f"the place is known to {within_m:g} m; expected above 0, at most "
                 f"{_MOST_WITHIN_M:g}: search a wider area with skyline match"
             )
-        if not isinstance(dem, HeightField):
-            dem = read_dem([dem] if isinstance(dem, str | Path) else dem)
-        self.terrain, self.frame, self.curvature = dem, dem.frame, Curvature()
+        self.terrain, self.curvature = read_dem(dem), Curvature()
+        self.frame = self.terrain.frame
         self._config, self._within_m = config or MatchConfig(), within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
@@ -215,7 +213,7 @@ class Orienter:
 
     @one_blas_thread()
     def orient(
-        self, query: str | Path | QuerySkyline, fov_deg: float | None = None, name: str = ""
+        self, query: Picture | QuerySkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
         """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
 
@@ -223,7 +221,7 @@ class Orienter:
 
         Parameters
         ----------
-        query : path or QuerySkyline
+        query : path, PIL image, (H, W, 3) uint8 or QuerySkyline
         fov_deg : float, optional
             Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
             that is not known.
@@ -338,7 +336,7 @@ class _RefinementByHeading(Refinement):
 
 
 def orient(
-    query: str | Path | QuerySkyline,
+    query: Picture | QuerySkyline,
     dem: Dem,
     *,
     lon: float | None = None,

@@ -20,7 +20,7 @@ from skyline.files import has_locks, write_whole
 Row = Mapping[str, Any]
 
 _TYPES: Mapping[str, str] = {
-    "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
+    "query": "TEXT", "id": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
     "lon": "REAL", "lat": "REAL", "easting_m": "REAL", "northing_m": "REAL",
     "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
     "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",
