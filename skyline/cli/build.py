@@ -25,6 +25,7 @@ from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.store import open_store
 from skyline.store.places import Places
+from skyline.store.read import parts_folder
 
 Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
 Bounds = Annotated[
@@ -60,7 +61,7 @@ def build(
     reproject: Reproject = False,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
-    on_interrupt("what was built is kept, and the same command continues from there")
+    keeps_parts(output)
     if spacing is not None and loss is not None:
         raise InputError("give one of --spacing (a uniform grid) and --loss (planned places)")
     plan = PlacePlan(
@@ -79,6 +80,14 @@ def build(
         from skyline.report.maps import save_place_map  # noqa: PLC0415  (slow to load)
 
         save_place_map(terrain, places, drawn)
+
+
+def keeps_parts(store: Path) -> None:
+    """Have the error after Ctrl-C say that a build continues, if parts of its store are there."""
+    on_interrupt(
+        "what was built is kept, and the same command continues from there",
+        lambda: any(parts_folder(store.resolve()).glob("*.h5")),
+    )
 
 
 def print_built(result: BuildResult, path: Path, rows: str) -> None:

@@ -1,6 +1,7 @@
 """``skyline info`` and ``skyline explain``: facts of a DEM or a store, and of one skyline."""
 
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated
 
@@ -95,11 +96,30 @@ def _print_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
         print_line(json.dumps(facts))
         return
+    rows = list(_rows(facts))
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print_line(f"{name:<{width}}  {text}")
+
+
+def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the lines of a table of facts: name and text, numbers as options take them."""
     for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{prefix}{name}.")
+            continue
         values = value if isinstance(value, list) else [value]
-        for line, item in enumerate(values):
-            shown = f"{item:.9g}" if isinstance(item, float) else item
-            print_line(f"{name if line == 0 else '':<24} {shown}")
+        shown = ["-" if one is None else _shown(one) for one in values]
+        if not any(isinstance(one, str) for one in values):
+            shown = [",".join(shown)]
+        for line, text in enumerate(shown):
+            yield "" if line else f"{prefix}{name}", text
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _describe_terrain(field: HeightField) -> Facts:

@@ -188,7 +188,7 @@ def match(
         from skyline.report.match_report import report_matches  # noqa: PLC0415  (slow to load)
 
         page = report_matches(report, matching, found, gazetteer, done=done)
-        print_note(f"report: {page}")
+        (print_note if as_json else output.line)(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 
@@ -196,7 +196,8 @@ def match(
 def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
     """Return the queries that a file of results lacks; print how many it has."""
     on_interrupt(
-        f"{file.path} has the answers so far, and the same command continues with the others"
+        f"{file.path} has the answers so far, and the same command continues with the others",
+        lambda: bool(file.queries),
     )
     left = [one for one in queries if printable(one.path) not in file.queries]
     if len(left) < len(queries):
@@ -233,13 +234,17 @@ class _Output:
                 self._file.add(names | {"answered": 0, "reason": str(error)})
         self._print(names | {"error": str(error)}, "")
 
-    def _print(self, record: dict[str, Any], text: str) -> None:
+    def line(self, text: str) -> None:
+        """Print a line."""
         try:
-            for line in [json.dumps(record)] if self._as_json else text.splitlines():
-                print_line(line)
+            print_line(text)
         except BrokenPipeError:
             if not self._goes_on:
                 raise typer.Exit(self.exit_code) from None
+
+    def _print(self, record: dict[str, Any], text: str) -> None:
+        for line in [json.dumps(record)] if self._as_json else text.splitlines():
+            self.line(line)
 
 
 def _attempted(

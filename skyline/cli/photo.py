@@ -11,7 +11,7 @@ from skyline.cli.console import (
     StoreDem,
     StoreFile,
     panel,
-    print_line,
+    print_written,
 )
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.projection import Projection
@@ -46,7 +46,7 @@ def extract(
     if overlay is not None:
         write_overlay(image, skyline, overlay)
     trusted = np.count_nonzero(skyline.trusted)
-    print_line(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
+    print_written(output, f"skyline found in {trusted} of {skyline.width_px} columns")
 
 
 def serve(

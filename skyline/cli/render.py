@@ -9,7 +9,7 @@ from typer import Option
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import RenderingPlan
-from skyline.cli.build import Bounds, Output, print_built
+from skyline.cli.build import Bounds, Output, keeps_parts, print_built
 from skyline.cli.console import (
     Crs,
     Dems,
@@ -19,7 +19,6 @@ from skyline.cli.console import (
     Tolerance,
     Width,
     Workers,
-    on_interrupt,
     panel,
     parse_bounds,
     print_line,
@@ -138,7 +137,7 @@ def render(
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]
         _build_planned(read_terrain(dem, crs, reproject), output, planned, corners, config, drawn)
         return
-    on_interrupt("what was built is kept, and the same command continues from there")
+    keeps_parts(output)
     _refuse_given(of_planners, "give --planner too")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")

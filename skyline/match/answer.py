@@ -228,7 +228,9 @@ class MatchResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.candidates, start=1):
-            quality = f"score {one.score:.3f}" if one.confidence is None else _confidences(one)
+            quality = _confidences(one)
+            if one.confidence is None:
+                quality = f"score {one.score:.3f} (the lower, the better it fits)"
             unrefined = "" if one.refined else "  (unrefined)"
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
         if 0 < len(self.candidates) < TOP:
@@ -339,8 +341,7 @@ class JointResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.places, start=1):
-            radius = f"within {one.radius_m:.0f} m (68 %)"
-            lines.append(f"{number}. {_place(one)}  {radius}  {_confidences(one)}")
+            lines.append(f"{number}. {_place(one)}  {_confidences(one)}")
         for result in self.results:
             refused = f"does not agree: {result.refusal}"
             view = refused if result.best is None else _view(result.best)
@@ -393,10 +394,8 @@ def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
 
 
 def _place(one: Candidate) -> str:
-    return (
-        f"lat {one.lat:.5f} lon {one.lon:.5f}  easting {one.easting_m:.0f} northing "
-        f"{one.northing_m:.0f}"
-    )
+    within = "" if one.radius_m is None else f"  within {one.radius_m:.0f} m (68 %)"
+    return f"lat {one.lat:.5f} lon {one.lon:.5f}{within}"
 
 
 def _view(one: Candidate) -> str:

@@ -71,7 +71,7 @@ class ResultsFile:
     ----------
     path : Path
     queries : set of str
-        The names of the queries that were in the file when it was opened.
+        The names of the queries that are in the file.
 
     Raises
     ------
@@ -101,6 +101,7 @@ class ResultsFile:
         with self._input_errors():
             values = {name: row.get(name) for name in _TYPES}
             self._table.append(values | {"search": self._search})
+        self.queries.add(str(row["query"]))
 
     @contextmanager
     def _input_errors(self) -> Iterator[None]:

@@ -35,7 +35,7 @@ _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
 _log = logging.getLogger(__name__)
 _EXPECTED = (
-    "expected a gazetteer: a header `name,lon,lat` or `name,easting,northing`, maybe `height_m`; or "
+    "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
     "GeoJSON (.geojson, .json) of points with the property `name`"
 )
 

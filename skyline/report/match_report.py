@@ -212,4 +212,4 @@ def _candidate_table(candidates: Sequence[Candidate]) -> str:
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
         rows.append([candidate.rank, *candidate.cells(), candidate.refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
-    return table(columns, rows, "Candidates; headings from true north, a lower score is better")
+    return table(columns, rows, "Candidates, best first; headings from true north")
