@@ -1,7 +1,6 @@
 """The answer to a query: its sentences, its JSON, its rows and points, and when it is refused."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
@@ -9,9 +8,10 @@ from typing import Any
 import numpy as np
 from pyproj import Geod
 
-from skyline.errors import library, printable
+from skyline.errors import printable
 from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
+from skyline.match.dataframes import as_table, to_dataframe, to_geodataframe
 from skyline.match.matchers import MatchConfig
 from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.photo.exif import NOTHING_NOTED
@@ -21,7 +21,6 @@ TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 """Keys of a candidate that differ between photos of one place."""
-_COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
 """From this share of a skyline on, terrain beyond the elevation model is warned of."""
@@ -244,6 +243,10 @@ class MatchResult:
             lines.append(f"field of view: {fov}{slack}; {lens.reason}")
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
+    def to_dataframe(self) -> Any:
+        """Return the candidates as a pandas DataFrame, one row each, best first."""
+        return as_table(one.to_dict() for one in self.candidates)
+
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
@@ -348,6 +351,10 @@ class JointResult:
             lines.append(f"{printable(result.name)}: {view}")
         return "\n  ".join(lines)
 
+    def to_dataframe(self) -> Any:
+        """Return the cameras as a pandas DataFrame, one row a photo; see `skyline.to_dataframe`."""
+        return to_dataframe(self.results)
+
     def to_geodataframe(self) -> Any:
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe(self.results)
@@ -356,37 +363,6 @@ class JointResult:
         first = self.first
         summary = f"Not answered: {self.refusal}." if first is None else first.summary
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
-
-
-def to_geodataframe(results: Iterable[MatchResult]) -> Any:
-    """Return the candidates of results as points, one row each.
-
-    Returns
-    -------
-    geopandas.GeoDataFrame
-        Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
-        best), ``is_answer`` (whether it is the answer) and the fields of `Candidate`; of the
-        covariance three columns, which files can hold. Unknown values are missing.
-
-    Raises
-    ------
-    InputError
-        GeoPandas is not installed.
-    """
-    geopandas = library("geopandas", "a GeoDataFrame")
-    names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
-    columns: dict[str, list[Any]] = {
-        name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
-    }
-    for number, result in enumerate(results):
-        for one in result.candidates:
-            (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
-            row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
-            row |= {"query": number, "is_answer": one is result.answer}
-            for name, values in columns.items():
-                values.append(math.nan if row[name] is None else row[name])
-    places = geopandas.points_from_xy(columns["lon"], columns["lat"])
-    return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
 
 
 def _confidence_within(one: Candidate, within_m: float | None) -> float | None:

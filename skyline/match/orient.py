@@ -23,6 +23,7 @@ from skyline.geodesy import Curvature
 from skyline.match import confidence
 from skyline.match.answer import at_bound, too_little
 from skyline.match.candidate import Candidate, Ranking, RefinedPoses
+from skyline.match.dataframes import to_dataframe
 from skyline.match.full import one_blas_thread
 from skyline.match.matcher import name_of, rays_of, skyline_of
 from skyline.match.matchers import MatchConfig
@@ -107,8 +108,16 @@ class Orientation:
         """The pose, if it can be trusted."""
         return None if self.refusal else self.pose
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the orientation as ``skyline orient --json`` prints it."""
+        return self.to_row()
+
+    def to_dataframe(self) -> Any:
+        """Return the orientation as a pandas DataFrame of one row."""
+        return to_dataframe([self])
+
     def to_row(self) -> dict[str, Any]:
-        """Return the orientation as a row of numbers and text, as ``--results`` writes it."""
+        """Return the orientation as a row of numbers and text, as ``--csv`` writes it."""
         pose = self.pose
         names = (
             "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "lon", "lat",
