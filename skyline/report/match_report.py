@@ -132,7 +132,7 @@ def _section(
     overlay, unnamed = draw_overlay(query, photo, best, sight, peaks)
     caption = _overlay_caption(query, best, sight, unnamed)
     parts = [
-        text(result.summary, _kind(result), None if best is None else _map_link(best)),
+        text(result.summary, _kind(result), () if best is None else _map_links(best)),
         figures(
             [
                 picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
@@ -185,10 +185,10 @@ def _kind(result: MatchResult) -> str:
     return "answer" if result.answer is not None else "refusal"
 
 
-def _map_link(candidate: Candidate) -> tuple[str, str]:
-    place = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
-    address = "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
-    return address, "On a map."
+def _map_links(candidate: Candidate) -> list[tuple[str, str]]:
+    lat, lon = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
+    address = f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=14/{lat}/{lon}"
+    return [(address, "On OpenStreetMap."), (f"geo:{lat},{lon}", "In a map program.")]
 
 
 def _overlay_caption(
