@@ -93,7 +93,7 @@ def label(
         camera_in = partial(_camera, _read_pose(pose, photo, query.projection))
     terrain = read_terrain(dem, crs, reproject)
     gazetteer = read_peaks(peaks, terrain.frame)
-    with note_if_slow("looking for summits"), Viewer(terrain, gazetteer) as viewer:
+    with Viewer(terrain, gazetteer) as viewer, note_if_slow("looking for summits"):
         camera = camera_in(viewer)
         seen = viewer.summits(camera, query)
         sight = viewer.look(camera, query) if ridges and kind != "json" else None
