@@ -80,15 +80,15 @@ def build_places(
     progress : callable, optional
         Called with the number of parts that are done, and the number of all parts.
     places : int, optional
-        Number of places to plan, about. Without a spacing and a number there are 100,000, or as many
-        as lose a fifth of the views, 60 degrees wide, if these are more.
+        Number of places to plan, about. Without a spacing and a number there are 100,000, or as
+        many as lose a fifth of the views, 60 degrees wide, if these are more.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 
     Raises
     ------
     InputError
-        The spacing suits no grid on the terrain, or the area is so small that no place falls in it.
+        The spacing suits no grid on the terrain, or no place falls in so small an area.
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
@@ -183,8 +183,8 @@ def build_store(
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"
         raise InputError(
-            f"no place falls on the surface in the area ({area}); choose a larger area, more places, "
-            "or the spacing of a uniform grid"
+            f"no place falls on the surface in the area ({area}); choose a larger area, more "
+            "places, or the spacing of a uniform grid"
         )
     return BuildResult(rows, rendered, time.perf_counter() - started)
 

@@ -27,8 +27,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 _DEFAULT_PLACES, _DEFAULT_LOSS = 100_000, 0.2
-"""A plan has about so many places, a minute of rendering on two cores without a GPU, or more in an area so
-large that it would lose more than this share of the views."""
+"""A plan has about so many places, which a machine of two cores without a GPU renders in a minute.
+In an area so large that they would lose more than this share of the views it has more."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
@@ -67,8 +67,8 @@ class PlacePlan:
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     places : int, optional
-        Number of planned places, about. By default 100,000, or as many as lose a fifth of the views,
-        60 degrees wide, if these are more.
+        Number of planned places, about. By default 100,000, or as many as lose a fifth of the
+        views, 60 degrees wide, if these are more.
     curvature : Curvature
     """
 
