@@ -88,6 +88,8 @@ _HEADING_STEP_DEG = 6.0
 """Step of the headings that are tried for a query of unknown heading."""
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all queries of one eye share."""
+_LEAST_NEARNESS = 1e-6
+"""Least mean inverse distance of a skyline, 1 / m."""
 _LEAST_SHARE = 1e-6
 """Least weight of a query, so that the mean of the steps exists where no query fits."""
 
@@ -314,12 +316,14 @@ class Refinement:
         trust = solver.query.weight
         squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
+        nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         hypotheses = self.hypotheses(particles, solver)
         return RefinedPoses(
             hypotheses,
             spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
+            1.0 / np.maximum(nearness, _LEAST_NEARNESS),
             found.effective_columns,
             solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),

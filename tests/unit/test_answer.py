@@ -48,6 +48,19 @@ def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
     assert refusal_of([], MatchConfig(), query(), rays) == "no place fits"
 
 
+def test_a_slope_that_several_places_have_is_named(rays):
+    def refusal_at(*distances_m):
+        found = [
+            replace(candidate_at(0.0, 0.0, confidence=0.1, confidence_1km=0.1), skyline_m=distance)
+            for distance in distances_m
+        ]
+        return refusal_of(found, MatchConfig(), query(None), rays)
+
+    assert "a slope 40 to 90 m away, and 3 places have" in refusal_at(40.0, 90.0, 60.0, 800.0)
+    for others in ([], [700.0, 90.0, 5000.0], [None, None]):
+        assert refusal_at(40.0, *others).endswith("is needed")
+
+
 @pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
 def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
     assert rays.fov_bounds_deg == (54.0, 66.0)

@@ -242,7 +242,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
     command.__name__ = name
     command.__doc__ = (
         f"{search.about}\n\n    Stores that are named (--spacing, --places, --threshold-px, "
-        "--store) are searched instead\n    of the usual ones. A query without any candidate counts "
-        "as wrong by half of the area's diagonal."
+        "--store) are searched instead\n    of the usual ones. A query without any candidate "
+        "counts as wrong by half of the area's diagonal."
     )
     return command
