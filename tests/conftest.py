@@ -69,7 +69,7 @@ def no_gl_error():
 @pytest.fixture(autouse=True)
 def small_plans(monkeypatch):
     """Plan by default as few places as lose a fifth of the views, not a minute of them."""
-    monkeypatch.setattr(plans, "_DEFAULT_PLACES", 1)
+    monkeypatch.setattr(plans, "DEFAULT_PLACES", 1)
 
 
 @pytest.fixture

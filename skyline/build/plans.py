@@ -26,7 +26,7 @@ from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
-_DEFAULT_PLACES, _DEFAULT_LOSS = 100_000, 0.2
+DEFAULT_PLACES, DEFAULT_LOSS = 100_000, 0.2
 """A plan has about so many places, which a machine of two cores without a GPU renders in a minute.
 In an area so large that they would lose more than this share of the views it has more."""
 
@@ -129,7 +129,7 @@ class PlacePlan:
     def _price(self, prices: Prices) -> float:
         if self.places is not None:
             return prices.of_number(self.places)
-        return min(prices.of_number(_DEFAULT_PLACES), prices.of_loss(_DEFAULT_LOSS))
+        return min(prices.of_number(DEFAULT_PLACES), prices.of_loss(DEFAULT_LOSS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

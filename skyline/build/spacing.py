@@ -342,7 +342,8 @@ def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Arr
     The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
     the skylines all the way round; NaN where there is no data.
     """
-    return _lost(_nearness(distance_m)[:, np.newaxis], spacing_m[:, np.newaxis]).mean(axis=2)
+    lost = _lost(_nearness(distance_m)[:, np.newaxis], spacing_m[:, np.newaxis])
+    return np.asarray(lost.mean(axis=2))
 
 
 def _nearness(distance_m: Float32Array) -> Float64Array:

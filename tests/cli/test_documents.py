@@ -152,7 +152,7 @@ def refined_quickly():
     """Refine no query thoroughly: here pages are to run, other tests hold the results."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(full, "WHOLE", full.QUICK)
-        patch.setattr(plans, "_DEFAULT_PLACES", 1)
+        patch.setattr(plans, "DEFAULT_PLACES", 1)
         yield
 
 
