@@ -66,8 +66,9 @@ _SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
 _RIVALS = 3
 """Best poses of other answers, and best distant poses, that are kept to the end beside the best
 pose: their fits show how sure an answer is."""
-_RESTART_ROUNDS, _RESTART_M = 3, 30.0
-"""Renderings of each place on the rings from which the search restarts, and the rings' radius."""
+_RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
+"""Renderings of each place on the rings from which the search restarts, and the rings' radii: a
+near slope is found from 10 to 20 m away, and a far one from farther."""
 _FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
 """Deviations that damp steps."""
 _LONGER, _SHORTER = 1.5, 0.4
@@ -235,10 +236,17 @@ class Refinement:
         return replace(old.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
 
     def around(self, particles: Particles) -> Particles:
-        """Return particles that start from a ring around each place."""
-        ring = _RESTART_M * np.exp(0.25j * np.pi * np.arange(8))
-        near = particles[np.repeat(np.arange(len(particles)), len(ring))]
-        place_m = near.curves.place_m + np.tile(ring, len(particles))
+        """Return particles that start from rings around each place."""
+        turns = np.exp(0.25j * np.pi * np.arange(8))
+        # The rings are half a step apart in azimuth.
+        rings = np.concatenate(
+            [
+                radius_m * turns * np.exp(0.125j * np.pi * number)
+                for number, radius_m in enumerate(_RESTARTS_M)
+            ]
+        )
+        near = particles[np.repeat(np.arange(len(particles)), len(rings))]
+        place_m = near.curves.place_m + np.tile(rings, len(particles))
         return self.arrived(self.rough, place_m, near.fit)
 
     def _restarted(self, particles: Particles) -> Particles:
