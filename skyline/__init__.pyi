@@ -20,7 +20,8 @@ from .match.orient import Orientation, Orienter, orient
 from .match.prior import Narrowing
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.exif import Lens, NotedPlace
+from .photo.exif import NotedPlace
+from .photo.lens import Lens
 from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query

@@ -234,10 +234,8 @@ class MatchResult:
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
-        if lens is not None and lens.reason:
-            fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
-            slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
-            lines.append(f"field of view: {fov}{slack}; {lens.reason}")
+        if lens is not None:
+            lines.append(lens.in_words)
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
     def to_geodataframe(self) -> Any:

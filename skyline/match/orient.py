@@ -145,7 +145,9 @@ class Orientation:
                 f"confidence {self.confidence:.2f} that the heading is right within "
                 f"{RIGHT_DEG:g} degree; the eye {self.moved_m:.0f} m from the place given"
             )
-        return "\n  ".join(lines)
+        if self.query.lens is not None:
+            lines.append(self.query.lens.in_words)
+        return "\n  ".join(filter(None, lines))
 
 
 class Orienter:

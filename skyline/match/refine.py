@@ -320,7 +320,9 @@ class Refinement:
         """Return particles after the last rounds as poses with their figures."""
         solver = self.fine
         linear, found = solver.evaluate(particles.curves, particles.fit)
-        covariance = solver.covariance(linear, found)
+        # Columns share errors that the likelihood takes for independent: variances are too small by
+        # the temperature.
+        covariance = TEMPERATURE * solver.covariance(linear, found)
         trust = solver.query.weight
         squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
@@ -341,12 +343,8 @@ class Refinement:
         )
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
-        """Return the standard errors (M, 4) of heading, pitch, roll and field of view.
-
-        Columns share errors that the likelihood takes for independent, so variances are too small
-        by the temperature.
-        """
-        sd = np.sqrt(TEMPERATURE * np.diagonal(covariance, axis1=1, axis2=2))
+        """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
+        sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
         query = self.fine.query
         fov_deg = np.abs(query.fov_at(scale + off) - query.fov_at(scale - off)) / 2.0
@@ -516,7 +514,7 @@ class JointRefinement:
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5
         mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
-        covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
         standing = replace(poses[0].hypotheses, score=cost)

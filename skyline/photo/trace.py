@@ -10,7 +10,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 

@@ -142,7 +142,8 @@ def _section(
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
     how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
-    notes = result.exif_in_words(with_place=False), result.beyond, how
+    lens = "" if query.lens is None else query.lens.in_words
+    notes = result.exif_in_words(with_place=False), lens, result.beyond, how
     return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
 
