@@ -253,9 +253,9 @@ def test_a_summary_counts_every_query():
 def test_groups_hold_every_query_once():
     distance_m = [500.0, 0.0, 100.0, 9000.0, 1000.0, 5000.0, 300.0]
     assert groups(distance_m, by_thirds=False) == {
-        "< 1 km": [0, 1, 2, 6], "1-5 km": [4], "> 5 km": [3, 5], "all": [*range(7)],
+        "< 150 m": [1, 2], "150-400 m": [6], "> 400 m": [0, 3, 4, 5], "all": [*range(7)],
     }  # fmt: skip
-    assert groups([100.0], by_thirds=False) == {"< 1 km": [0], "all": [0]}
+    assert groups([100.0], by_thirds=False) == {"< 150 m": [0], "all": [0]}
     assert groups(distance_m, by_thirds=True) == {
         "close": [1, 2, 6], "medium": [0, 4], "far": [3, 5], "all": [*range(7)],
     }  # fmt: skip
