@@ -28,6 +28,7 @@ from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
 from skyline.store.write import check_folder
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -57,7 +58,7 @@ class BuildResult:
 
 
 def build_places(
-    terrain: HeightField,
+    terrain: Dem,
     path: str | Path,
     spacing_m: float | None = None,
     bounds_deg: Bounds | None = None,
@@ -70,6 +71,8 @@ def build_places(
 
     Parameters
     ----------
+    terrain : path, paths or HeightField
+        The elevation model.
     path : str or Path
         The store. Nothing is done if it already exists with the same settings.
     spacing_m : float, optional
@@ -93,7 +96,7 @@ def build_places(
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
     plan = PlacePlan(spacing_m, bounds_deg, places, curvature or Curvature())
-    return build_store(terrain, path, plan, progress=progress)
+    return build_store(read_dem(terrain), path, plan, progress=progress)
 
 
 def build_uniform(

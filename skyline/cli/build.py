@@ -21,12 +21,13 @@ from skyline.cli.console import (
     parse_bounds,
     print_line,
     progress_bar,
+    read_terrain,
 )
 from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.store import open_store
 from skyline.store.places import Places
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.store.read import parts_folder
 
 Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
 Bounds = Annotated[
@@ -61,7 +62,7 @@ def build(
     reproject: Reproject = False,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
-    on_interrupt("what was built is kept, and the same command continues from there")
+    keeps_parts(output)
     if spacing is not None and places is not None:
         raise InputError("give one of --spacing (a uniform grid) and --places (planned places)")
     plan = PlacePlan(
@@ -70,8 +71,8 @@ def build(
         places,
         Curvature(refraction_k=k, enabled=not no_curvature),
     )
+    terrain = read_terrain(dem, crs, reproject)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         result = build_store(terrain, output, plan, runner, bar)
     print_built(result, output, "places")
     with open_store(output) as opened:
@@ -90,6 +91,14 @@ def print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
             f"  skylines over {least_m:.0f} m away: {100 * share:.0f} % of the photos, of which "
             f"{100 * found:.0f} % are expected to be found"
         )
+
+
+def keeps_parts(store: Path) -> None:
+    """Have the error after Ctrl-C say that a build continues, if parts of its store are there."""
+    on_interrupt(
+        "what was built is kept, and the same command continues from there",
+        lambda: any(parts_folder(store.resolve()).glob("*.h5")),
+    )
 
 
 def print_built(result: BuildResult, path: Path, rows: str) -> None:

@@ -197,6 +197,11 @@ def cached_areas() -> list[CachedArea]:
     return found
 
 
+def cached_files() -> set[Path]:
+    """Return the finished files of all areas in the cache: tiles, parts of stores, and stores."""
+    return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
+
+
 def clear_cache(say: Say = lambda _: None) -> int:
     """Remove all areas but those that another process is making; return their number."""
     cleared = 0

@@ -18,7 +18,7 @@ DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 COLUMNS = {
     "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
     "heading °": ("heading_deg", ".2f"), "pitch °": ("pitch_deg", ".2f"),
-    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"), "score": ("score", ".4f"),
+    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"),
     "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
 }  # fmt: skip
 """Columns of a table of candidates: the field of `Candidate`, and its format."""

@@ -16,10 +16,10 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.report.gazetteer import Peaks
 from skyline.report.peaks import (
     HIDDEN_DEG,
     UNDERFOOT_SAMPLES,
-    Peaks,
     Sighting,
     elevation_deg,
     highest_between_deg,

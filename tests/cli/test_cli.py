@@ -209,7 +209,10 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
 
 
 BAD_CSV = {
-    "not numbers": (f"easting,northing\n{WEST_M},north\n", "expected 2 numbers"),
+    "not numbers": (
+        f"easting,northing\n{WEST_M},north\n",
+        "line 2: northing is `north`",
+    ),
     "off the map": ("easting,northing\n0,0\n", "off the map"),
     "swapped degrees": (
         "lon,lat\n46.75,10.33\n",
