@@ -75,6 +75,10 @@ _EVEN_ODDS = 0.72
 _POWER = 1.55
 """Power of that ratio in the odds of a loss."""
 
+_TOO_NEAR_M, _TOO_NEAR_POWER = 25.0, 1.75
+"""Distance of the skylines of which half are lost however dense the places are, and the power of
+the odds: wrong slopes fit them as well. Plans leave this out, since no spacing changes it."""
+
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
     """Return the blocks that meet an area, row by row from the north-west.
@@ -325,14 +329,15 @@ def expected_finds(places: Places) -> list[tuple[float, float, float]]:
     spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
     nearness = _nearness(places.distance_m())
     weight = np.repeat(np.square(spacing_m)[:, np.newaxis] / len(spacing_m), _WINDOWS, axis=1)
-    lost = _lost(nearness, spacing_m[:, np.newaxis])
+    kept = 1.0 - _lost(nearness, spacing_m[:, np.newaxis])
+    kept /= 1.0 + (_TOO_NEAR_M * nearness) ** _TOO_NEAR_POWER
     found = []
     for least_m, most_m in pairwise((*CLASSES_M, np.inf)):
         mine = (nearness <= 1.0 / max(least_m, _NEAREST_M)) & (nearness > 1.0 / most_m)
         total = weight[mine].sum()
         if total:
-            kept = 1.0 - np.average(lost[mine], weights=weight[mine])
-            found.append((least_m, float(total / weight.sum()), float(kept)))
+            share = np.average(kept[mine], weights=weight[mine])
+            found.append((least_m, float(total / weight.sum()), float(share)))
     return found
 
 
