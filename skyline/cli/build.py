@@ -86,11 +86,12 @@ def build(
 
 def print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
     """Print how many photos 60 degrees wide are expected to be found, by distance."""
-    for least_m, share, found in classes:
-        print_line(
-            f"  skylines over {least_m:.0f} m away: {100 * share:.0f} % of the photos, of which "
-            f"{100 * found:.0f} % are expected to be found"
-        )
+    shares = [
+        f"{100.0 * found:.0f} % of those with skylines "
+        f"{f'over {least_m:.0f} m' if least_m else 'less'} away ({100.0 * share:.0f} % of all)"
+        for least_m, share, found in reversed(classes)
+    ]
+    print_line(f"photos expected to be found: {', '.join(shares)}")
 
 
 def keeps_parts(store: Path) -> None:
