@@ -3,8 +3,6 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -24,13 +22,15 @@ from skyline.cli.console import (
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError
 from skyline.files import write_whole
-from skyline.match.orient import DEFAULT_WITHIN_M, Orientation, Orienter, noted_place
+from skyline.match.orient import (
+    DEFAULT_WITHIN_M,
+    Orientation,
+    Place,
+    noted_place,
+    orienters,
+)
 from skyline.match.queries import Query, listed
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.heightfield import HeightField
-
-Place = tuple[float, float, float | None, float]
-"""Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
 
 
 def orient(
@@ -78,7 +78,7 @@ def orient(
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     found: list[Orientation] = []
     exit_code = 0
-    with _orienters(terrain) as orienter_at:
+    with orienters(terrain) as orienter_at:
         for one in queries:
             try:
                 skyline = one.read()
@@ -103,31 +103,6 @@ def orient(
         write_whole(csv_file, _csv(found))
     if exit_code:
         raise typer.Exit(exit_code)
-
-
-@contextmanager
-def _orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns the orienter of a place, the same while the place is.
-
-    A fixed camera's frames share one; orienters are released at the end of the block.
-    """
-    made: dict[Place, Orienter] = {}
-
-    def orienter_at(place: Place) -> Orienter:
-        if place not in made:
-            while made:
-                made.popitem()[1].release()
-            lon, lat, elevation_m, within_m = place
-            made[place] = Orienter(
-                terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
-            )
-        return made[place]
-
-    try:
-        yield orienter_at
-    finally:
-        for one in made.values():
-            one.release()
 
 
 def _place(text: str, within_m: float) -> Place:
