@@ -1,8 +1,8 @@
 """Names of summits and places of pixels in made photos, against the terrain that the photos show.
 
 A summit is a sample that is the highest for 500 m around. It is visible if no terrain stands before
-it, up to 150 m from it: nearer ground is the summit's own. The truth of both, what hides a summit
-and where a ray meets the ground, is found in steps of 5 m along lines of sight.
+it, up to 150 m from it: nearer ground is the summit's own. What hides a summit is found in steps of
+1 m along the line of sight, and where a pixel's ray meets the ground in steps of 5 m.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ NEAR_PX = 5.0
 HEIGHT_SD_M = 10.0
 """Error of the model that other photos see."""
 _APART_M, _SIGHT_M = 500.0, 25_000.0
-_STEP_M, _SLOPE_M = 5.0, 30.0
+_SUMMIT_STEP_M, _PIXEL_STEP_M, _SLOPE_M = 1.0, 5.0, 30.0
 _EACH_PX = 24
 """Of so many rows and columns one pixel is compared."""
 
@@ -173,7 +173,8 @@ def _in_picture(
     inside &= (row >= 0.0) & (row < size.height_px)
     drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:SUMMITS]
     farthest_m = float(away_m[drawn].max(initial=0.0))
-    above_m, step_m = _ground_above_m(terrain, truth, azimuth_rad[drawn], farthest_m)
+    step_m = np.arange(0.0, farthest_m, _SUMMIT_STEP_M)
+    above_m = _ground_above_m(terrain, truth, azimuth_rad[drawn], step_m)
     is_before = (step_m > 0.0) & (step_m < away_m[drawn, np.newaxis] - SUMMIT_RADIUS_M)
     over_m = np.where(is_before, above_m - tan[drawn, np.newaxis] * step_m, -np.inf)
     visible = over_m.max(axis=1, initial=-np.inf) <= 0.0
@@ -181,19 +182,15 @@ def _in_picture(
 
 
 def _ground_above_m(
-    terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, far_m: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return the ground above the level of the eye on K rays, (K, D), and the D distances.
-
-    It is -inf without data.
-    """
-    away_m = _STEP_M * np.arange(int(far_m / _STEP_M) + 1, dtype=np.float64)
+    terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, away_m: Float64Array
+) -> Float64Array:
+    """Return the ground above the level of the eye on K rays at D distances, -inf without data."""
     ground_m = terrain.height_at(
         easting_m=truth.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],
         northing_m=truth.northing_m + away_m * np.cos(azimuth_rad)[:, np.newaxis],
     )
     above_m = ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)
-    return np.asarray(np.nan_to_num(above_m, nan=-np.inf)), away_m
+    return np.asarray(np.nan_to_num(above_m, nan=-np.inf))
 
 
 def _rays(query: SyntheticQuery) -> tuple[Float64Array, Float64Array]:
@@ -208,9 +205,9 @@ def _met_m(
     """Return where rays (N,) first are below the ground, straight between steps; NaN for sky."""
     found_m = np.full(len(tan), np.nan)
     reach_m = terrain.reach_m(easting_m=truth.easting_m, northing_m=truth.northing_m)
+    away_m = np.arange(0.0, reach_m, _PIXEL_STEP_M)
     for index in range(len(tan)):
-        azimuth = azimuth_rad[index : index + 1]
-        above_m, away_m = _ground_above_m(terrain, truth, azimuth, reach_m)
+        above_m = _ground_above_m(terrain, truth, azimuth_rad[index : index + 1], away_m)
         over_m = above_m[0] - tan[index] * away_m
         after = int(np.argmax(over_m >= 0.0))
         if over_m[after] >= 0.0:

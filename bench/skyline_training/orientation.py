@@ -17,7 +17,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
-from skyline.match.orient import RIGHT_DEG, orienters
+from skyline.match.orient import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import perturbed, resampled
@@ -115,6 +115,7 @@ def learn_orientation(
             name,
             probabilities(model, some),
             np.array([example.error <= RIGHT_DEG for example in some]),
+            LEAST_CONFIDENCE,
         )
         for name, some in examples.items()
     ]

@@ -49,6 +49,10 @@ RIGHT_DEG = 1.0
 """Largest error of a heading that is right."""
 DEFAULT_WITHIN_M = 50.0
 """Error of a place that a person reads off a map, or a phone notes between cliffs."""
+LEAST_CONFIDENCE = 0.85
+"""Of a heading that is trusted by default. Of the terrain that the confidence was learned on, none
+of 131 photos of elsewhere has as much, and 2 % of the headings that do are wrong; with 0.8, one
+has, and 5 % are."""
 _MOST_WITHIN_M = 500.0
 """Places that are known less well are searched for: that is a match."""
 _RING = 8
@@ -198,7 +202,8 @@ class Orienter:
         if not isinstance(dem, HeightField):
             dem = read_dem([dem] if isinstance(dem, str | Path) else dem)
         self.terrain, self.frame, self.curvature = dem, dem.frame, Curvature()
-        self._config, self._within_m = config or MatchConfig(), within_m
+        self._config = config or MatchConfig(min_confidence=LEAST_CONFIDENCE)
+        self._within_m = within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m = elevation_m

@@ -2,8 +2,8 @@
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
-there. It is visible if nothing on the straight line to it stands more than a tenth of a degree
-above it.
+there. It is visible if nothing on the straight line to it stands above it, up to 150 m from it:
+nearer ground is the peak's own.
 """
 
 import csv
@@ -30,8 +30,6 @@ SUMMIT_RADIUS_M = 150.0
 """Radius around a named place in which its summit is searched, and terrain cannot hide it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
-HIDDEN_DEG = 0.1
-"""Terrain before a visible peak stands at most this angle above it."""
 _GEOJSON = (".geojson", ".json")
 _FOOT_M, _INCH_M = 0.3048, 0.0254
 _METRES = {
@@ -266,7 +264,7 @@ def visible_peaks(
             np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
             np.array([distance_m - SUMMIT_RADIUS_M]),
         )
-        if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
+        if highest_deg > math.degrees(math.atan2(up_m, distance_m)):
             continue
         seen.append(
             Sighting(
