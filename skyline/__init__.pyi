@@ -29,8 +29,8 @@ from .match.screening import Alike as Alike
 from .photo.correction import Correction as Correction
 from .photo.correction import Stroke as Stroke
 from .photo.correction import StrokeKind as StrokeKind
-from .photo.exif import Lens as Lens
 from .photo.exif import NotedPlace as NotedPlace
+from .photo.lens import Lens as Lens
 from .photo.projection import Projection as Projection
 from .photo.query import QuerySkyline as QuerySkyline
 from .photo.read import Photo as Photo

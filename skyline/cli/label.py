@@ -20,12 +20,12 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.orient import CameraPlace, Place, camera_place, place_noted
+from skyline.cli.orient import CameraPlace, camera_place, place_noted
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, named, printable
 from skyline.files import read_bytes, write_whole
 from skyline.match.candidate import Candidate
-from skyline.match.orient import Orienter
+from skyline.match.orient import Orienter, Place
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo, read_query

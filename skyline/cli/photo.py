@@ -47,6 +47,8 @@ def extract(
         write_overlay(image, skyline, overlay)
     trusted = np.count_nonzero(skyline.trusted)
     print_written(output, f"skyline found in {trusted} of {skyline.width_px} columns")
+    if skyline.lens is not None and skyline.lens.reason:
+        print_written(output, skyline.lens.in_words)
 
 
 def serve(

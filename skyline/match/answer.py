@@ -34,6 +34,9 @@ _WGS84 = Geod(ellps="WGS84")
 _MIN_VISIBLE_DEG = 14.0
 """Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
 seven unknowns: below 14 degrees there are fewer rises than unknowns."""
+_NEAR_SLOPE_M = 150.0
+"""Skylines nearer than this, by their harmonic mean distance, tell too little in half of the
+photos: wrong slopes fit as well (docs/accuracy.md)."""
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the range searched if it is nearer to it than this share
@@ -237,10 +240,8 @@ class MatchResult:
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
-        if lens is not None and lens.reason:
-            fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
-            slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
-            lines.append(f"field of view: {fov}{slack}; {lens.reason}")
+        if lens is not None:
+            lines.append(lens.in_words)
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
     def to_dataframe(self) -> Any:
@@ -431,7 +432,19 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
         return None
     return (
         f"the best place has confidence {best.confidence:.2f}, within 1 km "
-        f"{best.confidence_1km:.2f}; {least:.2f} is needed"
+        f"{best.confidence_1km:.2f}; {least:.2f} is needed" + _of_a_slope(candidates)
+    )
+
+
+def _of_a_slope(candidates: Sequence[Candidate]) -> str:
+    """Return a hint if the skyline is a near slope that several candidates show; empty if not."""
+    distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
+    near = [distance for distance in distances_m if distance < _NEAR_SLOPE_M]
+    if len(near) < max(2, len(candidates) // 2 + 1):
+        return ""
+    return (
+        f"; the skyline is a slope {min(near):.0f} to {max(near):.0f} m away, and {len(near)} "
+        "places have a slope like it: a photo that shows farther ridges says more"
     )
 
 

@@ -27,7 +27,7 @@ from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
 from skyline.match.scene import VIEW_WIDTH, RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query

@@ -19,7 +19,7 @@ from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query

@@ -24,15 +24,9 @@ from PIL.ExifTags import IFD
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import STANDARD, read_bytes, write_whole
-from skyline.photo.exif import (
-    MAX_PINHOLE_ASPECT,
-    NOTHING_NOTED,
-    Lens,
-    NotedPlace,
-    camera_of,
-    place_from_exif,
-)
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, camera_of
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import (

@@ -20,7 +20,7 @@ from skyline.report.gazetteer import Peaks
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import HIDDEN_DEG, Sighting
+from skyline.report.peaks import Sighting
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import package_version
@@ -108,8 +108,7 @@ def _about(viewer: Viewer | None) -> str:
         return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
     return (
         f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
-        "nothing on the line to them stands more than "
-        f"{HIDDEN_DEG:g}° above them in the elevation model."
+        "nothing on the line to them stands above them in the elevation model."
     )
 
 
@@ -143,7 +142,8 @@ def _section(
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
     how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
-    notes = result.exif_in_words(with_place=False), result.beyond, how
+    lens = "" if query.lens is None else query.lens.in_words
+    notes = result.exif_in_words(with_place=False), lens, result.beyond, how
     return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
 
