@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -26,6 +25,7 @@ from skyline.geodesy import Curvature
 from skyline.match import confidence
 from skyline.match.answer import at_bound, too_little
 from skyline.match.candidate import Candidate, Ranking, RefinedPoses
+from skyline.match.dataframes import to_dataframe
 from skyline.match.full import one_blas_thread
 from skyline.match.matcher import name_of, rays_of, skyline_of
 from skyline.match.matchers import MatchConfig
@@ -35,6 +35,7 @@ from skyline.match.refine import Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import VIEW_WIDTH, RenderedScene
 from skyline.photo.query import QuerySkyline
+from skyline.photo.read import Picture
 from skyline.render.context import RenderThread
 from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
@@ -117,8 +118,16 @@ class Orientation:
         """The pose, if it can be trusted."""
         return None if self.refusal else self.pose
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the orientation as ``skyline orient --json`` prints it."""
+        return self.to_row()
+
+    def to_dataframe(self) -> Any:
+        """Return the orientation as a pandas DataFrame of one row."""
+        return to_dataframe([self])
+
     def to_row(self) -> dict[str, Any]:
-        """Return the orientation as a row of numbers and text, as ``--results`` writes it."""
+        """Return the orientation as a row of numbers and text, as ``--csv`` writes it."""
         pose = self.pose
         names = (
             "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "lon", "lat",
@@ -154,7 +163,9 @@ class Orientation:
                 f"confidence {self.confidence:.2f} that the heading is right within "
                 f"{RIGHT_DEG:g} degree; the eye {self.moved_m:.0f} m from the place given"
             )
-        return "\n  ".join(lines)
+        if self.query.lens is not None:
+            lines.append(self.query.lens.in_words)
+        return "\n  ".join(filter(None, lines))
 
 
 class Orienter:
@@ -199,9 +210,8 @@ class Orienter:
                 f"the place is known to {within_m:g} m; expected above 0, at most "
                 f"{_MOST_WITHIN_M:g}: search a wider area with skyline match"
             )
-        if not isinstance(dem, HeightField):
-            dem = read_dem([dem] if isinstance(dem, str | Path) else dem)
-        self.terrain, self.frame, self.curvature = dem, dem.frame, Curvature()
+        self.terrain, self.curvature = read_dem(dem), Curvature()
+        self.frame = self.terrain.frame
         self._config = config or MatchConfig(min_confidence=LEAST_CONFIDENCE)
         self._within_m = within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
@@ -211,7 +221,7 @@ class Orienter:
         self._scene = RenderedScene(self.terrain, views, render_thread)
         self._run = _at_once if render_thread is None else render_thread.run
         # Kept, since it holds the terrain's textures, which the scene shares.
-        self._panoramas = self._run(lambda: PanoramaRenderer(dem, BINS, self.curvature))
+        self._panoramas = self._run(lambda: PanoramaRenderer(self.terrain, BINS, self.curvature))
         places = self._rendered_places()
         self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
         self._model = confidence.orientation_model()
@@ -229,7 +239,7 @@ class Orienter:
 
     @one_blas_thread()
     def orient(
-        self, query: str | Path | QuerySkyline, fov_deg: float | None = None, name: str = ""
+        self, query: Picture | QuerySkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
         """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
 
@@ -237,7 +247,7 @@ class Orienter:
 
         Parameters
         ----------
-        query : path or QuerySkyline
+        query : path, PIL image, (H, W, 3) uint8 or QuerySkyline
         fov_deg : float, optional
             Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
             that is not known.
@@ -378,7 +388,7 @@ class _RefinementByHeading(Refinement):
 
 
 def orient(
-    query: str | Path | QuerySkyline,
+    query: Picture | QuerySkyline,
     dem: Dem,
     *,
     lon: float | None = None,

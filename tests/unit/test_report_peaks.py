@@ -11,7 +11,8 @@ from scipy import ndimage
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
-from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks, read_peaks, visible_peaks
+from skyline.report.gazetteer import Peaks, read_peaks
+from skyline.report.peaks import SUMMIT_RADIUS_M, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.pinhole import Camera
@@ -145,10 +146,10 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
     ("text", "message"),
     [
         ("name,x,y\na,1,2\n", "has the columns"),
-        ("name,lon,lat\na,1\n", "row 2 has 2 cells"),
-        ("name,lon,lat\na,east,2\n", "lon of 'a' is `east`"),
+        ("name,lon,lat\na,1,2,3\n", "line 2 has 4 cells; expected 3"),
+        ("name,lon,lat\na,east,2\n", "line 2: lon is `east`"),
         ("name,lon,lat\na,1,91\n", "from -90 to 90"),
-        ("name,lon,lat,height_m\na,1,2,high\n", "height_m of 'a'"),
+        ("name,lon,lat,height_m\na,1,2,high\n", "line 2: height_m is `high`"),
     ],
 )
 def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
