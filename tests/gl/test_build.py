@@ -198,11 +198,14 @@ class TestAreas:
     def test_a_box_without_places_leaves_the_store_as_it_was(self, terrain, tmp_path):
         west, (lon, lat, _, _) = halves_of(terrain)
         path = tmp_path / "s.h5"
-        build_places(terrain, path, bounds_deg=west, loss=LOSS)
+        build_places(terrain, path, bounds_deg=west, places=PLACES)
         before = path.read_bytes()
         with pytest.raises(InputError, match="no place falls on the surface"):
             build_places(
-                terrain, path, bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001), loss=LOSS
+                terrain,
+                path,
+                bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001),
+                places=PLACES,
             )
         assert path.read_bytes() == before
         assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
