@@ -1,122 +1,74 @@
-from .build.parts import BuildResult, build_places, build_uniform, render_to_store
-from .errors import (
-    BuildError,
-    ContextError,
-    FetchError,
-    InputError,
-    MissingFileError,
-    OffMapError,
-    SkylineError,
-    StoreError,
-    StoreMismatchError,
-)
-from .geodesy import Curvature, Frame
-from .match.answer import JointResult, MatchResult, to_geodataframe
-from .match.candidate import Candidate
-from .match.locate import locate
-from .match.matcher import Matcher
-from .match.matchers import MatchConfig
-from .match.orient import Orientation, Orienter, orient
-from .match.prior import Narrowing
-from .match.screening import Alike
-from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.exif import Lens, NotedPlace
-from .photo.projection import Projection
-from .photo.query import QuerySkyline
-from .photo.read import Photo, read_photo, read_query
-from .photo.trace import read_trace, write_trace
-from .render.context import RenderThread
-from .render.horizon import RenderConfig, render_views
-from .report.exports import export_matches
-from .report.labelled_panorama import save_panorama
-from .report.landscape import PanoramaConfig
-from .report.located import write_located
-from .report.match_report import report_matches
-from .report.overlay import draw_labels
-from .report.peaks import Peaks, read_peaks
-from .report.pixel_places import PixelPlaces
-from .report.relief_tiles import ReliefTiles
-from .report.viewer import SeenPeak, Sight, Viewer
-from .skylines import Views
-from .solar.local_horizons import LocalHorizons, horizon, sky_view_factor
-from .store import PlaceMap, Store, StoreHeader, open_store
-from .store.places import Places
-from .terrain.dem import DemOptions, read_dem
-from .terrain.heightfield import HeightField, Provenance
-from .terrain.viewpoints import Viewpoints, stand_at, stand_on
+from .build.parts import BuildResult as BuildResult
+from .build.parts import build_places as build_places
+from .build.parts import build_uniform as build_uniform
+from .build.parts import render_to_store as render_to_store
+from .errors import BuildError as BuildError
+from .errors import ContextError as ContextError
+from .errors import FetchError as FetchError
+from .errors import InputError as InputError
+from .errors import MissingFileError as MissingFileError
+from .errors import OffMapError as OffMapError
+from .errors import SkylineError as SkylineError
+from .errors import StoreError as StoreError
+from .errors import StoreMismatchError as StoreMismatchError
+from .geodesy import Curvature as Curvature
+from .geodesy import Frame as Frame
+from .match.answer import JointResult as JointResult
+from .match.answer import MatchResult as MatchResult
+from .match.candidate import Candidate as Candidate
+from .match.dataframes import to_dataframe as to_dataframe
+from .match.dataframes import to_geodataframe as to_geodataframe
+from .match.locate import locate as locate
+from .match.matcher import Matcher as Matcher
+from .match.matchers import MatchConfig as MatchConfig
+from .match.orient import Orientation as Orientation
+from .match.orient import Orienter as Orienter
+from .match.orient import orient as orient
+from .match.prior import Narrowing as Narrowing
+from .match.screening import Alike as Alike
+from .photo.correction import Correction as Correction
+from .photo.correction import Stroke as Stroke
+from .photo.correction import StrokeKind as StrokeKind
+from .photo.exif import NotedPlace as NotedPlace
+from .photo.lens import Lens as Lens
+from .photo.projection import Projection as Projection
+from .photo.query import QuerySkyline as QuerySkyline
+from .photo.read import Photo as Photo
+from .photo.read import read_photo as read_photo
+from .photo.read import read_query as read_query
+from .photo.trace import read_trace as read_trace
+from .photo.trace import write_trace as write_trace
+from .render.context import RenderThread as RenderThread
+from .render.horizon import RenderConfig as RenderConfig
+from .render.horizon import render_views as render_views
+from .report.exports import export_matches as export_matches
+from .report.gazetteer import Peaks as Peaks
+from .report.gazetteer import read_peaks as read_peaks
+from .report.labelled_panorama import save_panorama as save_panorama
+from .report.landscape import PanoramaConfig as PanoramaConfig
+from .report.located import write_located as write_located
+from .report.match_report import report_matches as report_matches
+from .report.overlay import draw_labels as draw_labels
+from .report.pixel_places import PixelPlaces as PixelPlaces
+from .report.relief_tiles import ReliefTiles as ReliefTiles
+from .report.viewer import SeenPeak as SeenPeak
+from .report.viewer import Sight as Sight
+from .report.viewer import Viewer as Viewer
+from .skylines import Views as Views
+from .solar.local_horizons import LocalHorizons as LocalHorizons
+from .solar.local_horizons import horizon as horizon
+from .solar.local_horizons import sky_view_factor as sky_view_factor
+from .store import PlaceMap as PlaceMap
+from .store import Store as Store
+from .store import StoreHeader as StoreHeader
+from .store import open_store as open_store
+from .store.places import Places as Places
+from .terrain.dem import DemOptions as DemOptions
+from .terrain.dem import read_dem as read_dem
+from .terrain.heightfield import HeightField as HeightField
+from .terrain.heightfield import Provenance as Provenance
+from .terrain.viewpoints import Viewpoints as Viewpoints
+from .terrain.viewpoints import stand_at as stand_at
+from .terrain.viewpoints import stand_on as stand_on
 
 __version__: str
-
-__all__ = [
-    "Alike",
-    "BuildError",
-    "BuildResult",
-    "Candidate",
-    "ContextError",
-    "Correction",
-    "Curvature",
-    "DemOptions",
-    "FetchError",
-    "Frame",
-    "HeightField",
-    "InputError",
-    "JointResult",
-    "Lens",
-    "LocalHorizons",
-    "MatchConfig",
-    "MatchResult",
-    "Matcher",
-    "MissingFileError",
-    "Narrowing",
-    "NotedPlace",
-    "OffMapError",
-    "Orientation",
-    "Orienter",
-    "PanoramaConfig",
-    "Peaks",
-    "Photo",
-    "PixelPlaces",
-    "PlaceMap",
-    "Places",
-    "Projection",
-    "Provenance",
-    "QuerySkyline",
-    "ReliefTiles",
-    "RenderConfig",
-    "RenderThread",
-    "SeenPeak",
-    "Sight",
-    "SkylineError",
-    "Store",
-    "StoreError",
-    "StoreHeader",
-    "StoreMismatchError",
-    "Stroke",
-    "StrokeKind",
-    "Viewer",
-    "Viewpoints",
-    "Views",
-    "build_places",
-    "build_uniform",
-    "draw_labels",
-    "export_matches",
-    "horizon",
-    "locate",
-    "open_store",
-    "orient",
-    "read_dem",
-    "read_peaks",
-    "read_photo",
-    "read_query",
-    "read_trace",
-    "render_to_store",
-    "render_views",
-    "report_matches",
-    "save_panorama",
-    "sky_view_factor",
-    "stand_at",
-    "stand_on",
-    "to_geodataframe",
-    "write_located",
-    "write_trace",
-]

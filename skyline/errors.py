@@ -103,13 +103,16 @@ def swapped_in_words(*given: float, names: str = "longitude and latitude") -> st
     return f"{names} seem to be swapped: give {right}"
 
 
-def library(name: str, extra: str, what: str) -> Any:
-    """Import a library that ``what`` needs; `InputError` names the extra that installs it."""
+def library(name: str, what: str, package: str | None = None) -> Any:
+    """Import a library that ``what`` needs; `InputError` says how it is installed.
+
+    The package is named, not Skyline's extra: an index need not have Skyline.
+    """
     try:
         return import_module(name)
     except ImportError as error:
         raise InputError(
-            f"{what} needs {name}, which is not installed; pip install 'skyline[{extra}]'"
+            f"{what} needs {name}, which is not installed; pip install {package or name}"
         ) from error
 
 

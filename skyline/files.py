@@ -1,19 +1,50 @@
-"""Files on disk: writing them whole or not at all, locks, and names for GDAL."""
+"""Files on disk: reading them, writing them whole or not at all, locks, and names for GDAL."""
 
 import fcntl
+import sys
+from functools import cache
 from pathlib import Path
+from typing import TextIO
 
-from skyline.errors import InputError
+from skyline.errors import InputError, MissingFileError
+
+STANDARD = "-"
+"""The name of standard input and output among paths."""
+
+
+def read_bytes(path: str | Path, expected: str) -> bytes:
+    """Return a file's content, or that of standard input for ``-``, which may be read again.
+
+    Raises `MissingFileError` and `InputError`, with what was ``expected``.
+    """
+    if str(path) == STANDARD:
+        return _content(sys.stdin)
+    if not Path(path).exists():
+        raise MissingFileError(f"{path} does not exist; {expected}")
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {expected}") from error
+
+
+@cache
+def _content(stream: TextIO) -> bytes:
+    return stream.buffer.read()
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file at once; a failure leaves what was there before.
+    """Write a file at once, or to standard output for ``-``; a failure leaves what was there.
 
     Raises `InputError` where the file cannot be written.
     """
+    content = content.encode() if isinstance(content, str) else content
+    if str(path) == STANDARD:
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+        return
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        partial.write_bytes(content)
         partial.replace(path)
     except OSError as error:
         if partial.is_file():

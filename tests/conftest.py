@@ -10,6 +10,7 @@ from PIL import Image
 from scenes import fractal, write_dem
 
 from skyline import build_places, build_uniform, read_dem, stand_on
+from skyline.build import plans
 from skyline.build.cluster import local_cluster
 from skyline.cli import console
 from skyline.render.context import acquire_context
@@ -63,6 +64,12 @@ def no_gl_error():
     assert ctx.error == "GL_NO_ERROR"
     yield
     assert acquire_context().ctx.error == "GL_NO_ERROR"
+
+
+@pytest.fixture(autouse=True)
+def small_plans(monkeypatch):
+    """Plan by default as few places as lose a fifth of the views, not a minute of them."""
+    monkeypatch.setattr(plans, "DEFAULT_PLACES", 1)
 
 
 @pytest.fixture

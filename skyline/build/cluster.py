@@ -127,7 +127,7 @@ def _connected(address: str) -> Any:
 
 
 def _distributed() -> Any:
-    distributed = library("distributed", "cluster", "a run on workers")
+    distributed = library("distributed", "a run on workers", "'dask[distributed]'")
     # Its log has every step; `_outcome` returns the errors that matter to a user.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed

@@ -19,7 +19,7 @@ from uuid import uuid4
 
 from skyline.arrays import Progress
 from skyline.build.cluster import Runner
-from skyline.build.plans import DEFAULT_LOSS, PartRenderer, PlacePlan, Plan, RenderingPlan
+from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
@@ -28,6 +28,7 @@ from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
 from skyline.store.write import check_folder
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -57,19 +58,21 @@ class BuildResult:
 
 
 def build_places(
-    terrain: HeightField,
+    terrain: Dem,
     path: str | Path,
     spacing_m: float | None = None,
     bounds_deg: Bounds | None = None,
     progress: Progress | None = None,
     *,
-    loss: float = DEFAULT_LOSS,
+    places: int | None = None,
     curvature: Curvature | None = None,
 ) -> BuildResult:
     """Build a store of places; the same call continues a build that was killed.
 
     Parameters
     ----------
+    terrain : path, paths or HeightField
+        The elevation model.
     path : str or Path
         The store. Nothing is done if it already exists with the same settings and bounds. One of
         other bounds is replaced by a store of both areas.
@@ -80,22 +83,21 @@ def build_places(
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
         Called with the number of parts that are done, and the number of all parts.
-    loss : float
-        Without a spacing: the share of the views, 60 degrees wide, that may be lost because
-        places lie apart. The smaller the share, the more places.
+    places : int, optional
+        Number of places to plan, about. Without a spacing and a number there are 100,000, or as
+        many as lose a fifth of the views, 60 degrees wide, if these are more.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 
     Raises
     ------
     InputError
-        The spacing suits no grid on the terrain, no places achieve the loss, or the area is so
-        small that no place falls in it.
+        The spacing suits no grid on the terrain, or no place falls in so small an area.
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
-    plan = PlacePlan(spacing_m, bounds_deg, loss, curvature or Curvature())
-    return build_store(terrain, path, plan, progress=progress)
+    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or Curvature())
+    return build_store(read_dem(terrain), path, plan, progress=progress)
 
 
 def build_uniform(
@@ -190,8 +192,8 @@ def build_store(
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"
         raise InputError(
-            f"no place falls on the surface in the area ({area}); choose a larger area, a smaller "
-            "loss, or the spacing of a uniform grid"
+            f"no place falls on the surface in the area ({area}); choose a larger area, more "
+            "places, or the spacing of a uniform grid"
         )
     return BuildResult(rows, rendered, time.perf_counter() - started)
 

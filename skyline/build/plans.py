@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.build.spacing import AdaptivePlanner, blocks_of, price_of
+from skyline.build.spacing import AdaptivePlanner, Prices, blocks_of
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
 from skyline.render.horizon import (
@@ -26,9 +26,9 @@ from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
-DEFAULT_LOSS = 0.2
-"""Share of the views that may be lost because places lie apart; docs/accuracy.md gives the effect
-of other shares."""
+DEFAULT_PLACES, DEFAULT_LOSS = 100_000, 0.2
+"""A plan has about so many places, which a machine of two cores without a GPU renders in a minute.
+In an area so large that they would lose more than this share of the views it has more."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
@@ -66,22 +66,22 @@ class PlacePlan:
         `skyline.build.spacing`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
-    loss : float
-        Without a spacing: the share of the views, 60 degrees wide, that may be lost because places
-        lie apart.
+    places : int, optional
+        Number of planned places, about. By default 100,000, or as many as lose a fifth of the
+        views, 60 degrees wide, if these are more.
     curvature : Curvature
     """
 
     spacing_m: float | None = None
     bounds_deg: Bounds | None = None
-    loss: float = DEFAULT_LOSS
+    places: int | None = None
     curvature: Curvature = field(default_factory=Curvature)
 
     def header(self, terrain: HeightField) -> StoreHeader:
         """Return the header of the store, without the renderer's name."""
         spread: dict[str, object] = {"planner": "uniform", "spacing_m": self.spacing_m}
         if self.spacing_m is None:
-            spread = {"planner": "adaptive", "loss": self.loss}
+            spread = {"planner": "adaptive", "places": self.places}
         settings = {
             **spread,
             "bounds_deg": self.bounds_deg,
@@ -93,20 +93,17 @@ class PlacePlan:
     def parts(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
         """Return the parts of the store: viewpoints, or blocks of the map.
 
-        Raises `InputError` for bounds or a spacing that suit no grid, and for a loss outside 0 to
-        1.
+        Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
         """
         area = map_bounds(terrain, self.bounds_deg)
         if self.spacing_m is not None:
             return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
-        if not 0.0 < self.loss < 1.0:
-            raise InputError(
-                f"loss is {self.loss}; expected a share between 0 and 1, for example 0.2"
-            )
+        if self.places is not None and self.places < 1:
+            raise InputError(f"{self.places} places are asked for; expected at least 1")
         return blocks_of(area)
 
     def opened(self, terrain: HeightField) -> PartRenderer:
-        """Return a renderer of the parts; raises as `price_of`."""
+        """Return a renderer of the parts; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
         spacing_m = self.spacing_m
@@ -118,7 +115,7 @@ class PlacePlan:
                 lambda eyes: columns_of(header, Places.of(renderer.render(eyes), tolerance_m)),
             )
         area = map_bounds(terrain, self.bounds_deg)
-        price = price_of(self.loss, terrain, area, renderer.render)
+        price = self._price(Prices(terrain, area, renderer.render))
         planner = AdaptivePlanner(terrain, renderer.render, area, price)
 
         def columns(block: tuple[int, int]) -> Columns:
@@ -128,6 +125,11 @@ class PlacePlan:
             return columns_of(header, places)
 
         return PartRenderer(renderer, header, columns)
+
+    def _price(self, prices: Prices) -> float:
+        if self.places is not None:
+            return prices.of_number(self.places)
+        return min(prices.of_number(DEFAULT_PLACES), prices.of_loss(DEFAULT_LOSS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,10 +15,11 @@ degrees wide; docs/method.md has the terrain, and the fit on other terrain.
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
@@ -30,8 +31,8 @@ Look = Callable[[Viewpoints], Horizons]
 """A function that renders viewpoints."""
 
 _COARSEST_M = 1280.0
-_FINEST_M = 20.0
-_LEVELS = 13
+_FINEST_M = 10.0
+_LEVELS = 15
 _SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
 """Spacing of each level's lattice: the side of the square that each place has to itself."""
 
@@ -65,11 +66,18 @@ _NEAREST_M = 1.0
 _FARTHEST_M = 1e6
 """Range of a skyline's distance; directions without data count as the farthest."""
 
+CLASSES_M = (0.0, 150.0, 400.0)
+"""Least distances of the classes of skylines of which a plan's finds are reported."""
+
 _EVEN_ODDS = 0.72
 """Spacing over distance where half of the views are lost."""
 
 _POWER = 1.55
 """Power of that ratio in the odds of a loss."""
+
+_TOO_NEAR_M, _TOO_NEAR_POWER = 25.0, 1.75
+"""Distance of the skylines of which half are lost however dense the places are, and the power of
+the odds: wrong slopes fit them as well. Plans leave this out, since no spacing changes it."""
 
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
@@ -83,63 +91,69 @@ def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
     return [(col, row) for row in rows for col in range(math.floor(west), math.ceil(east))]
 
 
-def price_of(loss: float, terrain: HeightField, area: Rectangle, look: Look) -> float:
-    """Return the area that a place must save, square metres, for a plan to lose at most a share.
+class Prices:
+    """Prices of plans of an area: the area that each place of a plan must save, square metres.
 
-    This price is computed from viewpoints spread over the area. Raises `InputError` for a loss
-    below that of the finest lattice, and for an area of holes.
+    They are computed from skylines at viewpoints spread over the area. Raises `InputError` for an
+    area of holes.
     """
-    sample = look(spread_over(terrain, area))
-    lost = lost_shares(sample.distance_m, _SPACING_M)
-    least = float(lost[:, -1].mean())
-    if loss < least:
-        raise InputError(
-            f"loss is {loss:g}; places {_FINEST_M:g} m apart, the closest there are, are expected "
-            f"to lose {least:.3f} of the views here; give a larger one"
-        )
-    # From less than any place can save to more than a whole square of the coarsest lattice.
-    low, high = 1e-3, 1e12
-    for _ in range(_BISECTIONS):
-        price = float(np.sqrt(low * high))
-        level = np.argmin(lost + price * _DENSITY, axis=1)
-        if lost[np.arange(len(level)), level].mean() > loss:
-            high = price
-        else:
-            low = price
-    return low
+
+    def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:
+        eyes, self._surface_m2 = spread_over(terrain, area)
+        self._lost = lost_shares(look(eyes).distance_m, _SPACING_M)
+
+    def of_loss(self, loss: float) -> float:
+        """Return the price of a plan that loses at most a share of the views, if one can."""
+        rows = np.arange(len(self._lost))
+        return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
+
+    def of_number(self, number: int) -> float:
+        """Return the price of a plan of about so many places, or of the finest lattice if fewer."""
+        return self._limit(lambda level: self._surface_m2 * _DENSITY[level].mean() < number)
+
+    def _limit(self, is_too_coarse: Callable[[IntArray], bool]) -> float:
+        """Return the highest price at which the levels of the viewpoints are not too coarse."""
+        # From less than any place can save to more than a whole square of the coarsest lattice.
+        low, high = 1e-3, 1e12
+        for _ in range(_BISECTIONS):
+            price = float(np.sqrt(low * high))
+            if is_too_coarse(np.argmin(self._lost + price * _DENSITY, axis=1)):
+                high = price
+            else:
+                low = price
+        return low
 
 
-def spread_over(terrain: HeightField, area: Rectangle) -> Viewpoints:
-    """Return some 64 to 512 viewpoints spread evenly over an area, always the same ones.
+def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, float]:
+    """Return some 64 to 512 viewpoints spread evenly over an area, and the surface's size in m2.
 
-    Fewer are returned where less than 0.05 % of the area has a surface. Raises `InputError` where
-    none of 131,072 locations has one.
+    The viewpoints are always the same ones. Fewer are returned where less than 0.05 % of the area
+    has a surface. Raises `InputError` where none of 131,072 locations has one.
     """
     # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
     step = np.array([0.7548776662466927, 0.5698402909980532])
     west, south, east, north = area
     found: list[Viewpoints] = []
-    for tried in range(_MOST_SAMPLES):
-        number = tried * _SAMPLE + np.arange(1, _SAMPLE + 1)
-        share = (0.5 + number[:, None] * step) % 1.0
+    tried = 0
+    while tried < _MOST_SAMPLES * _SAMPLE and sum(map(len, found)) < _LEAST_SAMPLE:
+        share = (0.5 + (tried + np.arange(1, _SAMPLE + 1))[:, None] * step) % 1.0
         easting = west + share[:, 0] * (east - west)
         northing = south + share[:, 1] * (north - south)
         found.append(stand_where_possible(terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)[0])
-        if sum(map(len, found)) >= _LEAST_SAMPLE:
-            break
+        tried += _SAMPLE
     eyes = Viewpoints.concatenate(found)
     if not len(eyes):
         raise InputError(
             f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
             f"{south:.0f} to {north:.0f}; choose another area"
         )
-    return eyes
+    return eyes, (east - west) * (north - south) * len(eyes) / tried
 
 
 class AdaptivePlanner:
     """Lays out and renders places, block by block; those outside the area are not kept.
 
-    The price is that of `price_of`.
+    The price is one of `Prices`.
     """
 
     def __init__(self, terrain: HeightField, look: Look, area: Rectangle, price: float) -> None:
@@ -306,12 +320,39 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
     return np.concatenate([nodes, beside])
 
 
+def expected_finds(places: Places) -> list[tuple[float, float, float]]:
+    """Return how many views round places are expected to be found, by the skyline's distance.
+
+    Each class is the least distance of its skylines, harmonic means in metres, the share that its
+    views are of all, and the share of them that is found.
+    """
+    spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
+    nearness = _nearness(places.distance_m())
+    weight = np.repeat(np.square(spacing_m)[:, np.newaxis] / len(spacing_m), _WINDOWS, axis=1)
+    kept = 1.0 - _lost(nearness, spacing_m[:, np.newaxis])
+    kept /= 1.0 + (_TOO_NEAR_M * nearness) ** _TOO_NEAR_POWER
+    found = []
+    for least_m, most_m in pairwise((*CLASSES_M, np.inf)):
+        mine = (nearness <= 1.0 / max(least_m, _NEAREST_M)) & (nearness > 1.0 / most_m)
+        total = weight[mine].sum()
+        if total:
+            share = np.average(kept[mine], weights=weight[mine])
+            found.append((least_m, float(total / weight.sum()), float(share)))
+    return found
+
+
 def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
     """Return the expected shares (N, S) of lost views round N places, for each of S spacings.
 
     The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
     the skylines all the way round; NaN where there is no data.
     """
+    lost = _lost(_nearness(distance_m)[:, np.newaxis], spacing_m[:, np.newaxis])
+    return np.asarray(lost.mean(axis=2))
+
+
+def _nearness(distance_m: Float32Array) -> Float64Array:
+    """Return the mean inverse distances, 1 / m, of the views round N places, shape (N, 36)."""
     # The nearest stretches of a skyline move most, so the mean is one of nearness.
     nearness = 1.0 / np.clip(
         np.nan_to_num(distance_m.astype(np.float64), nan=_FARTHEST_M), _NEAREST_M, _FARTHEST_M
@@ -321,6 +362,10 @@ def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Arr
     ahead = np.concatenate([nearness, nearness[:, :width]], axis=1)
     total = np.cumsum(np.pad(ahead, ((0, 0), (1, 0))), axis=1)
     starts = np.arange(_WINDOWS) * bins // _WINDOWS
-    mean = (total[:, starts + width] - total[:, starts]) / width
-    odds = (spacing_m[:, None] * mean[:, None, :] / _EVEN_ODDS) ** _POWER
-    return np.asarray((odds / (1.0 + odds)).mean(axis=2), dtype=np.float64)
+    return np.asarray((total[:, starts + width] - total[:, starts]) / width, dtype=np.float64)
+
+
+def _lost(nearness: Float64Array, spacing_m: Float64Array) -> Float64Array:
+    """Return the expected share of lost views, for mean inverse distances and spacings."""
+    odds = (spacing_m * nearness / _EVEN_ODDS) ** _POWER
+    return np.asarray(odds / (1.0 + odds), dtype=np.float64)

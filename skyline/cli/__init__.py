@@ -6,7 +6,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from skyline.cli.console import command_line, run_app
+from skyline.cli.console import command_line, run_app, with_quiet
 
 COMMANDS = {
     "Photos": {
@@ -67,10 +67,10 @@ def loaded(name: str) -> Any:
     """Load a command, or a group of them."""
     found = getattr(import_module(f"skyline.cli.{_MODULES[name]}"), name)
     if isinstance(found, typer.Typer):
-        return typer.main.get_group(found)
+        return with_quiet(typer.main.get_group(found))
     alone = typer.Typer(add_completion=False)
     alone.command(name)(found)
-    return typer.main.get_command(alone)
+    return with_quiet(typer.main.get_command(alone))
 
 
 app = command_line("skyline", "A photo of mountains in, a place on the map out.", _Commands)

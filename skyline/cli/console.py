@@ -3,6 +3,7 @@
 An error is one line and an exit code; progress is a bar.
 """
 
+import logging
 import os
 import sys
 import threading
@@ -22,9 +23,11 @@ from typer.core import TyperGroup
 
 from skyline import __version__
 from skyline.errors import InputError, SkylineError, printable, start_logging, swapped_in_words
+from skyline.files import STANDARD
 
 if TYPE_CHECKING:
     from skyline.arrays import Progress
+    from skyline.terrain.heightfield import HeightField
 
 # Typer's versions bring click under different names; this name is public in all of them.
 _UsageError: Any = typer.BadParameter.__base__
@@ -34,7 +37,8 @@ _INTERRUPTED = 130
 _SLOW_S = 5.0
 """Time after which a message names the step that is taking long."""
 
-_on_interrupt: ContextVar[str] = ContextVar("on_interrupt", default="")
+_on_interrupt: ContextVar[tuple[str, Callable[[], bool]]] = ContextVar("on_interrupt")
+_is_quiet: ContextVar[bool] = ContextVar("is_quiet", default=False)
 
 
 def panel(title: str) -> Callable[..., Any]:
@@ -103,9 +107,50 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
     return app
 
 
-def on_interrupt(message: str) -> None:
-    """Set the advice of the error after Ctrl-C: the work of this command that is kept."""
-    _on_interrupt.set(f"; {message}")
+def with_quiet(command: Any) -> Any:
+    """Give a command, or all commands of a group, the option ``--quiet``; return it."""
+    for one in getattr(command, "commands", {}).values():
+        with_quiet(one)
+    if not hasattr(command, "commands"):
+        command.params += _quiet_parameters()
+    return command
+
+
+def _quiet_parameters() -> Any:
+    alone = typer.Typer(add_completion=False)
+
+    @alone.command()
+    def command(
+        quiet: Annotated[
+            bool,
+            Option(
+                "--quiet",
+                "-q",
+                help="Print no progress, notes and warnings; errors stay.",
+                callback=_be_quiet,
+                expose_value=False,
+            ),
+        ] = False,
+    ) -> None:
+        """Have the option."""
+
+    return typer.main.get_command(alone).params
+
+
+def _be_quiet(quiet: bool) -> bool:
+    _is_quiet.set(quiet)
+    logging.getLogger().setLevel(logging.ERROR if quiet else logging.WARNING)
+    return quiet
+
+
+def on_interrupt(message: str, is_kept: Callable[[], bool] = lambda: True) -> None:
+    """Set the advice of the error after Ctrl-C, for when some work of this command is kept."""
+    _on_interrupt.set((message, is_kept))
+
+
+def _after_interrupt() -> str:
+    message, is_kept = _on_interrupt.get()
+    return f"; {message}" if message and is_kept() else ""
 
 
 def run_app(app: typer.Typer) -> None:
@@ -115,7 +160,8 @@ def run_app(app: typer.Typer) -> None:
     """
     _open_streams()
     start_logging()
-    _on_interrupt.set("")
+    on_interrupt("")
+    _is_quiet.set(False)
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
@@ -133,7 +179,7 @@ def run_app(app: typer.Typer) -> None:
             sys.exit(2)  # A group of commands without a command has printed its help.
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail(f"stopped{_on_interrupt.get()}", _INTERRUPTED)
+        _fail(f"stopped{_after_interrupt()}", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area or a larger spacing", 1)
     except OSError as error:
@@ -148,7 +194,7 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
 
     Without a terminal, a line names a step that takes more than five seconds.
     """
-    if not sys.stderr.isatty():
+    if _is_quiet.get() or not sys.stderr.isatty():
         with note_if_slow(doing.partition(",")[0]):
             yield lambda done, total: None
         return
@@ -167,6 +213,9 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
 @contextmanager
 def note_if_slow(doing: str) -> Iterator[None]:
     """Print a note on standard error if the block takes more than five seconds."""
+    if _is_quiet.get():  # The timer's thread would not see it.
+        yield
+        return
     timer = threading.Timer(_SLOW_S, print_note, [f"{doing} takes a while ..."])
     timer.daemon = True
     timer.start()
@@ -174,6 +223,14 @@ def note_if_slow(doing: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def read_terrain(dem: list[str], crs: str | None, reproject: bool) -> "HeightField":
+    """Read a command's elevation model; a line names the step if it takes more than 5 seconds."""
+    from skyline.terrain.dem import DemOptions, read_dem  # noqa: PLC0415  (slow to load)
+
+    with note_if_slow("reading the elevation model"):
+        return read_dem(dem, DemOptions(crs=crs, reproject=reproject))
 
 
 def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:
@@ -216,11 +273,21 @@ def print_line(text: str) -> None:
 
 def print_error(message: str) -> None:
     """Print an error as one line to standard error."""
-    print_note("error: " + " ".join(message.split()))
+    _print_aside("error: " + " ".join(message.split()))
 
 
 def print_note(message: str) -> None:
-    """Print a message as one line to standard error."""
+    """Print a message as one line to standard error, unless ``--quiet`` is given."""
+    if not _is_quiet.get():
+        _print_aside(message)
+
+
+def print_written(output: Path, text: str) -> None:
+    """Print a line on a file that was written; a note where standard output is that file."""
+    (print_note if str(output) == STANDARD else print_line)(f"{output}: {text}")
+
+
+def _print_aside(message: str) -> None:
     # Work goes on if standard error has no reader any more.
     with suppress(BrokenPipeError):
         print(printable(message), file=sys.stderr, flush=True)

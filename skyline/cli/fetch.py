@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.console import on_interrupt, parse_bounds, print_line, progress_bar
+from skyline.cli.console import on_interrupt, parse_bounds, print_line, print_written, progress_bar
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import RETRIES, TIMEOUT_S
@@ -48,7 +48,8 @@ def fetch(
     """
     bounds = parse_bounds(bbox)
     on_interrupt(
-        "the tiles that were fetched are kept, and the same command continues with the others"
+        "the tiles that were fetched are kept, and the same command continues with the others",
+        lambda: any(folder.glob("*.tif")),
     )
     with progress_bar("fetching tiles") as progress:
         done = fetch_dem(bounds, source, folder, retries, timeout, progress)
@@ -74,4 +75,4 @@ def peaks(
 ) -> None:
     """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
     count = fetch_peaks(parse_bounds(bbox), server, output, retries, timeout)
-    print_line(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")
+    print_written(output, f"{count} peaks (OpenStreetMap contributors, ODbL)")

@@ -1,6 +1,7 @@
 """``skyline info`` and ``skyline explain``: facts of a DEM or a store, and of one skyline."""
 
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from skyline.cli.console import (
     Width,
     parse_numbers,
     print_line,
+    read_terrain,
 )
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, Frame
@@ -28,7 +30,6 @@ from skyline.render.horizon import RenderConfig, render_views
 from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.conventions import model_of
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
@@ -59,7 +60,7 @@ def info(
         if len(path) == 1 and is_store(path[0]):
             facts |= describe_store(path[0])
         else:
-            facts |= _describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
+            facts |= _describe_terrain(read_terrain(path, crs, reproject))
     _print_facts(facts, as_json)
 
 
@@ -81,7 +82,7 @@ def explain(
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     east_m: ArrayLike = first
     north_m: ArrayLike = second
     if max(abs(first), abs(second)) <= 360.0:
@@ -95,11 +96,30 @@ def _print_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
         print_line(json.dumps(facts))
         return
+    rows = list(_rows(facts))
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print_line(f"{name:<{width}}  {text}")
+
+
+def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the lines of a table of facts: name and text, numbers as options take them."""
     for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{prefix}{name}.")
+            continue
         values = value if isinstance(value, list) else [value]
-        for line, item in enumerate(values):
-            shown = f"{item:.9g}" if isinstance(item, float) else item
-            print_line(f"{name if line == 0 else '':<24} {shown}")
+        shown = ["-" if one is None else _shown(one) for one in values]
+        if not any(isinstance(one, str) for one in values):
+            shown = [",".join(shown)]
+        for line, text in enumerate(shown):
+            yield "" if line else f"{prefix}{name}", text
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _describe_terrain(field: HeightField) -> Facts:

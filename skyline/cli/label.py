@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,17 +18,20 @@ from skyline.cli.console import (
     print_line,
     print_note,
     progress_bar,
+    read_terrain,
 )
-from skyline.cli.photo import PhotoProjection, check_outputs
-from skyline.errors import InputError, MissingFileError, named, printable
-from skyline.files import write_whole
+from skyline.cli.orient import CameraPlace, camera_place, place_noted
+from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
+from skyline.errors import InputError, named, printable
+from skyline.files import read_bytes, write_whole
 from skyline.match.candidate import Candidate
+from skyline.match.orient import Orienter, Place
 from skyline.photo.projection import Projection
-from skyline.photo.read import read_photo
-from skyline.report.peaks import read_peaks
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import read_photo, read_query
+from skyline.report.gazetteer import read_peaks
 from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
 from skyline.report.viewer import SeenPeak, Viewer
-from skyline.terrain.dem import DemOptions, read_dem
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
@@ -38,13 +42,10 @@ _EXPECTED = (
 )
 
 PhotoFile = Annotated[Path, Argument(metavar="PHOTO")]
-PoseFile = Annotated[
-    Path,
-    Option(
-        metavar="FILE.json",
-        help="The camera's place and direction, as `match --json` and `orient --json` print them.",
-    ),
-]
+_POSE = Option(
+    metavar="FILE.json",
+    help="The camera's place and direction, as `match --json` and `orient --json` print them.",
+)
 Dem = Annotated[
     list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
 ]
@@ -52,7 +53,6 @@ Dem = Annotated[
 
 def label(
     photo: PhotoFile,
-    pose: PoseFile,
     dem: Dem,
     peaks: Annotated[
         Path,
@@ -62,6 +62,9 @@ def label(
         Path,
         Option("--output", "-o", metavar="FILE", help=f"By its suffix: {', '.join(_LABEL_FILES)}."),
     ],
+    at: CameraPlace = None,
+    pose: Annotated[Path | None, _POSE] = None,
+    fov_deg: FieldOfView = None,
     ridges: Annotated[
         bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
     ] = False,
@@ -71,20 +74,27 @@ def label(
 ) -> None:
     """Write the names and distances of the summits that a photo shows on it.
 
-    What terrain hides is not named.
+    The camera is oriented by the skyline at its place, unless its pose is given. What terrain hides
+    is not named.
     """
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 
     kind = named("--output's suffix", output.suffix.lower(), _LABEL_FILES)
-    check_outputs([output], [photo, pose, peaks])
-    picture = read_photo(photo, projection=projection)
+    if pose is not None and (at is not None or fov_deg is not None):
+        raise InputError("--pose has the place and the field of view; leave --at and --fov-deg out")
+    check_outputs([output], [photo, *filter(None, [pose]), peaks])
+    place = camera_place(at)
+    picture = read_photo(photo, fov_deg, projection=projection)
     query = picture.blank
-    record = _read_pose(pose, photo, query.projection)
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    if pose is None:
+        query = read_query(photo, fov_deg, projection=projection)
+        camera_in = partial(_oriented, photo, query, place or place_noted(query, str(photo)))
+    else:
+        camera_in = partial(_camera, _read_pose(pose, photo, query.projection))
+    terrain = read_terrain(dem, crs, reproject)
     gazetteer = read_peaks(peaks, terrain.frame)
-    with note_if_slow("looking for summits"), Viewer(terrain, gazetteer) as viewer:
-        camera = _camera(record, viewer)
+    with Viewer(terrain, gazetteer) as viewer, note_if_slow("looking for summits"):
+        camera = camera_in(viewer)
         seen = viewer.summits(camera, query)
         sight = viewer.look(camera, query) if ridges and kind != "json" else None
     unnamed = 0
@@ -99,7 +109,7 @@ def label(
 
 def pixels(
     photo: PhotoFile,
-    pose: PoseFile,
+    pose: Annotated[Path, _POSE],
     dem: Dem,
     output: Annotated[
         Path,
@@ -120,8 +130,7 @@ def pixels(
     check_outputs([output], [photo, pose])
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    terrain = read_terrain(dem, crs, reproject)
     with progress_bar("following rays") as progress:
         viewer = Viewer(terrain)
         camera = _camera(record, viewer)
@@ -137,15 +146,13 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, flo
 
     A file of several photos has the pose in the line that names the photo.
     """
-    if not path.is_file():
-        raise MissingFileError(f"pose {path} does not exist; {_EXPECTED}")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bytes(path, _EXPECTED).decode("utf-8-sig")
         try:
             records = [json.loads(text)]
         except ValueError:
             records = [json.loads(line) for line in text.splitlines() if line.strip()]
-    except (OSError, ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"pose {path} cannot be read ({error}); {_EXPECTED}") from None
     if len(records) > 1:
         records = [one for one in records if _is_of(one, photo)]
@@ -182,6 +189,23 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, flo
 def _is_of(record: Any, photo: Path) -> bool:
     """Return whether a line of a file of poses names a photo."""
     return isinstance(record, dict) and record.get("query") == printable(photo)
+
+
+def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:
+    """Return the camera's pose at a known place; `InputError` where it cannot be trusted."""
+    lon, lat, elevation_m, within_m = place
+    with Orienter(
+        viewer.terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
+    ) as orienter:
+        held = orienter.orient(query, name=str(photo))
+    if held.answer is None:
+        raise InputError(
+            f"{photo}: the camera's direction is not sure ({held.refusal}); give its pose with "
+            "--pose"
+        )
+    for line in held.to_text().splitlines():
+        print_note(line)
+    return held.answer
 
 
 def _camera(record: dict[str, float], viewer: Viewer) -> Candidate:

@@ -15,9 +15,10 @@ from skyline.cli.match import match, narrowing_of
 from skyline.cli.photo import FieldOfView
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.match.areas import prepare_area
-from skyline.match.locate import area_of
+from skyline.match.areas import cached_files, prepare_area
+from skyline.match.locate import NOTED_KM, area_of
 from skyline.match.queries import Query, listed
+from skyline.report.gazetteer import find_place
 
 
 def locate(
@@ -27,8 +28,9 @@ def locate(
     near: Annotated[
         str | None,
         Option(
-            metavar="LON,LAT,KM|W,S,E,N",
-            help="Search within so many km of a point, or in a box, in degrees.",
+            metavar="LON,LAT,KM|W,S,E,N|NAME[,KM]",
+            help="Search within so many km of a point, in a box in degrees, or round a place that "
+            "the file of --peaks names.",
             show_default="10 km round the photo's own GPS position",
         ),
     ] = None,
@@ -56,7 +58,8 @@ def locate(
         Path | None,
         Option(
             metavar="FILE",
-            help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
+            help="Peaks to name in the report, and places for --near: GeoJSON, or CSV with "
+            "name,lon,lat[,height_m].",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -65,7 +68,7 @@ def locate(
 
     Both are kept for the next photo of the area; `skyline cache` lists them.
     """
-    narrowing = narrowing_of(near, None, use_gps=False)
+    narrowing = narrowing_of(_in_numbers(near, peaks), None, use_gps=False)
     if dem and source:
         raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
     # These checks come before minutes of work.
@@ -76,7 +79,11 @@ def locate(
     if output.exists() and not output.is_dir():
         raise InputError(f"{output} is a file; name a folder for the report")
     area, narrowing = area_of([one.path for one in usable], narrowing)
-    on_interrupt("what was fetched and built is kept, and the same command continues from there")
+    before = cached_files()
+    on_interrupt(
+        "what was fetched and built is kept, and the same command continues from there",
+        lambda: bool(cached_files() - before),
+    )
     ready = prepare_area(area, dem or (), source, print_note, progress_bar)
     on_interrupt(f"the area is kept in {ready.store.parent}")
     within = narrowing.near or narrowing.bounds_deg or ()
@@ -90,6 +97,22 @@ def locate(
         as_json,
         peaks=peaks,
     )
+
+
+def _in_numbers(near: str | None, gazetteer: Path | None) -> str | None:
+    """Return ``--near`` with the place of its name, if it has one, as numbers."""
+    if near is None or not any(letter.isalpha() for letter in near):
+        return near
+    name, _, km = near.rpartition(",")
+    if not name or not km.strip().replace(".", "", 1).isdigit():
+        name, km = near, f"{NOTED_KM:g}"
+    if gazetteer is None:
+        raise InputError(
+            f"--near is `{near}`; expected LON,LAT,KM or W,S,E,N, or with --peaks FILE a name in "
+            "that file"
+        )
+    lon, lat = find_place(gazetteer, name.strip())
+    return f"{lon},{lat},{km}"
 
 
 def _usable(queries: list[Query]) -> list[Query]:

@@ -38,7 +38,7 @@ from skyline.match.queries import Query, listed, match_here, match_many, written
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.peaks import read_peaks
+from skyline.report.gazetteer import read_peaks
 from skyline.store import is_store
 from skyline.terrain.rasters import absolute_name
 
@@ -198,7 +198,7 @@ def match(
         from skyline.report.match_report import report_matches  # noqa: PLC0415  (slow to load)
 
         page = report_matches(report, matching, found, gazetteer, done=done)
-        print_note(f"report: {page}")
+        (print_note if as_json else output.line)(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 
@@ -215,7 +215,8 @@ def _stores_and_queries(store: Path, others: list[Path]) -> tuple[tuple[Path, ..
 def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
     """Return the queries that a file of results lacks; print how many it has."""
     on_interrupt(
-        f"{file.path} has the answers so far, and the same command continues with the others"
+        f"{file.path} has the answers so far, and the same command continues with the others",
+        lambda: bool(file.queries),
     )
     left = [one for one in queries if printable(one.path) not in file.queries]
     if len(left) < len(queries):
@@ -240,23 +241,29 @@ class _Output:
             self._file.add(result.to_row())
         self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
 
-    def error(self, query: str, error: SkylineError, is_tried: bool) -> None:
+    def error(self, query: Query, error: SkylineError, is_tried: bool) -> None:
         """Print and write that a query failed; one that was not tried is tried again next time."""
         self.exit_code = error.exit_code
-        name = printable(query)
+        names = {"query": printable(query.path)}
+        if query.label:
+            names["id"] = printable(query.label)
         if is_tried:
             print_error(str(error))
             if self._file is not None:
-                self._file.add({"query": name, "answered": 0, "reason": str(error)})
-        self._print({"query": name, "error": str(error)}, "")
+                self._file.add(names | {"answered": 0, "reason": str(error)})
+        self._print(names | {"error": str(error)}, "")
 
-    def _print(self, record: dict[str, Any], text: str) -> None:
+    def line(self, text: str) -> None:
+        """Print a line."""
         try:
-            for line in [json.dumps(record)] if self._as_json else text.splitlines():
-                print_line(line)
+            print_line(text)
         except BrokenPipeError:
             if not self._goes_on:
                 raise typer.Exit(self.exit_code) from None
+
+    def _print(self, record: dict[str, Any], text: str) -> None:
+        for line in [json.dumps(record)] if self._as_json else text.splitlines():
+            self.line(line)
 
 
 def _attempted(
@@ -289,7 +296,7 @@ def _match_each(
         with nullcontext() if found else note_if_slow(f"matching {one.path}"):
             result = refused.get(one) or next(results)
         if isinstance(result, SkylineError):
-            output.error(one.path, result, is_tried=one not in refused)
+            output.error(one, result, is_tried=one not in refused)
         else:
             found.append(result)
             output.result(result)
@@ -304,7 +311,7 @@ def _match_together(
         narrowings = [query.narrowing for query, _ in photos]
         joint = matching.match_together([one for _, one in photos], narrowings=narrowings)
     results = [
-        replace(result, name=query.path)
+        replace(result, name=query.path, id=query.label)
         for (query, _), result in zip(photos, joint.results, strict=True)
     ]
     output.result(replace(joint, results=tuple(results)))

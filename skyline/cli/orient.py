@@ -3,10 +3,8 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -16,21 +14,26 @@ from skyline.cli.console import (
     Crs,
     Reproject,
     are_degrees,
-    note_if_slow,
     parse_numbers,
     print_error,
     print_line,
+    read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError
-from skyline.files import write_whole
-from skyline.match.orient import DEFAULT_WITHIN_M, Orientation, Orienter, noted_place
+from skyline.errors import InputError, SkylineError, printable
+from skyline.files import STANDARD, write_whole
+from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.heightfield import HeightField
+from skyline.photo.query import QuerySkyline
 
-Place = tuple[float, float, float | None, float]
-"""Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
+CameraPlace = Annotated[
+    str | None,
+    Option(
+        metavar="LON,LAT[,ELEV]",
+        help="The camera's place in degrees and, if known, its elevation in metres above the "
+        "DEM's datum. By default each photo's own GPS position.",
+    ),
+]
 
 
 def orient(
@@ -41,14 +44,7 @@ def orient(
     dem: Annotated[
         list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
     ],
-    at: Annotated[
-        str | None,
-        Option(
-            metavar="LON,LAT[,ELEV]",
-            help="The camera's place in degrees and, if known, its elevation in metres above the "
-            "DEM's datum. By default each photo's own GPS position.",
-        ),
-    ] = None,
+    at: CameraPlace = None,
     within: Annotated[
         float | None,
         Option(
@@ -67,32 +63,30 @@ def orient(
     reproject: Reproject = False,
 ) -> None:
     """Find how cameras were held at a known place: heading, pitch, roll and field of view."""
-    place = None
-    if at is not None:
-        place = _place(at, DEFAULT_WITHIN_M if within is None else within)
+    place = camera_place(at)
     queries = list(listed(photo, Query("", fov_deg, None, projection)))
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
     for one in queries:
         one.check()
-    with note_if_slow("reading the elevation model"):
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    found: list[Orientation] = []
+    terrain = read_terrain(dem, crs, reproject)
+    found: list[dict[str, Any]] = []
     exit_code = 0
-    with _orienters(terrain) as orienter_at:
+    with orienters(terrain) as orienter_at:
         for one in queries:
             try:
                 skyline = one.read()
-                there = place
-                if there is None:
-                    lon, lat, noted_m = noted_place(skyline, one.path)
-                    there = lon, lat, None, noted_m if within is None else within
+                lon, lat, elevation_m, usual_m = place or place_noted(skyline, one.path)
+                there = lon, lat, elevation_m, usual_m if within is None else within
                 result = orienter_at(there).orient(skyline, name=one.path)
             except SkylineError as error:
                 print_error(str(error))
                 exit_code = error.exit_code
                 continue
-            found.append(result)
-            text = json.dumps(result.to_row()) if as_json else result.to_text()
+            row = result.to_row() | ({"id": printable(one.label)} if one.label else {})
+            found.append(row)
+            if csv_file is not None and str(csv_file) == STANDARD:
+                continue
+            text = json.dumps(row) if as_json else result.to_text()
             try:
                 for line in text.splitlines():
                     print_line(line)
@@ -105,44 +99,28 @@ def orient(
         raise typer.Exit(exit_code)
 
 
-@contextmanager
-def _orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns the orienter of a place, the same while the place is.
-
-    A fixed camera's frames share one; orienters are released at the end of the block.
-    """
-    made: dict[Place, Orienter] = {}
-
-    def orienter_at(place: Place) -> Orienter:
-        if place not in made:
-            while made:
-                made.popitem()[1].release()
-            lon, lat, elevation_m, within_m = place
-            made[place] = Orienter(
-                terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
-            )
-        return made[place]
-
-    try:
-        yield orienter_at
-    finally:
-        for one in made.values():
-            one.release()
-
-
-def _place(text: str, within_m: float) -> Place:
-    count = 3 if text.count(",") == 2 else 2
-    error = f"--at is `{text}`; expected LON,LAT or LON,LAT,ELEV in degrees and metres"
-    lon, lat, *rest = parse_numbers(text, count, error)
+def camera_place(at: str | None) -> Place | None:
+    """Return the place of ``--at``, if there is one; raises `InputError` for bad text."""
+    if at is None:
+        return None
+    count = 3 if at.count(",") == 2 else 2
+    error = f"--at is `{at}`; expected LON,LAT or LON,LAT,ELEV in degrees and metres"
+    lon, lat, *rest = parse_numbers(at, count, error)
     if not are_degrees(lon, lat):
         raise InputError(error)
-    return lon, lat, rest[0] if rest else None, within_m
+    return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
 
 
-def _csv(found: list[Orientation]) -> str:
-    rows = [one.to_row() for one in found]
+def place_noted(query: QuerySkyline, name: str) -> Place:
+    """Return the place that a photo's GPS notes; raises `InputError` where it notes none."""
+    lon, lat, within_m = noted_place(query, name)
+    return lon, lat, None, within_m
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    names = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, list(names), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()

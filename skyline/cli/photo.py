@@ -11,7 +11,7 @@ from skyline.cli.console import (
     StoreDem,
     StoreFile,
     panel,
-    print_line,
+    print_written,
 )
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.projection import Projection
@@ -46,7 +46,9 @@ def extract(
     if overlay is not None:
         write_overlay(image, skyline, overlay)
     trusted = np.count_nonzero(skyline.trusted)
-    print_line(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
+    print_written(output, f"skyline found in {trusted} of {skyline.width_px} columns")
+    if skyline.lens is not None and skyline.lens.reason:
+        print_written(output, skyline.lens.in_words)
 
 
 def serve(
@@ -75,7 +77,7 @@ def serve(
     except ImportError as error:
         raise InputError(
             f"the page needs packages that are not installed ({error.name}); "
-            "pip install 'skyline[web]'"
+            "pip install starlette uvicorn websockets XStatic-Leaflet"
         ) from error
     given = Given(store, tuple(dem or ()), tuple(path.absolute() for path in photos or ()), peaks)
     serve_page(given, host, port)

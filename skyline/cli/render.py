@@ -9,7 +9,7 @@ from typer import Option
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import RenderingPlan
-from skyline.cli.build import Bounds, Output, print_built
+from skyline.cli.build import Bounds, Output, keeps_parts, print_built
 from skyline.cli.console import (
     Crs,
     Dems,
@@ -19,18 +19,17 @@ from skyline.cli.console import (
     Tolerance,
     Width,
     Workers,
-    on_interrupt,
     panel,
     parse_bounds,
     print_line,
     progress_bar,
+    read_terrain,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -45,7 +44,7 @@ def render(
     viewpoints: Annotated[
         Path | None,
         Option(
-            metavar="FILE.csv", help="Viewpoints to render, as CSV: easting,northing or lon,lat."
+            metavar="FILE.csv", help="Viewpoints to render, as CSV: lon,lat or easting,northing."
         ),
     ] = None,
     grid: Annotated[
@@ -116,7 +115,6 @@ def render(
     if (viewpoints is None) == (grid is None and planner is None):
         raise InputError("give one of --viewpoints FILE.csv, --grid SPACING_M and --planner NAME")
     config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k, enabled=not no_curvature))
-    options = DemOptions(crs=crs, reproject=reproject)
     corners = None if bounds is None else parse_bounds(bounds)
     of_planners = {
         "--candidate-spacing": candidate_spacing,
@@ -137,18 +135,18 @@ def render(
         }
         given = {name: value for name, value in chosen.items() if value is not None}
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]
-        _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
+        _build_planned(read_terrain(dem, crs, reproject), output, planned, corners, config, drawn)
         return
-    on_interrupt("what was built is kept, and the same command continues from there")
+    keeps_parts(output)
     _refuse_given(of_planners, "give --planner too")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
+    terrain = read_terrain(dem, crs, reproject)
+    if viewpoints is not None:
+        plan = RenderingPlan.given(read_viewpoints(viewpoints, terrain)[0], config)
+    else:
+        plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
-        terrain = read_dem(dem, options)
-        if viewpoints is not None:
-            plan = RenderingPlan.given(read_viewpoints(viewpoints, terrain), config)
-        else:
-            plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
         from skyline.report.plan_pictures import save_depth_pictures  # noqa: PLC0415  (slow to load)

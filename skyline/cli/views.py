@@ -21,11 +21,13 @@ from skyline.cli.console import (
     print_line,
     print_note,
     progress_bar,
+    read_terrain,
 )
 from skyline.errors import InputError
+from skyline.files import STANDARD
 from skyline.geodesy import Curvature
+from skyline.report.gazetteer import read_peaks
 from skyline.report.landscape import PanoramaConfig
-from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar.local_horizons import (
     DEFAULT_STEP_DEG,
@@ -68,7 +70,7 @@ def horizon(
     dem: Dems,
     at: At = None,
     points: Annotated[
-        Path | None, Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
+        Path | None, Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,id][,eye_height_m].")
     ] = None,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     summit_within: SummitWithin = None,
@@ -93,20 +95,21 @@ def horizon(
     """Give the horizon around places: elevation angle and distance by azimuth from true north."""
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
-    if output is not None and output.suffix.lower() not in SUFFIXES:
+    if output not in {None, Path(STANDARD)} and output.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"--output is {output}; expected a name that ends in {', '.join(SUFFIXES)}"
         )
+    terrain = read_terrain(dem, crs, reproject)
+    ids: tuple[str, ...] = ()
+    if points is not None:
+        eyes, ids = read_viewpoints(points, terrain, eye_height, summit_within)
+    else:
+        eyes = _eyes(terrain, at or [], eye_height, summit_within)
+    over = read_surface(surface, terrain) if surface else None
+    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     with progress_bar("rendering") as progress:
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-        if points is not None:
-            eyes = read_viewpoints(points, terrain, eye_height, summit_within)
-        else:
-            eyes = _eyes(terrain, at or [], eye_height, summit_within)
-        over = read_surface(surface, terrain) if surface else None
-        curvature = Curvature(refraction_k=k, enabled=not no_curvature)
-        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
-    if output is None:
+        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
+    if output is None or str(output) == STANDARD:
         typer.echo(horizon_csv(found), nl=False)
     else:
         write_horizons(found, output)
@@ -127,9 +130,9 @@ def sun(
         asked = date.fromisoformat(day)
     except ValueError as error:
         raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
+    terrain = read_terrain(dem, crs, reproject)
+    eyes = _eyes(terrain, at or [], eye_height, summit_within)
     with progress_bar("rendering") as progress:
-        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-        eyes = _eyes(terrain, at or [], eye_height, summit_within)
         found = horizons_of(terrain, eyes, progress=progress)
     print_line("lon,lat,from_utc,to_utc")
     for place in range(len(found)):

@@ -1,7 +1,6 @@
 """The answer to a query: its sentences, its JSON, its rows and points, and when it is refused."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
@@ -9,9 +8,10 @@ from typing import Any
 import numpy as np
 from pyproj import Geod
 
-from skyline.errors import library, printable
+from skyline.errors import printable
 from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
+from skyline.match.dataframes import as_table, to_dataframe, to_geodataframe
 from skyline.match.matchers import MatchConfig
 from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.photo.exif import NOTHING_NOTED
@@ -21,7 +21,6 @@ TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 """Keys of a candidate that differ between photos of one place."""
-_COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
 """From this share of a skyline on, terrain beyond the elevation model is warned of."""
@@ -35,6 +34,9 @@ _WGS84 = Geod(ellps="WGS84")
 _MIN_VISIBLE_DEG = 14.0
 """Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
 seven unknowns: below 14 degrees there are fewer rises than unknowns."""
+_NEAR_SLOPE_M = 150.0
+"""Skylines nearer than this, by their harmonic mean distance, tell too little in half of the
+photos: wrong slopes fit as well (docs/accuracy.md)."""
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the range searched if it is nearer to it than this share
@@ -60,6 +62,8 @@ class MatchResult:
         sure. None without an answer, and for matchers without a confidence.
     name : str
         The query's file, as it was given to the matcher; empty for a `QuerySkyline`.
+    id : str
+        The ``id`` or ``name`` that a list of queries gives it; else empty.
     """
 
     query: QuerySkyline
@@ -68,6 +72,7 @@ class MatchResult:
     refusal: str | None = None
     within_m: float | None = None
     name: str = ""
+    id: str = ""
 
     @property
     def best(self) -> Candidate | None:
@@ -191,6 +196,7 @@ class MatchResult:
         lens, exif = self.query.lens, self.exif
         return {
             "query": printable(self.name),
+            **({"id": printable(self.id)} if self.id else {}),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
             "candidates": candidates,
@@ -206,6 +212,7 @@ class MatchResult:
         row = {} if best is None else best.to_dict()
         return row | {
             "query": printable(self.name),
+            "id": printable(self.id) or None,
             "answered": int(self.answer is not None),
             "within_m": self.within_m,
             "exif_distance_m": None if exif is None else exif["distance_m"],
@@ -223,7 +230,9 @@ class MatchResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.candidates, start=1):
-            quality = f"score {one.score:.3f}" if one.confidence is None else _confidences(one)
+            quality = _confidences(one)
+            if one.confidence is None:
+                quality = f"score {one.score:.3f} (the lower, the better it fits)"
             unrefined = "" if one.refined else "  (unrefined)"
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
         if 0 < len(self.candidates) < TOP:
@@ -231,11 +240,13 @@ class MatchResult:
             lines.append(f"{count}: no other place was worth refining to the end")
         if self.beyond:
             lines.append(self.beyond)
-        if lens is not None and lens.reason:
-            fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
-            slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
-            lines.append(f"field of view: {fov}{slack}; {lens.reason}")
+        if lens is not None:
+            lines.append(lens.in_words)
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
+
+    def to_dataframe(self) -> Any:
+        """Return the candidates as a pandas DataFrame, one row each, best first."""
+        return as_table(one.to_dict() for one in self.candidates)
 
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -314,7 +325,8 @@ class JointResult:
             if one.best is not None:
                 about = {name: getattr(one.best, name) for name in _OF_CAMERA}
             agrees = one.best is not None
-            photos.append({"query": printable(one.name), "agrees": agrees, **about})
+            names = {"query": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
+            photos.append({**names, "agrees": agrees, **about})
         return {
             "answer": places[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
@@ -333,13 +345,16 @@ class JointResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.places, start=1):
-            radius = f"within {one.radius_m:.0f} m (68 %)"
-            lines.append(f"{number}. {_place(one)}  {radius}  {_confidences(one)}")
+            lines.append(f"{number}. {_place(one)}  {_confidences(one)}")
         for result in self.results:
             refused = f"does not agree: {result.refusal}"
             view = refused if result.best is None else _view(result.best)
             lines.append(f"{printable(result.name)}: {view}")
         return "\n  ".join(lines)
+
+    def to_dataframe(self) -> Any:
+        """Return the cameras as a pandas DataFrame, one row a photo; see `skyline.to_dataframe`."""
+        return to_dataframe(self.results)
 
     def to_geodataframe(self) -> Any:
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -351,46 +366,13 @@ class JointResult:
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
-def to_geodataframe(results: Iterable[MatchResult]) -> Any:
-    """Return the candidates of results as points, one row each.
-
-    Returns
-    -------
-    geopandas.GeoDataFrame
-        Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
-        best), ``is_answer`` (whether it is the answer) and the fields of `Candidate`; of the
-        covariance three columns, which files can hold. Unknown values are missing.
-
-    Raises
-    ------
-    InputError
-        GeoPandas is not installed.
-    """
-    geopandas = library("geopandas", "geo", "a GeoDataFrame")
-    names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
-    columns: dict[str, list[Any]] = {
-        name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
-    }
-    for number, result in enumerate(results):
-        for one in result.candidates:
-            (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
-            row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
-            row |= {"query": number, "is_answer": one is result.answer}
-            for name, values in columns.items():
-                values.append(math.nan if row[name] is None else row[name])
-    places = geopandas.points_from_xy(columns["lon"], columns["lat"])
-    return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
-
-
 def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
 def _place(one: Candidate) -> str:
-    return (
-        f"lat {one.lat:.5f} lon {one.lon:.5f}  easting {one.easting_m:.0f} northing "
-        f"{one.northing_m:.0f}"
-    )
+    within = "" if one.radius_m is None else f"  within {one.radius_m:.0f} m (68 %)"
+    return f"lat {one.lat:.5f} lon {one.lon:.5f}{within}"
 
 
 def _view(one: Candidate) -> str:
@@ -450,7 +432,19 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
         return None
     return (
         f"the best place has confidence {best.confidence:.2f}, within 1 km "
-        f"{best.confidence_1km:.2f}; {least:.2f} is needed"
+        f"{best.confidence_1km:.2f}; {least:.2f} is needed" + _of_a_slope(candidates)
+    )
+
+
+def _of_a_slope(candidates: Sequence[Candidate]) -> str:
+    """Return a hint if the skyline is a near slope that several candidates show; empty if not."""
+    distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
+    near = [distance for distance in distances_m if distance < _NEAR_SLOPE_M]
+    if len(near) < max(2, len(candidates) // 2 + 1):
+        return ""
+    return (
+        f"; the skyline is a slope {min(near):.0f} to {max(near):.0f} m away, and {len(near)} "
+        "places have a slope like it: a photo that shows farther ridges says more"
     )
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from skyline.arrays import Progress
 from skyline.build.parts import build_places
-from skyline.build.plans import DEFAULT_LOSS, map_bounds
+from skyline.build.plans import DEFAULT_LOSS, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
@@ -197,6 +197,11 @@ def cached_areas() -> list[CachedArea]:
     return found
 
 
+def cached_files() -> set[Path]:
+    """Return the finished files of all areas in the cache: tiles, parts of stores, and stores."""
+    return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
+
+
 def clear_cache(say: Say = lambda _: None) -> int:
     """Remove all areas but those that another process is making; return their number."""
     cleared = 0
@@ -221,7 +226,7 @@ def _digest(*parts: object) -> str:
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
 
 
-_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_LOSS, PLACE_CODING)}.h5"
+_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSS, PLACE_CODING)}.h5"
 """Name of a store, which differs between releases that would build another one."""
 
 

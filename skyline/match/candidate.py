@@ -18,7 +18,7 @@ DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 COLUMNS = {
     "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
     "heading °": ("heading_deg", ".2f"), "pitch °": ("pitch_deg", ".2f"),
-    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"), "score": ("score", ".4f"),
+    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"),
     "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
 }  # fmt: skip
 """Columns of a table of candidates: the field of `Candidate`, and its format."""
@@ -72,6 +72,9 @@ class Candidate:
     terrain_share : float or None
         Share of the query's skyline that shows terrain, as against trees or houses; None for a
         pose that was not refined.
+    skyline_m : float or None
+        Harmonic mean distance of the rendered skyline, in the query's columns; None for a pose that
+        was not refined.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
         found.
@@ -96,6 +99,7 @@ class Candidate:
     beyond_share: float | None = None
     residual_deg: float | None = None
     terrain_share: float | None = None
+    skyline_m: float | None = None
     rank: int | None = None
 
     @property
@@ -235,6 +239,8 @@ class RefinedPoses(Rows):
     """(M,) float64. As in `Candidate`."""
     terrain_share: Float64Array
     """(M,) float64. As in `Candidate`."""
+    skyline_m: Float64Array
+    """(M,) float64. As in `Candidate`."""
     effective_columns: Float64Array
     """(M,) float64. Number of independent columns that would hold as much information."""
     height_sd_m: Float64Array
@@ -284,7 +290,7 @@ class Ranking:
             if getattr(self, name) is not None:
                 columns[name] = getattr(self, name).tolist()
         if self.refined is not None:
-            for name in ("beyond_share", "residual_deg", "terrain_share"):
+            for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
                 columns[name] = getattr(self.refined, name).tolist()
             covariance_m2 = self.refined.covariance_m2.tolist()
             columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]

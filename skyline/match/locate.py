@@ -12,7 +12,7 @@ from skyline.match.answer import MatchResult
 from skyline.match.areas import Area, prepare_area
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
-from skyline.photo.read import read_noted_place
+from skyline.photo.read import Picture, in_words, read_noted_place
 
 NOTED_KM, NEEDED_KM = 10.0, 5.0
 """Radius of the area that is built round a photo's own position, and of the area that a cached
@@ -23,7 +23,7 @@ _TOGETHER_KM = 50.0
 
 
 def locate(
-    photo: str | Path,
+    photo: Picture,
     near: tuple[float, float, float] | Bounds | None = None,
     dem: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -38,7 +38,7 @@ def locate(
 
     Parameters
     ----------
-    photo : str or Path
+    photo : path, PIL image or (H, W, 3) uint8
         A photo, a sky mask or a trace.
     near : tuple, optional
         Longitude, latitude and a radius in km, or W, S, E, N in degrees; by default 10 km round the
@@ -50,6 +50,11 @@ def locate(
         ``$SKYLINE_DEM_SOURCE``, else Copernicus.
     fov_deg : float, optional
         Horizontal field of view; by default the photo's own.
+
+    Returns
+    -------
+    MatchResult
+        As of `Matcher.match`.
 
     Raises
     ------
@@ -79,7 +84,7 @@ def narrowing_near(near: tuple[float, ...] | None) -> Narrowing:
     )
 
 
-def area_of(photos: Sequence[str | Path], narrowing: Narrowing) -> tuple[Area, Narrowing]:
+def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narrowing]:
     """Return the area in which to search for photos, and the narrowing to it.
 
     Raises `InputError` if neither the narrowing nor a photo has a place, or the photos lie far
@@ -94,7 +99,7 @@ def area_of(photos: Sequence[str | Path], narrowing: Narrowing) -> tuple[Area, N
     places = [one.lonlat_deg for one in noted if one.lonlat_deg is not None]
     if not places:
         why = next((f" ({one.left_aside})" for one in noted if one.left_aside), "")
-        which = photos[0] if len(photos) == 1 else f"none of {len(photos)} photos"
+        which = in_words(photos[0]) if len(photos) == 1 else f"none of {len(photos)} photos"
         notes = "notes no position" if len(photos) == 1 else "notes a position"
         raise InputError(
             f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10"

@@ -27,10 +27,10 @@ from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
 from skyline.match.scene import VIEW_WIDTH, RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
-from skyline.photo.read import read_query
+from skyline.photo.read import Picture, read_query
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_joined
@@ -131,7 +131,7 @@ class Matcher:
 
     def match(
         self,
-        query: str | Path | QuerySkyline,
+        query: Picture | QuerySkyline,
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
@@ -142,9 +142,9 @@ class Matcher:
 
         Parameters
         ----------
-        query : path or QuerySkyline
+        query : path, PIL image, (H, W, 3) uint8 or QuerySkyline
         fov_deg : float, optional
-            Horizontal field of view; by default the query's own.
+            Horizontal field of view, degrees; by default the query's own.
         top : int
             Most candidates to return; the candidates themselves do not depend on it.
         narrowing : Narrowing, optional
@@ -155,6 +155,13 @@ class Matcher:
         report_progress : callable, optional
             Called, in this thread, with the current step of the match and the share of that step
             that is done, 0 to 1. An exception that it raises ends the match.
+
+        Returns
+        -------
+        MatchResult
+            Its ``answer`` is the `Candidate` with ``lon``, ``lat`` and ``heading_deg`` of the
+            camera, or None with the reason in ``refusal``; ``candidates`` are all places that fit,
+            best first. ``to_dict()`` and ``to_dataframe()`` give them as records and as a table.
 
         Raises
         ------
@@ -181,7 +188,7 @@ class Matcher:
 
     def match_together(
         self,
-        queries: Sequence[str | Path | QuerySkyline],
+        queries: Sequence[Picture | QuerySkyline],
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
@@ -195,12 +202,17 @@ class Matcher:
 
         Parameters
         ----------
-        queries : sequence of path or QuerySkyline
+        queries : sequence of path, PIL image, array or QuerySkyline
             Two or more.
         fov_deg, top, report_progress
             See `match`.
         narrowings : sequence of Narrowing or None, optional
             Knowledge about the pose of each query.
+
+        Returns
+        -------
+        JointResult
+            Its ``answer`` is the place, ``results`` has a `MatchResult` for each query.
 
         Raises
         ------
@@ -347,13 +359,13 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     return [store] if isinstance(store, str | Path) else store
 
 
-def name_of(query: str | Path | QuerySkyline) -> str:
-    """Return the file of a query; empty for a query skyline."""
-    return "" if isinstance(query, QuerySkyline) else str(query)
+def name_of(query: Picture | QuerySkyline) -> str:
+    """Return the file of a query; empty for pixels and for a query skyline."""
+    return str(query) if isinstance(query, str | Path) else ""
 
 
-def skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
-    """Return a query, read from its file if it is one, with its field of view or a given one."""
+def skyline_of(query: Picture | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
+    """Return a query's skyline, with its field of view or a given one."""
     if not isinstance(query, QuerySkyline):
         return read_query(query, fov_deg)
     return query if fov_deg is None else query.with_fov(fov_deg)

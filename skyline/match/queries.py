@@ -5,10 +5,9 @@ one query keeps many workers busy. The places of all parts are joined, and one w
 refines the best. The answers are those of one process, to the bit.
 """
 
-import csv
-import math
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,19 +15,21 @@ from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.files import STANDARD
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query
 from skyline.store import open_store
 from skyline.store.format import PLACES, PLACES_A_CHUNK
+from skyline.tables import Row, Table, is_table, read_table
 
-_COLUMNS = (
-    "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
+_NUMBERS = (
+    "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
     "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
 )  # fmt: skip
 _PICTURES = (
@@ -39,6 +40,7 @@ _TOGETHER = (
     ("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"), ("lowest_m", "highest_m"),
 )  # fmt: skip
 """Groups of columns; a row fills either all columns of a group or none."""
+_EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
 _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
 
@@ -58,10 +60,12 @@ class Query:
     projection: Projection | None = None
     """By default from the file."""
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
+    label: str = ""
+    """The ``id`` or ``name`` that a list gives it."""
 
     def check(self) -> None:
         """Refuse errors that can be found without decoding a picture; raises as `read`."""
-        if not Path(self.path).exists():
+        if self.path != STANDARD and not Path(self.path).exists():
             raise MissingFileError(
                 f"{self.path} does not exist; expected a photo, a mask or a trace"
             )
@@ -70,7 +74,7 @@ class Query:
             raise InputError(
                 f"{self.path}: the field of view's slack is {self.fov_slack:g}; expected 0 to 1"
             )
-        if Path(self.path).suffix.lower() == ".csv":
+        if is_table(self.path):
             self.read()
 
     def read(self) -> QuerySkyline:
@@ -84,20 +88,24 @@ class Query:
 def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
     """Yield the queries that paths name: photos, all pictures of folders, all rows of lists.
 
-    A path that does not exist and has a wildcard names the files that it matches. A list is a CSV
-    file whose header begins with ``path``. Paths count from the list's folder; fields that a row
-    leaves empty are those of ``common``, whose own path is not used.
+    A path that does not exist and has a wildcard names the files that it matches; ``-`` is standard
+    input. A list is a CSV file with a column ``path``. Paths count from the list's folder; fields
+    that a row leaves empty are those of ``common``, whose own path is not used.
 
     Raises `InputError` for a list with an unknown column or a bad value, and for a folder without
     pictures.
     """
     for path in _expanded(paths):
-        rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None
-        if rows is None:
+        table = None
+        if is_table(path):
+            with suppress(SkylineError):  # Reading the query itself raises it.
+                table = read_table(path, _EXPECTED)
+        if table is None or "path" not in table.header:
             yield replace(common, path=str(path))
             continue
-        for number, row in enumerate(rows, start=2):
-            yield _query(path, number, row, common)
+        table.refuse_other("path", *_NUMBERS, "id", "name")
+        for row in table.rows:
+            yield _query(table, row, common)
 
 
 def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
@@ -114,41 +122,14 @@ def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
         yield from sorted(some)
 
 
-def _rows(path: Path) -> list[dict[str, str]] | None:
-    """Return the rows of a list; None for another file, such as a trace."""
-    try:
-        # File names are bytes, which need not be UTF-8.
-        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            names = [name.strip() for name in reader.fieldnames or ("",)]
-            if names[0] != "path":
-                return None
-            reader.fieldnames = names
-            rows = list(reader)
-    except (OSError, csv.Error):
-        return None  # Reading the file as a trace raises the error.
-    unknown = [name for name in names if name not in _COLUMNS]
-    if unknown:
-        raise InputError(
-            f"{path} has the column {unknown[0]!r}; expected some of {', '.join(_COLUMNS)}"
-        )
-    return [{name: value for name, value in row.items() if name is not None} for row in rows]
-
-
-def _query(path: Path, number: int, row: Mapping[str, str | None], common: Query) -> Query:
+def _query(table: Table, row: Row, common: Query) -> Query:
     """Return the query of a row of a list; raises `InputError` for a bad value."""
-    where = f"{path}, line {number}"
-    name = (row.get("path") or "").strip()
-    if not name:
-        raise InputError(f"{where} has no path; expected a photo, a mask or a trace")
-    given = {
-        column: finite_number(where, column, text)
-        for column in _COLUMNS[1:]
-        if (text := (row.get(column) or "").strip())
-    }
+    if not row["path"]:
+        raise InputError(f"{row.where} has no path; {_EXPECTED}")
+    given = {column: row.number(column) for column in _NUMBERS if row[column]}
     for group in _TOGETHER:
         if 0 < sum(column in given for column in group) < len(group):
-            raise InputError(f"{where} has some of {', '.join(group)}; expected all or none")
+            raise InputError(f"{row.where} has some of {', '.join(group)}; expected all or none")
     known: dict[str, object] = {}
     if "lon" in given:
         known["near"] = given["lon"], given["lat"], given["radius_km"]
@@ -161,25 +142,15 @@ def _query(path: Path, number: int, row: Mapping[str, str | None], common: Query
     try:
         narrowing = replace(common.narrowing, **known)  # type: ignore[arg-type]
     except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+        raise InputError(f"{row.where}: {error}") from error
     return replace(
         common,
-        path=str(path.parent / name),
+        path=str(Path(table.path).parent / row["path"]),
         fov_deg=given.get("fov_deg", common.fov_deg),
         fov_slack=given.get("fov_slack", common.fov_slack),
         narrowing=narrowing,
+        label=row.label,
     )
-
-
-def finite_number(where: str, column: str, text: str) -> float:
-    """Return the number in a field of a list; raises `InputError` for anything else."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {column} is {text!r}; expected a number")
-    return value
 
 
 def match_here(matcher: Matcher, queries: Iterable[Query]) -> Iterator[MatchResult | SkylineError]:
@@ -274,7 +245,8 @@ def _matched(
     """Match one query; the result's seconds include reading it."""
     started = time.perf_counter()
     found = matcher.match(read(query), narrowing=query.narrowing, screened=screened)
-    return replace(found, seconds=time.perf_counter() - started, name=query.path)
+    seconds = time.perf_counter() - started
+    return replace(found, seconds=seconds, name=query.path, id=query.label)
 
 
 @lru_cache(maxsize=4)

@@ -66,8 +66,9 @@ _SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
 _RIVALS = 3
 """Best poses of other answers, and best distant poses, that are kept to the end beside the best
 pose: their fits show how sure an answer is."""
-_RESTART_ROUNDS, _RESTART_M = 3, 30.0
-"""Renderings of each place on the rings from which the search restarts, and the rings' radius."""
+_RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
+"""Renderings of each place on the rings from which the search restarts, and the rings' radii: a
+near slope is found from 10 to 20 m away, and a far one from farther."""
 _FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
 """Deviations that damp steps."""
 _LONGER, _SHORTER = 1.5, 0.4
@@ -88,6 +89,8 @@ _HEADING_STEP_DEG = 6.0
 """Step of the headings that are tried for a query of unknown heading."""
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all queries of one eye share."""
+_LEAST_NEARNESS = 1e-6
+"""Least mean inverse distance of a skyline, 1 / m."""
 _LEAST_SHARE = 1e-6
 """Least weight of a query, so that the mean of the steps exists where no query fits."""
 
@@ -233,10 +236,17 @@ class Refinement:
         return replace(old.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
 
     def around(self, particles: Particles) -> Particles:
-        """Return particles that start from a ring around each place."""
-        ring = _RESTART_M * np.exp(0.25j * np.pi * np.arange(8))
-        near = particles[np.repeat(np.arange(len(particles)), len(ring))]
-        place_m = near.curves.place_m + np.tile(ring, len(particles))
+        """Return particles that start from rings around each place."""
+        turns = np.exp(0.25j * np.pi * np.arange(8))
+        # The rings are half a step apart in azimuth.
+        rings = np.concatenate(
+            [
+                radius_m * turns * np.exp(0.125j * np.pi * number)
+                for number, radius_m in enumerate(_RESTARTS_M)
+            ]
+        )
+        near = particles[np.repeat(np.arange(len(particles)), len(rings))]
+        place_m = near.curves.place_m + np.tile(rings, len(particles))
         return self.arrived(self.rough, place_m, near.fit)
 
     def _restarted(self, particles: Particles) -> Particles:
@@ -310,16 +320,20 @@ class Refinement:
         """Return particles after the last rounds as poses with their figures."""
         solver = self.fine
         linear, found = solver.evaluate(particles.curves, particles.fit)
-        covariance = solver.covariance(linear, found)
+        # Columns share errors that the likelihood takes for independent: variances are too small by
+        # the temperature.
+        covariance = TEMPERATURE * solver.covariance(linear, found)
         trust = solver.query.weight
         squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
+        nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         hypotheses = self.hypotheses(particles, solver)
         return RefinedPoses(
             hypotheses,
             spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
+            1.0 / np.maximum(nearness, _LEAST_NEARNESS),
             found.effective_columns,
             solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
@@ -329,12 +343,8 @@ class Refinement:
         )
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
-        """Return the standard errors (M, 4) of heading, pitch, roll and field of view.
-
-        Columns share errors that the likelihood takes for independent, so variances are too small
-        by the temperature.
-        """
-        sd = np.sqrt(TEMPERATURE * np.diagonal(covariance, axis1=1, axis2=2))
+        """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
+        sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
         query = self.fine.query
         fov_deg = np.abs(query.fov_at(scale + off) - query.fov_at(scale - off)) / 2.0
@@ -504,7 +514,7 @@ class JointRefinement:
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5
         mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
-        covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
         standing = replace(poses[0].hypotheses, score=cost)

@@ -20,7 +20,7 @@ from skyline.files import has_locks, write_whole
 Row = Mapping[str, Any]
 
 _TYPES: Mapping[str, str] = {
-    "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
+    "query": "TEXT", "id": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
     "lon": "REAL", "lat": "REAL", "easting_m": "REAL", "northing_m": "REAL",
     "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
     "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",
@@ -71,7 +71,7 @@ class ResultsFile:
     ----------
     path : Path
     queries : set of str
-        The names of the queries that were in the file when it was opened.
+        The names of the queries that are in the file.
 
     Raises
     ------
@@ -101,6 +101,7 @@ class ResultsFile:
         with self._input_errors():
             values = {name: row.get(name) for name in _TYPES}
             self._table.append(values | {"search": self._search})
+        self.queries.add(str(row["query"]))
 
     @contextmanager
     def _input_errors(self) -> Iterator[None]:

@@ -92,7 +92,7 @@ class FitStage:
     """Scales of the Cauchy weights, beside the expected error, from round to round."""
 
 
-_ROUGHLY = FitStage(40, (0.5, 0.3))
+_ROUGHLY = FitStage(40, (0.5, 0.35, 0.25))
 _WELL = FitStage(100, (0.5, 0.35, 0.25, 0.2, 0.2))
 
 

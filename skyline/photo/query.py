@@ -6,7 +6,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.photo.exif import NOTHING_NOTED, Lens, NotedPlace
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.lens import Lens
 from skyline.photo.projection import MIN_FOV_DEG, Projection, undistorted
 
 

@@ -23,16 +23,10 @@ from PIL.ExifTags import IFD
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files import write_whole
-from skyline.photo.exif import (
-    MAX_PINHOLE_ASPECT,
-    NOTHING_NOTED,
-    Lens,
-    NotedPlace,
-    camera_of,
-    place_from_exif,
-)
+from skyline.files import STANDARD, read_bytes, write_whole
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, camera_of
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import (
@@ -42,6 +36,7 @@ from skyline.photo.sky_model import (
     skyline_of_mask,
 )
 from skyline.photo.trace import read_trace
+from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
 
@@ -50,6 +45,10 @@ MAX_DECODED_PIXELS = 100_000_000
 MAX_JPEG_PIXELS = 400_000_000
 """Larger JPEGs are refused: a progressive JPEG is decoded whole, at any size."""
 
+Picture = str | Path | Image.Image | UInt8Array
+"""A photo, a sky mask or a trace: its file, ``-`` for standard input, or its pixels."""
+
+_EXPECTED = "expected a photo, a sky mask or a trace"
 _size_limit = Lock()
 
 _FORMATS = (
@@ -103,7 +102,7 @@ class Photo:
 
 
 def read_query(
-    path: str | Path,
+    path: Picture,
     fov_deg: float | None = None,
     *,
     projection: Projection | None = None,
@@ -113,7 +112,7 @@ def read_query(
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path, PIL image, or (H, W) or (H, W, 3) uint8
     fov_deg : float, optional
         Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
         from the photo's EXIF or XMP.
@@ -129,13 +128,13 @@ def read_query(
     InputError
         The file cannot be used, or no skyline is found in it.
     """
-    if Path(path).suffix.lower() == ".csv":
+    if is_table(path):
         return read_trace(path, fov_deg, projection)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
 def extract_photo(
-    path: str | Path,
+    path: Picture,
     fov_deg: float | None = None,
     *,
     projection: Projection | None = None,
@@ -152,19 +151,19 @@ def extract_photo(
         _log.warning(
             "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
             "--projection cylindrical and --fov-deg",
-            path,
+            in_words(path),
             width,
             height,
         )
     try:
         query = _find(photo.rgb, sky_model)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{in_words(path)}: {error}") from error
     return photo.rgb, photo.described(query)
 
 
 def read_photo(
-    path: str | Path, fov_deg: float | None = None, *, projection: Projection | None = None
+    path: Picture, fov_deg: float | None = None, *, projection: Projection | None = None
 ) -> Photo:
     """Read a photo or a sky mask: its pixels, upright, and its file's notes on the camera.
 
@@ -181,10 +180,10 @@ def read_photo(
         The file cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
-    path = Path(path)
+    name = in_words(path)
     with opened_image(path) as image:
         width, height = image.size
-        _require_bounded(path, image)
+        _require_bounded(name, image)
         upright = ImageOps.exif_transpose(image)
         # Decoders differ: some have already turned the pixels, some the size as well, and each
         # leaves other tags. The upright picture shows whether the file's size is upright.
@@ -197,7 +196,7 @@ def read_photo(
         place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
         rgb = _to_rgb(upright)
     if min(rgb.shape[:2]) < 2:
-        raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
+        raise InputError(f"{name} has {width} x {height} px; expected a photo or a sky mask")
     # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
     is_as_noted = projection is None or projection.is_panorama == noted.is_panorama
     if fov_deg is not None or not is_as_noted:
@@ -205,13 +204,12 @@ def read_photo(
     return Photo(rgb, lens.fov_deg, projection or noted, place, lens)
 
 
-def read_noted_place(path: str | Path) -> NotedPlace:
+def read_noted_place(path: Picture) -> NotedPlace:
     """Return the place noted in a query's EXIF, without decoding its pixels.
 
     A trace notes none. Raises as `read_photo`.
     """
-    path = Path(path)
-    if path.suffix.lower() == ".csv":
+    if is_table(path):
         return NOTHING_NOTED
     with opened_image(path) as image:
         return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo))
@@ -238,7 +236,7 @@ def read_picture(path: str | Path) -> UInt8Array | None:
 
     Raises as `read_photo`.
     """
-    if Path(path).suffix.lower() == ".csv":
+    if is_table(path):
         return None
     image = read_photo(path).rgb
     return None if is_sky_mask(image) else image
@@ -262,27 +260,49 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     write_whole(Path(path), picture.getvalue())
 
 
+def in_words(picture: Picture) -> str:
+    """Return the file of a picture, for messages; ``the image`` for pixels."""
+    return str(picture) if isinstance(picture, str | Path) else "the image"
+
+
 @contextmanager
-def opened_image(path: Path) -> Iterator[Image.Image]:
-    """Open an image file; errors of decoding in the ``with`` block raise as in `read_photo`."""
-    if not path.exists():
-        raise MissingFileError(f"{path} does not exist; expected a photo, a sky mask or a trace")
-    if not path.is_file():
-        raise InputError(f"{path} is not a file; expected a photo, a sky mask or a trace")
+def opened_image(picture: Picture) -> Iterator[Image.Image]:
+    """Open a picture; errors of decoding in the ``with`` block raise as in `read_photo`."""
+    if isinstance(picture, Image.Image):
+        yield picture
+        return
+    if isinstance(picture, np.ndarray):
+        if picture.dtype != np.uint8 or picture.ndim not in {2, 3} or 0 in picture.shape:
+            raise InputError(
+                f"the image is an array of {picture.dtype} of shape {picture.shape}; expected (H, "
+                "W, 3) uint8"
+            )
+        yield Image.fromarray(picture)
+        return
+    path = Path(picture)
+    source: Path | io.BytesIO = path
+    if str(path) == STANDARD:
+        source = io.BytesIO(read_bytes(path, _EXPECTED))
+    elif not path.exists():
+        raise MissingFileError(f"{path} does not exist; {_EXPECTED}")
+    elif not path.is_file():
+        raise InputError(f"{path} is not a file; {_EXPECTED}")
+    is_heic = False
     try:
         with warnings.catch_warnings(), _unlimited_size():
             # Pillow warns about large images, which are bounded here, and about odd EXIF.
             warnings.simplefilter("ignore")
-            if _is_heic(path):
+            is_heic = _is_heic(source)
+            if is_heic:
                 with suppress(ImportError):
                     import_module("pillow_heif").register_heif_opener()
             Image.init()
             formats = [name for name in _FORMATS if name in Image.OPEN]
-            with Image.open(path, formats=formats) as image:
+            with Image.open(source, formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
         reason = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
-        if _is_heic(path):
+        if is_heic:
             reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
                 "pip install pillow-heif"
@@ -308,7 +328,7 @@ def _unlimited_size() -> Iterator[None]:
             Image.MAX_IMAGE_PIXELS = before
 
 
-def _require_bounded(path: Path, image: Image.Image) -> None:
+def _require_bounded(name: str, image: Image.Image) -> None:
     """Let a large JPEG be decoded smaller; raise `InputError` for other large images."""
     width, height = image.size
     if width * height <= MAX_JPEG_PIXELS:
@@ -317,7 +337,7 @@ def _require_bounded(path: Path, image: Image.Image) -> None:
                 image.draft("RGB", (width // shrink, height // shrink))
     if image.width * image.height > MAX_DECODED_PIXELS:
         raise InputError(
-            f"{path} has {width * height / 1e6:.0f} megapixels; expected at most "
+            f"{name} has {width * height / 1e6:.0f} megapixels; expected at most "
             f"{MAX_DECODED_PIXELS / 1e6:.0f} ({MAX_JPEG_PIXELS / 1e6:.0f} in a JPEG): scale it "
             "down, 20 are plenty"
         )
@@ -336,7 +356,10 @@ def _to_rgb(image: Image.Image) -> UInt8Array:
     return rgb
 
 
-def _is_heic(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(12)
+def _is_heic(source: Path | io.BytesIO) -> bool:
+    if isinstance(source, io.BytesIO):
+        head = source.getvalue()[:12]
+    else:
+        with source.open("rb") as file:
+            head = file.read(12)
     return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS

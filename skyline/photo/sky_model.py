@@ -42,7 +42,7 @@ def load_sky_model(path: str | Path) -> Any:
     """
     if not Path(path).is_file():
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
-    runtime = library("onnxruntime", "onnx", str(path))
+    runtime = library("onnxruntime", str(path))
     try:
         return runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # The runtime's errors share no base class.

@@ -1,6 +1,5 @@
 """Skyline traces: CSV files of a skyline, written here or drawn by a person."""
 
-import csv
 import math
 import re
 from pathlib import Path
@@ -8,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError
 from skyline.files import write_whole
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
+from skyline.tables import Row, Table, read_table
 
 MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
@@ -66,20 +66,15 @@ def read_trace(
     InputError
         The file is no trace, a point lies outside the image, or a column has two rows.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise MissingFileError(f"{path} does not exist; expected a skyline trace (CSV)")
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read as text ({error}); {_FORM}") from error
-    notes, noted_projection, heading = _notes(path, lines)
+    table = read_table(path, _FORM)
+    notes, noted_projection = _notes(table)
     if not {"width", "height"} <= notes.keys():
-        raise InputError(f"{path} starts with {(lines or [''])[0][:60]!r}; {_FORM}")
+        start = (table.notes or [",".join(table.header)])[0].strip()
+        raise InputError(f"{path} starts with {start[:60]!r}; {_FORM}")
     width, height = (int(notes[side]) for side in ("width", "height"))
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
         raise InputError(f"{path} is {width} x {height} px; expected 1 to {MAX_SIDE_PX} each")
-    column, row = _points(path, lines, heading, width, height)
+    column, row = _points(table, width, height)
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():
         raise InputError(f"{path} draws no column of the skyline; add points to it")
@@ -96,13 +91,12 @@ def read_trace(
         raise InputError(f"{path}: {error}") from error
 
 
-def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, int]:
-    """Return the numbers and the projection noted before the header, and the header's index."""
-    heading = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+def _notes(table: Table) -> tuple[dict[str, float], Projection]:
+    """Return the numbers and the projection noted before the header."""
     notes: dict[str, float] = {}
     projection = Projection.PERSPECTIVE
-    for number, line in enumerate(lines[:heading], start=1):
-        where = f"{path}, line {number}"
+    for number, line in enumerate(table.notes, start=1):
+        where = f"{table.path}, line {number}"
         for name, text in _NOTE.findall(line):
             if name not in _NOTES:
                 raise InputError(f"{where} notes {name!r}; expected some of {', '.join(_NOTES)}")
@@ -112,56 +106,30 @@ def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, 
                     raise InputError(f"{where}: projection is {text}; expected {known}")
                 projection = Projection(text)
                 continue
-            notes[name] = _number(where, text)
-            if not (math.isfinite(notes[name]) and notes[name] >= 0.0):
-                raise InputError(f"{where}: {name} is {text}; expected 0 or more")
-    return notes, projection, heading
+            notes[name] = Row(where, {name: text}).number(name, 0.0)
+    return notes, projection
 
 
-def _points(
-    path: Path, lines: list[str], heading: int, width: int, height: int
-) -> tuple[Float64Array, Float64Array]:
+def _points(table: Table, width: int, height: int) -> tuple[Float64Array, Float64Array]:
     """Return columns and rows in order of the columns; a row of NaN is a break."""
-    records = list(csv.reader(lines[heading:]))
-    header = tuple(name.strip() for name in records[0]) if records else ()
-    if header[:2] != _COLUMNS:
-        raise InputError(f"{path} has the header {','.join(header)!r}; {_FORM}")
+    table.first_in(_COLUMNS, expected=_FORM)
     points = [
-        [
-            _coordinate(f"{path}, line {number}", record, axis, side)
-            for axis, side in enumerate((width, height))
-        ]
-        for number, record in enumerate(records[1:], start=heading + 2)
-        if any(field.strip() for field in record)
+        (
+            row.number("column_px", -0.5, width - 0.5),
+            math.nan
+            if row["row_px"].lower() in {"", "nan"}
+            else row.number("row_px", -0.5, height - 0.5),
+        )
+        for row in table.rows
     ]
-    column, row = np.array(sorted(points), dtype=np.float64).reshape(-1, 2).T
+    column, row_px = np.array(sorted(points), dtype=np.float64).reshape(-1, 2).T
     twice = np.flatnonzero(np.diff(column) == 0.0)
     if twice.size:
         raise InputError(
-            f"{path} has two rows for column {column[twice[0]]:g}; expected one: remove the other"
+            f"{table.path} has two rows for column {column[twice[0]]:g}; expected one: remove the "
+            "other"
         )
-    return column, row
-
-
-def _coordinate(where: str, record: list[str], axis: int, side: int) -> float:
-    """Return a point's column (axis 0) or row (axis 1) in an image of a side; a row may be NaN."""
-    text = record[axis].strip() if len(record) > axis else ""
-    if axis == 1 and text.lower() in {"", "nan"}:
-        return math.nan
-    value = _number(where, text)
-    if not -0.5 <= value <= side - 0.5:
-        raise InputError(
-            f"{where}: {('column', 'row')[axis]} {text} is outside the image; expected -0.5 to "
-            f"{side - 0.5}"
-        )
-    return value
-
-
-def _number(where: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"{where}: {text.strip()!r} is not a number; expected one") from None
+    return column, row_px
 
 
 def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array:

@@ -69,13 +69,13 @@ def section(title: str, parts: Iterable[str]) -> str:
     return "\n".join([f"<section><h2>{_escaped(title)}</h2>", *parts, "</section>"])
 
 
-def text(words: str, kind: str = "", link: tuple[str, str] | None = None) -> str:
-    """Return a paragraph; ``link`` is an address and its words, appended to the paragraph.
+def text(words: str, kind: str = "", links: Iterable[tuple[str, str]] = ()) -> str:
+    """Return a paragraph; ``links`` are addresses and their words, appended to the paragraph.
 
     ``kind`` highlights a result: ``answer``, ``refusal`` or ``pose``.
     """
     shown = _escaped(words)
-    if link is not None:
+    for link in links:
         address, link_words = map(_escaped, link)
         shown += f' <a href="{address}" rel="noreferrer">{link_words}</a>'
     return f'<p class="result {kind}">{shown}</p>' if kind else f"<p>{shown}</p>"

@@ -16,10 +16,11 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
 from skyline.report.figures import encode_figure, unnamed_in_words
+from skyline.report.gazetteer import Peaks
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import HIDDEN_DEG, Peaks, Sighting
+from skyline.report.peaks import Sighting
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import package_version
@@ -107,8 +108,7 @@ def _about(viewer: Viewer | None) -> str:
         return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
     return (
         f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
-        "nothing on the line to them stands more than "
-        f"{HIDDEN_DEG:g}° above them in the elevation model."
+        "nothing on the line to them stands above them in the elevation model."
     )
 
 
@@ -131,7 +131,7 @@ def _section(
     overlay, unnamed = draw_overlay(query, photo, best, sight, peaks)
     caption = _overlay_caption(query, best, sight, unnamed)
     parts = [
-        text(result.summary, _kind(result), None if best is None else _map_link(best)),
+        text(result.summary, _kind(result), () if best is None else _map_links(best)),
         figures(
             [
                 picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
@@ -142,7 +142,8 @@ def _section(
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
     how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
-    notes = result.exif_in_words(with_place=False), result.beyond, how
+    lens = "" if query.lens is None else query.lens.in_words
+    notes = result.exif_in_words(with_place=False), lens, result.beyond, how
     return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
 
@@ -184,10 +185,10 @@ def _kind(result: MatchResult) -> str:
     return "answer" if result.answer is not None else "refusal"
 
 
-def _map_link(candidate: Candidate) -> tuple[str, str]:
-    place = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
-    address = "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
-    return address, "On a map."
+def _map_links(candidate: Candidate) -> list[tuple[str, str]]:
+    lat, lon = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
+    address = f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=14/{lat}/{lon}"
+    return [(address, "On OpenStreetMap."), (f"geo:{lat},{lon}", "In a map program.")]
 
 
 def _overlay_caption(
@@ -211,4 +212,4 @@ def _candidate_table(candidates: Sequence[Candidate]) -> str:
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
         rows.append([candidate.rank, *candidate.cells(), candidate.refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
-    return table(columns, rows, "Candidates; headings from true north, a lower score is better")
+    return table(columns, rows, "Candidates, best first; headings from true north")

@@ -1,26 +1,20 @@
-"""Named summits from a gazetteer (CSV, or GeoJSON of OpenStreetMap), and those an eye can see.
+"""Summits of a gazetteer that an eye can see.
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
-there. It is visible if nothing on the straight line to it stands more than a tenth of a degree
-above it.
+there. It is visible if nothing on the straight line to it stands above it, up to 150 m from it:
+nearer ground is the peak's own.
 """
 
-import csv
-import json
-import logging
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError, MissingFileError, printable
-from skyline.geodesy import Curvature, Frame
+from skyline.geodesy import Curvature
+from skyline.report.gazetteer import Peaks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sightlines import edge_crossings_m
 from skyline.terrain.summits import prominence_m
@@ -30,187 +24,6 @@ SUMMIT_RADIUS_M = 150.0
 """Radius around a named place in which its summit is searched, and terrain cannot hide it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
-HIDDEN_DEG = 0.1
-"""Terrain before a visible peak stands at most this angle above it."""
-_GEOJSON = (".geojson", ".json")
-_FOOT_M, _INCH_M = 0.3048, 0.0254
-_METRES = {
-    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
-    **dict.fromkeys(("mi", "mile", "miles"), 1609.344),
-    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
-}
-"""Units of length that OpenStreetMap documents (wiki, Map features/Units), in metres."""
-_NUMBER = r"[0-9]+(?:\.[0-9]+)?"
-_WITH_UNIT = re.compile(rf"([-+]?{_NUMBER})\s?([a-z]*)")
-_FEET_INCHES = re.compile(rf"""({_NUMBER})['\u2019\u2032](?:\s?({_NUMBER})["\u201d\u2033])?""")
-_HEIGHTS_M = -500.0, 9000.0
-"""Lowest and highest ground on Earth, with a margin: the Dead Sea at -430 m, Everest at 8849 m."""
-_PLACES = (("lon", "lat"), ("easting", "northing"))
-_log = logging.getLogger(__name__)
-_EXPECTED = "expected a header `name,lon,lat` or `name,easting,northing`, and optionally `height_m`"
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Peaks:
-    """N named summits in a metric frame.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Characters that are not printable are escaped.
-    easting_m, northing_m : (N,) float64
-    height_m : (N,) float64
-        Height in the gazetteer, for the label; NaN if it has none.
-    """
-
-    names: tuple[str, ...]
-    easting_m: Float64Array
-    northing_m: Float64Array
-    height_m: Float64Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "names", tuple(map(printable, self.names)))
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-
-def read_peaks(path: str | Path, frame: Frame) -> Peaks:
-    """Read a gazetteer.
-
-    Parameters
-    ----------
-    path : str or Path
-        GeoJSON (``.geojson``, ``.json``) of points with the properties ``name`` and, optionally,
-        ``ele``, as in OpenStreetMap (`height_of_ele`); features without a name or a point are
-        skipped, and one warning counts the peaks whose ``ele`` is no height. Any other file is CSV
-        with the header ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in
-        ``frame``), and optionally ``height_m``, which may be empty.
-
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        The columns are wrong, a row has no name, a value is no number, or no point has a name.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise MissingFileError(f"gazetteer {path} does not exist; {_EXPECTED}")
-    if path.suffix.lower() in _GEOJSON:
-        return _read_geojson(path, frame)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"gazetteer {path} cannot be read as CSV ({error}); {_EXPECTED}") from None
-    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
-    place = next((pair for pair in _PLACES if {"name", *pair} <= set(header)), None)
-    if (
-        place is None
-        or set(header) - {"name", "height_m", *place}
-        or len(set(header)) < len(header)
-    ):
-        raise InputError(f"gazetteer {path} has the columns `{','.join(header)}`; {_EXPECTED}")
-    names, numbers = [], np.empty((len(rows) - 1, 3))
-    for index, row in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise InputError(
-                f"gazetteer {path}, row {index + 2} has {len(row)} cells; expected {len(header)} "
-                f"for `{','.join(header)}`"
-            )
-        record = dict(zip(header, (" ".join(cell.split()) for cell in row), strict=True))
-        if not record["name"]:
-            raise InputError(
-                f"gazetteer {path}, row {index + 2} has no name; name the peak or remove it"
-            )
-        names.append(record["name"])
-        numbers[index] = [_number(path, record, column) for column in (*place, "height_m")]
-    first, second, height_m = numbers.T
-    if place == ("lon", "lat"):
-        first, second = frame.from_lonlat(first, second)
-    return Peaks(names=tuple(names), easting_m=first, northing_m=second, height_m=height_m)
-
-
-def _read_geojson(path: Path, frame: Frame) -> Peaks:
-    expected = "expected GeoJSON: a FeatureCollection of points with the property `name`"
-    try:
-        read = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"gazetteer {path} cannot be read ({error}); {expected}") from None
-    features = read.get("features") if isinstance(read, dict) else None
-    points = [_named_point(feature) for feature in features] if isinstance(features, list) else []
-    named = [point for point in points if point is not None]
-    if not named:
-        raise InputError(f"gazetteer {path} has no named point; {expected}")
-    names, lon, lat, given = zip(*named, strict=True)
-    height_m = np.array([math.nan if ele is None else height_of_ele(ele) for ele in given])
-    unread = [i for i, ele in enumerate(given) if ele is not None and math.isnan(height_m[i])]
-    if unread:
-        _log.warning(
-            "gazetteer %s: `ele` of %d of %d peaks is no height (the first is `%.40s` of %s), so "
-            "these are shown without one; expected metres, such as 4421, or a unit, such as "
-            "4421 m, 14505 ft or 14505'3\"",
-            path,
-            len(unread),
-            len(named),
-            given[unread[0]],
-            names[unread[0]],
-        )
-    easting_m, northing_m = frame.from_lonlat(lon, lat)
-    return Peaks(names=names, easting_m=easting_m, northing_m=northing_m, height_m=height_m)
-
-
-def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
-    """Return name, longitude, latitude and ``ele`` of a feature, None unless it is a named point.
-
-    ``ele`` is the value in the file, None if it is empty.
-    """
-    try:
-        properties, geometry = feature["properties"], feature["geometry"]
-        lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
-        name = " ".join(str(properties["name"] or "").split())
-        ele = properties.get("ele")
-    except (TypeError, KeyError, ValueError, AttributeError):
-        return None
-    if not name or geometry.get("type") != "Point" or not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
-        return None
-    return name, lon, lat, None if ele == "" else ele
-
-
-def height_of_ele(ele: object) -> float:
-    """Return the height in metres of OpenStreetMap's ``ele``; NaN if it is no height.
-
-    A number has a decimal point and no separator of thousands. It is in metres, or in the unit that
-    follows it after an optional space; feet and inches are also written as 14505'3" (wiki, Key:ele
-    and Map features/Units). Other forms are ambiguous, like 1,234, and are no height; neither is a
-    height that no place on Earth has.
-    """
-    text, height_m = str(ele).strip().lower(), math.nan
-    if (read := _WITH_UNIT.fullmatch(text)) and read[2] in _METRES:
-        height_m = float(read[1]) * _METRES[read[2]]
-    elif read := _FEET_INCHES.fullmatch(text):
-        height_m = float(read[1]) * _FOOT_M + float(read[2] or 0.0) * _INCH_M
-    return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
-
-
-def _number(path: Path, record: dict[str, str], column: str) -> float:
-    """Return a number of a gazetteer within its range; NaN for a height that is empty."""
-    text = record.get(column, "")
-    if column == "height_m" and not text:
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    low, high = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}.get(column, (-1e9, 1e9))
-    if not low <= value <= high:
-        raise InputError(
-            f"gazetteer {path}: {column} of {record['name']!r} is `{text}`; expected a number "
-            f"from {low:g} to {high:g}"
-        )
-    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +79,7 @@ def visible_peaks(
             np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
             np.array([distance_m - SUMMIT_RADIUS_M]),
         )
-        if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
+        if highest_deg > math.degrees(math.atan2(up_m, distance_m)):
             continue
         seen.append(
             Sighting(

@@ -24,10 +24,11 @@ from skyline.photo.projection import distorted, undistorted
 from skyline.photo.query import QuerySkyline
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
+from skyline.report.gazetteer import Peaks
+from skyline.report.peaks import Sighting, most_prominent_first, visible_peaks
 from skyline.report.pixel_places import PixelPlaces
 from skyline.skylines import Views
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
@@ -184,7 +185,8 @@ class Viewer:
 
     Parameters
     ----------
-    terrain : HeightField
+    terrain : path, paths or HeightField
+        The elevation model.
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
@@ -196,13 +198,14 @@ class Viewer:
 
     def __init__(
         self,
-        terrain: HeightField,
+        terrain: Dem,
         peaks: Peaks | None = None,
         *,
         curvature: Curvature | None = None,
         render_thread: RenderThread | None = None,
     ) -> None:
-        self.frame, self.terrain, self.peaks = terrain.frame, terrain, peaks
+        self.terrain, self.peaks = read_dem(terrain), peaks
+        self.frame = self.terrain.frame
         self.curvature = curvature or Curvature()
         self._thread, self._making = render_thread, Lock()
         self._scene: RenderedScene | None = None

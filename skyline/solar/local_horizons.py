@@ -7,9 +7,10 @@ Azimuths are degrees from true north, distances metres. The sun's position is Py
 import io
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons
-from skyline.terrain.dem import Dem, read_surface
+from skyline.terrain.dem import Dem, read_dem, read_surface
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
 
@@ -31,6 +32,8 @@ DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
 """Eyes rendered between two reports of progress."""
 _LEAST_STEPS = 8
+_SHOWN = 5
+"""Places that a notebook shows."""
 
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
@@ -60,6 +63,8 @@ class LocalHorizons(Rows):
     surface_deg : (N, A) float32
         Elevation angle up to which trees and houses may rise, at least that of the horizon; NaN
         without a surface model.
+    id : (N,) str
+        The ``id`` or ``name`` of each place in a file of places; else empty.
     """
 
     lon: Float64Array
@@ -70,6 +75,12 @@ class LocalHorizons(Rows):
     distance_m: Float32Array
     flags: NDArray[np.uint8]
     surface_deg: Float32Array
+    id: NDArray[np.str_]
+
+    @property
+    def has_ids(self) -> bool:
+        """True if the places have ids or names."""
+        return bool((self.id != "").any())
 
     @property
     def has_surface(self) -> bool:
@@ -116,6 +127,52 @@ class LocalHorizons(Rows):
         ends = [*times[:1] * bool(shines[0]), *turns, *times[-1:] * bool(shines[-1])]
         return list(zip(ends[::2], ends[1::2], strict=True))
 
+    def plot(self, place: int = 0, ax: Any = None) -> Any:
+        """Draw one place's horizon over azimuth, and return the matplotlib axes.
+
+        ``ax`` are axes to draw on; by default a new figure is made.
+        """
+        if ax is None:
+            from matplotlib import pyplot  # noqa: PLC0415  (slow to load)
+
+            ax = pyplot.subplots(figsize=(9, 3), layout="constrained")[1]
+        azimuth, up = self.azimuth_deg[place], self.elevation_deg[place]
+        ax.fill_between(azimuth, up, min(0.0, float(np.nanmin(up))), color="0.75", linewidth=0.0)
+        ax.plot(azimuth, up, color="black", linewidth=1.0)
+        if self.has_surface:
+            ax.plot(azimuth, self.surface_deg[place], color="green", linewidth=1.0)
+        ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45), title=self._title(place))
+        ax.set(xlabel="azimuth from true north (degrees)", ylabel="elevation (degrees)")
+        return ax
+
+    def _title(self, place: int) -> str:
+        name = f"{self.id[place]}: " if self.id[place] else ""
+        return (
+            f"{name}lon {self.lon[place]:.5f}, lat {self.lat[place]:.5f}, eye "
+            f"{self.eye_elevation_m[place]:.0f} m"
+        )
+
+    def __repr__(self) -> str:
+        return f"LocalHorizons({len(self)} places, {self.azimuth_deg.shape[1]} azimuths)"
+
+    def _repr_html_(self) -> str:
+        """Return the first places as pictures of 2 px a degree, for a notebook."""
+        shown = []
+        for place, up_deg in enumerate(self.elevation_deg[:_SHOWN]):
+            known = np.isfinite(up_deg)
+            top = max(5.0, float(np.max(up_deg, where=known, initial=0.0)))
+            points = " ".join(
+                f"{2.0 * at:.4g},{2.0 * (top - up):.4g}"
+                for at, up in zip(self.azimuth_deg[place][known], up_deg[known], strict=True)
+            )
+            shown.append(
+                f'<p>{escape(self._title(place))}<br><svg width="720" height="{2.0 * top:.0f}" '
+                f'style="border: 1px solid"><polyline points="{points}" fill="none" '
+                'stroke="currentColor"/></svg></p>'
+            )
+        more = len(self) - len(shown)
+        return "".join(shown) + (f"<p>and {more} more places</p>" if more > 0 else "")
+
     def to_series(self, place: int = 0) -> Any:
         """Return the horizon of one place in the form of pvlib's `get_pvgis_horizon`.
 
@@ -129,7 +186,7 @@ class LocalHorizons(Rows):
         InputError
             Pandas is not installed.
         """
-        pandas = library("pandas", "geo", "a Series")
+        pandas = library("pandas", "a Series")
         index = pandas.Index(self.azimuth_deg[place], name="horizon_azimuth")
         elevation = self.elevation_deg[place].astype(np.float64)
         return pandas.Series(elevation, index, name="horizon_elevation")
@@ -149,7 +206,7 @@ class LocalHorizons(Rows):
         InputError
             Xarray is not installed.
         """
-        xarray = library("xarray", "geo", "a Dataset")
+        xarray = library("xarray", "a Dataset")
         described = {
             "surface_deg": ("elevation angle up to which trees and houses may rise", "degrees"),
             "elevation_deg": ("elevation angle of the horizon", "degrees"),
@@ -172,13 +229,14 @@ class LocalHorizons(Rows):
                 "lon": ("point", self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
                 "lat": ("point", self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
                 "eye_elevation_m": ("point", self.eye_elevation_m, {"units": "m"}),
+                "id": ("point", self.id),
                 "azimuth_deg": ("azimuth_deg", self.azimuth_deg[0], true_north),
             },
         )
 
 
 def horizon(  # noqa: PLR0913  (independent conditions)
-    terrain: HeightField,
+    terrain: Dem,
     *,
     lon: ArrayLike,
     lat: ArrayLike,
@@ -192,6 +250,8 @@ def horizon(  # noqa: PLR0913  (independent conditions)
 
     Parameters
     ----------
+    terrain : path, paths or HeightField
+        The elevation model; read it once with `read_dem` for several calls.
     lon, lat : array_like, degrees (WGS 84), broadcast to N places
     eye_height_m : array_like, metres above ground
     step_deg : float
@@ -214,6 +274,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     ContextError
         No OpenGL context can be created.
     """
+    terrain = read_dem(terrain)
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
     )
@@ -228,6 +289,7 @@ def horizons_of(
     curvature: Curvature | None = None,
     progress: Progress | None = None,
     surface: HeightField | None = None,
+    ids: Sequence[str] = (),
 ) -> LocalHorizons:
     """Return the horizons of eyes, as `horizon`; the surface is a height field."""
     steps = _check_step(step_deg)
@@ -256,6 +318,7 @@ def horizons_of(
         rendered.distance_m[:, ::every],
         rendered.flags[:, ::every],
         surface_deg,
+        np.array(ids or [""] * len(eyes), dtype=np.str_),
     )
 
 
@@ -341,7 +404,7 @@ def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime)
 
 def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Float64Array]:
     """Return a function from time to the sun's azimuth, refracted elevation and radius, degrees."""
-    ephem = library("ephem", "sun", "the sun's position")
+    ephem = library("ephem", "the sun's position")
     observer = ephem.Observer()
     observer.lon, observer.lat = np.radians(lon), np.radians(lat)
     observer.elevation, observer.temp = elevation_m, 15.0 - 0.0065 * elevation_m
@@ -382,7 +445,12 @@ def horizon_csv(horizons: LocalHorizons) -> str:
     digits = ["%.7f", "%.7f", "%.9g", *(f"%.{digits}f" for digits in written.values())]
     text, header = io.StringIO(), ",".join(["lon", "lat", "azimuth_deg", *written])
     np.savetxt(text, np.column_stack(columns), ",".join(digits), header=header, comments="")
-    return text.getvalue().replace("nan", "")
+    lines = text.getvalue().replace("nan", "").splitlines(keepends=True)
+    if horizons.has_ids:
+        quoted = ['"{}"'.format(one.replace('"', '""')) for one in horizons.id]
+        ids = ["id", *np.repeat(quoted, bins)]
+        lines = [f"{one},{line}" for one, line in zip(ids, lines, strict=True)]
+    return "".join(lines)
 
 
 def _columns(horizons: LocalHorizons) -> dict[str, int]:
@@ -396,6 +464,7 @@ def _json(horizons: LocalHorizons) -> str:
     factors = horizons.sky_view_factor()
     places = [
         {
+            **({"id": str(horizons.id[index])} if horizons.has_ids else {}),
             "lon": round(float(horizons.lon[index]), 7),
             "lat": round(float(horizons.lat[index]), 7),
             "eye_elevation_m": round(float(horizons.eye_elevation_m[index]), 2),

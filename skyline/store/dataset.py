@@ -37,12 +37,12 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
         "elevation_deg": (dims, elevation_deg, _ELEVATION),
         "distance_m": (dims, distance_m, {"long_name": nearest, **_METRES}),
     }
-    return library("xarray", "geo", "a Dataset").Dataset(held, coords)
+    return library("xarray", "a Dataset").Dataset(held, coords)
 
 
 def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
     """Return places as a table of points; see `Store.to_geodataframe`."""
-    geopandas = library("geopandas", "geo", "a GeoDataFrame")
+    geopandas = library("geopandas", "a GeoDataFrame")
     lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
     columns = {
         "place": rows,
@@ -70,7 +70,7 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
         "distance_m": (columns, distance_m, distance),
         "flags": (columns, views.flags, {"long_name": "bits of skyline.skylines"}),
     }
-    return library("xarray", "geo", "a Dataset").Dataset(held, coords)
+    return library("xarray", "a Dataset").Dataset(held, coords)
 
 
 def _coordinates(

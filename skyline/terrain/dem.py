@@ -94,9 +94,7 @@ class DemOptions:
         return None if self.crs is None else parse_crs(self.crs)
 
 
-def read_dem(
-    paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
-) -> HeightField:
+def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """Read one DEM, or several tiles of one, as a metric height field.
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
@@ -108,10 +106,11 @@ def read_dem(
 
     Parameters
     ----------
-    paths : path or sequence of paths
+    paths : path, sequence of paths or HeightField
         Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
         the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
-        they overlap the first named gives the height; samples that none covers are holes.
+        they overlap the first named gives the height; samples that none covers are holes. A height
+        field is returned as it is.
 
     Returns
     -------
@@ -130,6 +129,8 @@ def read_dem(
     FetchError
         A server has no such file, or does not answer.
     """
+    if isinstance(paths, HeightField):
+        return paths
     return _height_field(read_files(paths, options), options)
 
 

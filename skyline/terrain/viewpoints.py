@@ -1,6 +1,5 @@
 """Viewpoints: places of eyes on a height field, given as arrays or in a CSV file."""
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Rows
-from skyline.errors import InputError, MissingFileError, OffMapError, swapped_in_words
+from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle
+from skyline.tables import read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
@@ -20,9 +20,10 @@ _MOST_WITHIN_M = 10_000.0
 _ROUNDING_M = 1e-6
 _PLACES = (("easting", "northing"), ("lon", "lat"))
 _EYES = ("eye_height_m", "eye_elevation_m")
+_LABELS = ("id", "name")
 _EXPECTED = (
-    "expected a header `easting,northing` or `lon,lat`, and at most one of `eye_height_m` (above "
-    "ground) and `eye_elevation_m` (above the datum)"
+    "expected a header `lon,lat` or `easting,northing`, and optionally `eye_height_m` (above "
+    "ground) or `eye_elevation_m` (above the datum), and `id` or `name`"
 )
 
 
@@ -226,14 +227,15 @@ def read_viewpoints(
     field: HeightField,
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = 0.0,
-) -> Viewpoints:
-    """Read viewpoints and place their eyes on a height field.
+) -> tuple[Viewpoints, tuple[str, ...]]:
+    """Read viewpoints, place their eyes on a height field, and return them with their labels.
 
     Parameters
     ----------
     path : str or Path
         CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
-        (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
+        (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``,
+        which become labels; without either column there are none.
     eye_height_m : float
         Metres above ground, for files without a column of heights.
     summit_within_m : float or None
@@ -246,48 +248,27 @@ def read_viewpoints(
     OffMapError
         A viewpoint is off the map, on a hole, or has its eye below the ground.
     """
-    columns = _read_columns(Path(path))
-    places = next((pair for pair in _PLACES if set(pair) <= columns.keys()), None)
-    eyes = [name for name in _EYES if name in columns]
-    unknown = columns.keys() - set(places or ()) - set(eyes)
-    if places is None or unknown or len(eyes) > 1:
-        raise InputError(f"{path}: columns are `{','.join(columns)}`; {_EXPECTED}")
-    first, second = columns[places[0]], columns[places[1]]
+    table = read_table(path, _EXPECTED)
+    places = table.first_in(*_PLACES, expected=_EXPECTED)
+    eyes = [name for name in _EYES if name in table.header]
+    if len(eyes) > 1:
+        raise InputError(f"{path} has the columns {' and '.join(eyes)}; expected one of them")
+    table.refuse_other(*places, *_EYES, *_LABELS)
+    if not table.rows:
+        raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
+    first, second, *height = (
+        np.array([row.number(name) for row in table.rows]) for name in (*places, *eyes)
+    )
+    labels = tuple(row.label for row in table.rows) if {*_LABELS} & {*table.header} else ()
     if places == ("lon", "lat"):
         first, second = place_on(field.frame, field.bounds_m, first, second)
     if eyes == ["eye_elevation_m"]:
-        return at_elevation(field, first, second, columns["eye_elevation_m"])
-    eye_height = columns.get("eye_height_m", eye_height_m)
-    return stand_on(
+        return at_elevation(field, first, second, *height), labels
+    stood = stand_on(
         field,
         easting_m=first,
         northing_m=second,
-        eye_height_m=eye_height,
+        eye_height_m=height[0] if height else eye_height_m,
         summit_within_m=summit_within_m,
     )
-
-
-def _read_columns(path: Path) -> dict[str, Float64Array]:
-    """Return the file's columns of numbers by name."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row and any(cell.strip() for cell in row)]
-    except FileNotFoundError as error:
-        raise MissingFileError(f"viewpoint file {path} does not exist; check the path") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as CSV ({error}); {_EXPECTED}") from error
-    if not rows:
-        raise InputError(f"{path} is empty; {_EXPECTED} and one row for each viewpoint")
-    header = [name.strip() for name in rows[0]]
-    if len(rows) == 1:
-        raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
-    values = np.empty((len(rows) - 1, len(header)))
-    for number, row in enumerate(rows[1:]):
-        try:
-            values[number] = [float(cell) for _, cell in zip(header, row, strict=True)]
-        except ValueError as error:
-            raise InputError(
-                f"{path}, row {number + 1} after the header is `{','.join(row)[:80]}`; expected "
-                f"{len(header)} numbers for `{','.join(header)}`"
-            ) from error
-    return dict(zip(header, values.T, strict=True))
+    return stood, labels

@@ -76,7 +76,7 @@ class _Pages:
             leaflet = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
         except PackageNotFoundError as error:
             raise InputError(
-                "the page needs packages that are not installed; pip install 'skyline[web]'"
+                "the page needs a package that is not installed; pip install XStatic-Leaflet"
             ) from error
         of_photo = "/session/{session}/photos/{photo}"
         routes = [

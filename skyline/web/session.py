@@ -244,6 +244,7 @@ def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
         "chance": result.confidence,
         "refusal": result.refusal,
         "claim": result.exif_in_words(),
+        "lens": "" if result.query.lens is None else result.query.lens.in_words,
         "beyond": result.beyond,
         "seconds": result.seconds,
     }

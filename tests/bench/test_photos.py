@@ -99,10 +99,14 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
     ("text", "error", "message"),
     [
         ("photo,kind\nabsent.jpg,extract\n", MissingFileError, "names 1 files that do not exist"),
-        ("photo,kind,fov\na.jpg,extract,60\n", InputError, "expected photo, kind and some of"),
+        ("photo,kind,fov\na.jpg,extract,60\n", InputError, "expected some of photo, kind, lon"),
         ("photo,kind\na.jpg,find\n", InputError, "one of locate, refuse, extract"),
         ("photo,kind\na.jpg,locate\n", InputError, "no lon and lat, which locate needs"),
-        ("photo,kind,lon,lat\na.jpg,locate,9,north\n", InputError, "lat is 'north'"),
+        (
+            "photo,kind,lon,lat\na.jpg,locate,9,north\n",
+            InputError,
+            "lat is .north.; expected",
+        ),
         ("photo,kind\n", InputError, "names no photograph"),
     ],
 )

@@ -43,7 +43,7 @@ def kept(tmp_path_factory):
 
 def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
     asked = (
-        "matching", dem, "--spacing", 600, "--spacing", 300, "--loss", 0.4, "--queries", 3,
+        "matching", dem, "--spacing", 600, "--spacing", 300, "--places", 400, "--queries", 3,
         "--matcher", "correlation", "--matcher", "retrieved", "--folder", kept,
     )  # fmt: skip
     rows = run(*asked)["rows"]
@@ -55,7 +55,7 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
             ("uniform-300", "correlation"),
             ("places-600", "retrieved"),
             ("places-300", "retrieved"),
-            ("planned-0.4", "retrieved"),
+            ("planned-400", "retrieved"),
         )
         for kind in ("plain", "white", "other-dem", "occluded", "aligned")
     ]
@@ -83,7 +83,7 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
 @pytest.mark.usefixtures("refined_once")
 def test_uniform_and_adaptive_stores_are_compared(run, dem):
     record = run(
-        "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--loss", 0.4,
+        "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--places", 400,
         "--queries", 3, "--matcher", "paper", "--matcher", "retrieved",
     )  # fmt: skip
     rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
@@ -93,25 +93,27 @@ def test_uniform_and_adaptive_stores_are_compared(run, dem):
             ("uniform-600", "paper"),
             ("lpov-40px", "paper"),
             ("places-600", "retrieved"),
-            ("planned-0.4", "retrieved"),
+            ("planned-400", "retrieved"),
         )
         for group in ("close", "medium", "far", "all")
     ]
     adaptive = [row["store"] for row in record["summary"]["against_uniform"]]
-    assert adaptive == ["lpov-40px", "planned-0.4"]
+    assert adaptive == ["lpov-40px", "planned-400"]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("refined_once")
-def test_planned_places_claim_their_loss(run, dem, tmp_path):
+def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
     record = run(
-        "placing", dem, "--spacing", 300, "--loss", 0.3, "--queries", 2, "--folder", tmp_path
+        "placing", dem, "--spacing", 125, "--places", 600, "--queries", 2, "--folder", tmp_path
     )
-    rows = [row for row in record["rows"] if row["group"] == "all"]
-    assert [row["store"] for row in rows] == ["places-300", "planned-0.3"]
-    # What was planned for is what is claimed of the places, but for the area's sides.
-    assert rows[1]["claimed_loss"] == pytest.approx(0.3, abs=0.06)
-    assert all(row["lost"] == pytest.approx(1.0 - row["within_1km"]) for row in rows)
+    grid, planned = (row for row in record["rows"] if row["group"] == "all")
+    assert (grid["store"], planned["store"]) == ("places-125", "planned-600")
+    # The number is of the lattices that suit viewpoints spread over the area.
+    assert planned["places"] == pytest.approx(600, rel=0.2)
+    for row in (grid, planned):
+        assert 0.0 < row["claimed_loss"] < 1.0
+        assert row["lost"] == pytest.approx(1.0 - row["within_1km"])
 
 
 @pytest.mark.slow
@@ -251,9 +253,9 @@ def test_a_summary_counts_every_query():
 def test_groups_hold_every_query_once():
     distance_m = [500.0, 0.0, 100.0, 9000.0, 1000.0, 5000.0, 300.0]
     assert groups(distance_m, by_thirds=False) == {
-        "< 1 km": [0, 1, 2, 6], "1-5 km": [4], "> 5 km": [3, 5], "all": [*range(7)],
+        "< 150 m": [1, 2], "150-400 m": [6], "> 400 m": [0, 3, 4, 5], "all": [*range(7)],
     }  # fmt: skip
-    assert groups([100.0], by_thirds=False) == {"< 1 km": [0], "all": [0]}
+    assert groups([100.0], by_thirds=False) == {"< 150 m": [0], "all": [0]}
     assert groups(distance_m, by_thirds=True) == {
         "close": [1, 2, 6], "medium": [0, 4], "far": [3, 5], "all": [*range(7)],
     }  # fmt: skip
@@ -273,7 +275,7 @@ def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():
         row("uniform-512", "full", 100, 400.0),
         row("lpov-400", "paper", 400, 200.0),
         row("lpov-9000", "paper", 9000, 10.0),
-        row("planned-0.2", "full", 100, 400.0),
+        row("planned", "full", 100, 400.0),
     ]
     half_way, beyond, same = against_uniform(rows)
     # Half way from 100 to 1600 renderings, and so from 1600 to 100 m.

@@ -94,12 +94,12 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
 
 def test_places_are_planned_and_drawn(run, dem, tmp_path):
     out, drawn = tmp_path / "s.h5", tmp_path / "map.png"
-    done = run("build", dem, "-o", out, "--loss", 0.4, "--map", drawn)
+    done = run("build", dem, "-o", out, "--places", 2000, "--map", drawn)
     assert done.code == 0, done.err
     assert cv2.imread(str(drawn)).shape[1] > 500
     facts = json.loads(run("info", out, "--json").out)
     low, middle, high = facts["spacing_m"]
-    assert 20.0 <= low <= middle <= high <= 1280.0
+    assert 10.0 <= low <= middle <= high <= 1280.0
 
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
@@ -209,7 +209,10 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
 
 
 BAD_CSV = {
-    "not numbers": (f"easting,northing\n{WEST_M},north\n", "expected 2 numbers"),
+    "not numbers": (
+        f"easting,northing\n{WEST_M},north\n",
+        "line 2: northing is `north`",
+    ),
     "off the map": ("easting,northing\n0,0\n", "off the map"),
     "swapped degrees": (
         "lon,lat\n46.75,10.33\n",
@@ -243,11 +246,10 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["render", dem, "-o", out, "--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
         (["build", dem, "-o", out, "--workers", "0"], "workers is 0; expected 1 or more"),
         (["build", dem, "-o", out, "--workers", "nonsense://x"], "no dask scheduler answers"),
-        (["build", dem, "-o", out, "--loss", 1.5], "between 0 and 1"),
-        (["build", dem, "-o", out, "--loss", 0.0001], "a larger one"),
+        (["build", dem, "-o", out, "--places", 0], "expected at least 1"),
         (
-            ["build", dem, "-o", out, "--loss", 0.4, "--spacing", 80],
-            "give one of --spacing (a uniform grid) and --loss (planned places)",
+            ["build", dem, "-o", out, "--places", 400, "--spacing", 80],
+            "give one of --spacing (a uniform grid) and --places (planned places)",
         ),
         (["dem", "fetch", "--bbox", "9.4,46.4", "-o", out], "expected four numbers"),
         (["build", dem, "-o", out, "--k", "2"], "refraction k is 2.0"),

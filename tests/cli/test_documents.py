@@ -38,6 +38,7 @@ from scenes import fractal, write_dem
 
 import skyline
 from skyline import cli, read_dem, stand_at
+from skyline.build import plans
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.match import full
 from skyline.render.depth import DepthRenderer
@@ -153,6 +154,7 @@ def refined_quickly():
     """Refine no query thoroughly: here pages are to run, other tests hold the results."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(full, "WHOLE", full.QUICK)
+        patch.setattr(plans, "DEFAULT_PLACES", 1)
         yield
 
 

@@ -18,23 +18,23 @@ from skyline.fetch.dem_tiles import FetchResult
 from skyline.store import open_store
 
 COMMANDS = {
-    "info": (("{dem}",), "info.read_dem"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_dem"),
-    "horizon": (("{dem}", "--at", "{at}"), "views.read_dem"),
-    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_dem"),
+    "info": (("{dem}",), "info.read_terrain"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_terrain"),
+    "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
+    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
     "label": (
         ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--peaks", "{peaks}", "-o", "{out}.png"),
-        "label.read_dem",
+        "label.read_terrain",
     ),
     "pixels": (
         ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--step", "40", "-o", "{out}.npz"),
-        "label.read_dem",
+        "label.read_terrain",
     ),
     "orient": (
         ("{trace}", "--at", "{at}", "--dem", "{dem}", "--csv", "{out}.csv"),
-        "orient.read_dem",
+        "orient.read_terrain",
     ),
     "locate": (
         ("{photo}", "--near", "{at},1", "--dem", "{dem}", "-o", "{out}"),
@@ -42,8 +42,8 @@ COMMANDS = {
     ),
     "cache": ((), "cache.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
-    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_dem"),
-    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_dem"),
+    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
+    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_terrain"),
     "store check": (("{store}",), "store.check_store"),
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),
     "store merge": (("{store}", "-o", "{out}.h5"), "store.merge_stores"),
@@ -56,13 +56,20 @@ COMMANDS = {
 }
 """Each command's arguments, and a function of the package that it calls."""
 
+_CONTINUES = "what was built is kept, and the same command continues from there"
 KEPT = {
-    "locate": "; what was fetched and built is kept, and the same command continues from there",
-    "build": "; what was built is kept, and the same command continues from there",
-    "render": "; what was built is kept, and the same command continues from there",
-    "dem fetch": "; the tiles that were fetched are kept, and the same command continues with the "
-    "others",
+    "locate": (
+        "cache/areas/dem-1/9.00_46.00_9.50_46.50/tiles/a.tif",
+        "what was fetched and built is kept, and the same command continues from there",
+    ),
+    "build": ("out.h5.parts/places-1-of-2.h5", _CONTINUES),
+    "render": ("out.h5.parts/views-1-of-2.h5", _CONTINUES),
+    "dem fetch": (
+        "N46E009.tif",
+        "the tiles that were fetched are kept, and the same command continues with the others",
+    ),
 }
+"""A file that a stopped command leaves, and the words of its error then."""
 
 
 @pytest.fixture
@@ -136,18 +143,41 @@ def test_each_command_is_tried():
     assert known == {*COMMANDS, "serve"}
 
 
+@pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize("name", COMMANDS)
-def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, name):
+def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, name, keeps):
     def interrupted(*_args, **_options):
+        if keeps and name in KEPT:
+            path = tmp_path / KEPT[name][0]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
         raise KeyboardInterrupt
 
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
     arguments = command(name)
     before = sorted(tmp_path.iterdir())
     monkeypatch.setattr(f"skyline.cli.{COMMANDS[name][1]}", interrupted)
     done = run(*arguments)
     assert (done.code, done.out) == (130, "")
-    assert done.err == f"error: stopped{KEPT.get(name, '')}\n"
-    assert sorted(tmp_path.iterdir()) == before
+    said = f"; {KEPT[name][1]}" if keeps and name in KEPT else ""
+    assert done.err == f"error: stopped{said}\n"
+    if not keeps:
+        assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_quiet_is_an_option_of_each(run, name):
+    assert "--quiet" in run(*name.split(), "--help").out
+
+
+def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeypatch):
+    monkeypatch.setattr("skyline.cli.console._SLOW_S", 0.0)
+    match = "match", store, trace, tmp_path / "none.csv", "--matcher", "unrefined"
+    loud, quiet = run(*match), run(*match, "--quiet")
+    assert quiet.out.splitlines()[1:] == loud.out.splitlines()[1:]
+    assert loud.err.count("\n") > 1
+    assert quiet.err.startswith("error: ")
+    assert quiet.err.count("\n") == 1
 
 
 def test_a_match_that_is_stopped_keeps_what_it_has_written(

@@ -84,6 +84,18 @@ def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     assert len(written[1]["elevation_deg"]) == len(written[1]["distance_m"]) == 36
 
 
+def test_places_on_standard_input_keep_their_ids(run, dem, places, monkeypatch):
+    listed = "longitude;latitude;name\n" + "".join(
+        f'{place.replace(",", ";")};"site {number}, A"\n' for number, place in enumerate(places)
+    )
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(listed.encode())))
+    done = run("horizon", dem, "--points", "-", "--step-deg", "10", "-o", "-")
+    assert done.code == 0, done.err
+    rows = table(done.out)
+    assert [row["id"] for row in rows[::36]] == ["site 0, A", "site 1, A", "site 2, A"]
+    assert float(rows[36]["lon"]) == pytest.approx(float(places[1].split(",")[0]), abs=1e-7)
+
+
 def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp_path):
     target = tmp_path / "horizon.txt"
     assert run("horizon", dem, "--at", places[0], "--step-deg", "7.5", "-o", target).code == 0

@@ -62,6 +62,26 @@ def test_summits_are_named_where_the_pixels_show_them(run, dem, photo, pose, pea
         assert one["elevation_m"] <= terrain.heights_m.max()
 
 
+def test_one_command_names_the_mountains_seen_from_a_place(run, dem, photo, pose, peaks, tmp_path):
+    common = "label", photo, "--dem", dem, "--peaks", peaks, "-o", tmp_path / "names.json"
+    named = []
+    at = "{lon},{lat}".format(**json.loads(pose.read_text()))
+    for options in (("--pose", pose), ("--at", at, "--fov-deg", 60)):
+        done = run(*common, *options)
+        assert done.code == 0, done.err
+        written = json.loads((tmp_path / "names.json").read_text())
+        named.append({one["name"]: one for one in written})
+    assert "heading" in done.err
+    by_pose, by_place = named
+    assert len(by_pose.keys() & by_place.keys()) > 0.8 * len(by_pose)
+    for name in by_pose.keys() & by_place.keys():
+        assert abs(by_pose[name]["column_px"] - by_place[name]["column_px"]) < 10.0
+    elsewhere = "{},{}".format(*lonlat_of(dem, 600_900.0, 5_177_000.0))
+    assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60), "direction is not sure")
+    assert_refused(run(*common), "notes no GPS position; give the place: --at LON,LAT")
+    assert_refused(run(*common, "--pose", pose, "--at", at), "leave --at and --fov-deg out")
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])
 def test_pictures_have_the_names(run, dem, photo, pose, peaks, tmp_path, suffix):
     out = tmp_path / f"names{suffix}"

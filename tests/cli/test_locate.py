@@ -94,9 +94,14 @@ def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, serv
     assert (tmp_path / "page" / "index.html").stat().st_size > 0
     server.requests.clear()
     server.files.clear()
-    again = run("locate", made / "photo.jpg", "--near", "9.501,46.5,1", "--fov-deg", 60, "--json")
+    (tmp_path / "places.csv").write_text("Name;Longitude;Latitude\nAlp;9,501;46,5\n")
+    near = "--near", "alp,1", "--peaks", "places.csv"
+    again = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--json")
     assert again.code == 0, again.err
     assert "there already" in again.err
+    quiet = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--quiet")
+    assert (quiet.code, quiet.err) == (0, "")
+    assert quiet.out.endswith("report: skyline-report/index.html\n")
     assert not server.requests
     assert (tmp_path / "skyline-report" / "index.html").exists()
     found = skyline.locate(made / "photo.jpg", (*PLACE, 1.0), fov_deg=60.0)
@@ -148,6 +153,12 @@ def test_an_area_that_is_contained_is_served_also_across_the_antimeridian():
         (("{photo}", "--near", "9.5,46.5,1", "--dem", "{empty}"), "no elevation files"),
         (("{photo}", "--near", "9.5,46.5,1", "-o", "{photo}"), "name a folder"),
         (("{photo}", "--near", "9.5,46.5,1", "--peaks", "none.csv"), "none.csv does not exist"),
+        (("{photo}", "--near", "Davos"), "with --peaks FILE a name in that file"),
+        (("{photo}", "--near", "Davo,2", "--peaks", "{places}"), "no place named Davo: Davos?"),
+        (
+            ("{photo}", "--near", "sella", "--peaks", "{places}"),
+            "has 2 places named sella, at 9.4000,46.4000 and 9.6000,46.6000; give --near LON,LAT",
+        ),
     ],
 )
 def test_bad_input_is_one_line(run, made, cache, tmp_path, arguments, message):
@@ -159,7 +170,11 @@ def test_bad_input_is_one_line(run, made, cache, tmp_path, arguments, message):
         "sea": tmp_path / "sea.tif",
         "none": tmp_path / "none.jpg",
         "empty": tmp_path / "empty",
+        "places": tmp_path / "places.csv",
     }
+    given["places"].write_text(
+        "name,lat,lon\nDavos,46.5,9.5\nSella,46.4,9.4\nSella,46.6,9.6\n", "utf-8"
+    )
     done = run("locate", *(one.format(**given) for one in arguments))
     assert done.code == 2, done
     error = done.err.splitlines()[-1]

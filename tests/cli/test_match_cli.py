@@ -94,14 +94,16 @@ def test_areas_of_one_dem_are_searched_together(run, store, dem, photo, tmp_path
 def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):
     lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
     shutil.copy(photo, tmp_path / "one.jpg")
-    rows = ["one.jpg,60,2,,,", f"one.jpg,60,,{lon},{lat},0.4", "absent.jpg,60,,,,"]
-    photos = csv_of(tmp_path / "list.csv", rows, "path,fov_deg,eye_height_m,lon,lat,radius_km")
+    rows = ["one.jpg,60,2,,,,A", f"one.jpg,60,,{lon},{lat},0.4,B", "absent.jpg,60,,,,,C"]
+    header = "path,fov_deg,eye_height_m,lon,lat,radius_km,id"
+    photos = csv_of(tmp_path / "list.csv", rows, header)
     found = run("match", store, photos, "--matcher", "unrefined", "--json")
     assert found.code == 2
     records = [json.loads(line) for line in found.out.splitlines()]
     assert [one["query"] for one in records] == [str(tmp_path / name) for name in (
         "one.jpg", "one.jpg", "absent.jpg"
     )]  # fmt: skip
+    assert [one["id"] for one in records] == ["A", "B", "C"]
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[1]["candidates"]) < 401.0
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[0]["candidates"]) > 401.0
     assert "does not exist" in records[2]["error"]
@@ -111,8 +113,8 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
 @pytest.mark.parametrize(
     ("header", "row", "said"),
     [
-        ("path,fov", "one.jpg,60", "has the column 'fov'; expected some of path, fov_deg"),
-        ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is 'wide'; expected a number"),
+        ("path,fov", "one.jpg,60", "has the column `fov`; expected some of path, fov_deg"),
+        ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is `wide`; expected a number"),
         ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
         ("path,lowest_m,highest_m", "one.jpg,900,100", "line 2: elevations are 900 to 100 m"),
     ],
@@ -129,7 +131,7 @@ def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_pat
     trace.write_text("# width=960 height=640\ncolumn_px,row_px\n1200,300\n")
     for query, options, said in (
         (photo, ("--fov-deg", "200"), "horizontal field of view is 200 degrees"),
-        (trace, ("--fov-deg", "60"), "column 1200 is outside the image"),
+        (trace, ("--fov-deg", "60"), "column_px is `1200`; expected a number from -0.5 to 959.5"),
         (tmp_path / "absent.jpg", (), "does not exist"),
     ):
         assert_refused(run("match", photo, query, *options), said)

@@ -26,7 +26,7 @@ from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder
 
 SPACING_M = 120.0
-LOSS = 0.3
+PLACES = 1500
 CONFIG = RenderConfig(width=64)
 
 
@@ -45,7 +45,7 @@ def terrain(tmp_path_factory):
 def plan_of(terrain, kind):
     """Return a plan of several parts."""
     if kind == "planned":
-        return PlacePlan(loss=LOSS)
+        return PlacePlan(places=PLACES)
     if kind == "uniform":
         return PlacePlan(150.0)
     return RenderingPlan.uniform(terrain, 700.0, None, CONFIG)
@@ -106,9 +106,9 @@ def test_places_of_a_grid_are_what_was_rendered(terrain, tmp_path):
 
 
 def test_places_are_planned_where_no_spacing_is_given(terrain, tmp_path):
-    build_places(terrain, tmp_path / "s.h5", loss=LOSS)
+    build_places(terrain, tmp_path / "s.h5", places=PLACES)
     with open_store(tmp_path / "s.h5") as store:
-        assert store.header.config["loss"] == LOSS
+        assert store.header.config["places"] == PLACES
         places = Places.concatenate(list(store.places().blocks()))
     with PanoramaRenderer(terrain, BINS) as renderer:
         eyes = stand_on(terrain, easting_m=places.easting_m, northing_m=places.northing_m)
@@ -198,11 +198,14 @@ class TestAreas:
     def test_a_box_without_places_leaves_the_store_as_it_was(self, terrain, tmp_path):
         west, (lon, lat, _, _) = halves_of(terrain)
         path = tmp_path / "s.h5"
-        build_places(terrain, path, bounds_deg=west, loss=LOSS)
+        build_places(terrain, path, bounds_deg=west, places=PLACES)
         before = path.read_bytes()
         with pytest.raises(InputError, match="no place falls on the surface"):
             build_places(
-                terrain, path, bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001), loss=LOSS
+                terrain,
+                path,
+                bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001),
+                places=PLACES,
             )
         assert path.read_bytes() == before
         assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]

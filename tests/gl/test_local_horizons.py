@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import Geod
-from scenes import at_deg, at_m, field_from, fractal
+from scenes import at_deg, at_m, field_from, fractal, write_dem
 
 from skyline import (
     Curvature,
@@ -151,3 +151,22 @@ def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, place)
         assert (found.elevation_deg < 3.0).mean() > 0.92
         # Clouds Rest and the ridges beyond it stand above Half Dome.
         assert found.distance_m[found.elevation_deg > 3.0].min(initial=np.inf) > 4000.0
+
+
+def test_a_horizon_of_a_file_is_drawn_and_shown_in_a_notebook(tmp_path):
+    path = write_dem(tmp_path / "dem.tif", fractal(60, 60, 400.0, seed=2))
+    terrain = read_dem(path)
+    assert read_dem(terrain) is terrain
+    lon, lat = places_on(terrain, 7)
+    found = horizon(path, lon=lon, lat=lat, step_deg=7.5)
+    np.testing.assert_array_equal(
+        found.elevation_deg, horizon(terrain, lon=lon, lat=lat, step_deg=7.5).elevation_deg
+    )
+    axes = found.plot(3)
+    (line,) = axes.lines
+    np.testing.assert_array_equal(line.get_ydata(), found.elevation_deg[3])
+    assert found.plot(4, ax=axes) is axes
+    html = found._repr_html_()
+    assert html.count("<polyline") == 5
+    assert "and 2 more places" in html
+    assert "7 places" in repr(found)

@@ -1,5 +1,7 @@
 """The plan of places: as dense as the skylines are near, whichever process plans it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import field_of
@@ -7,9 +9,10 @@ from scenes import field_of
 from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
+    Prices,
     blocks_of,
+    expected_finds,
     lost_shares,
-    price_of,
     spread_over,
 )
 from skyline.errors import InputError
@@ -17,7 +20,7 @@ from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
 
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
-SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
+SPACINGS_M = 1280.0 / 2.0 ** (np.arange(15) / 2.0)
 
 EAST, NORTH = np.meshgrid(np.arange(-960.0, 6081.0, 80.0), np.arange(6080.0, -961.0, -80.0))
 """Of samples in a block and round about. The lattices down to a spacing of 80 m lie on them."""
@@ -90,8 +93,8 @@ class TestPrice:
 
     @pytest.mark.parametrize("loss", [0.05, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        price = price_of(loss, plain, AREA, self.look)
-        lost = lost_shares(self.look(spread_over(plain, AREA)).distance_m, SPACINGS_M)
+        price = Prices(plain, AREA, self.look).of_loss(loss)
+        lost = lost_shares(self.look(spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -100,11 +103,19 @@ class TestPrice:
         # At the price itself two spacings may cost the same.
         assert lost_at(0.999 * price) <= loss < lost_at(1.001 * price)
 
+    @pytest.mark.parametrize("number", [1000, 20_000])
+    def test_it_suits_the_number(self, plain, number):
+        price = Prices(plain, AREA, self.look).of_number(number)
+        places = planned(plain, lambda east: np.where(east < BLOCK_M, 300.0, 3e4), price)
+        # Spacings are steps of the root of 2, so numbers are steps of 2 where all is alike.
+        assert number <= 1.05 * len(places) <= 2.1 * number
+
     def test_viewpoints_are_found_on_a_small_island(self, plain):
         """In an elevation model that is nearly all holes."""
         west, south, east, north = plain.bounds_m
         share = (east - west) * (north - south) / 1e12
-        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
+        eyes, surface_m2 = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
+        assert surface_m2 == pytest.approx(1e12 * share, rel=0.3)
         assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
         with pytest.raises(InputError, match="no viewpoint falls on the surface"):
             spread_over(plain, (1e6, 1e6, 2e6, 2e6))
@@ -129,8 +140,8 @@ class TestPlan:
         def distance_m(easting):
             return np.where(easting < BLOCK_M, 300.0, 3e4)
 
-        sample = looking(distance_m)(spread_over(plain, AREA))
-        price = price_of(0.15, plain, AREA, looking(distance_m))
+        sample = looking(distance_m)(spread_over(plain, AREA)[0])
+        price = Prices(plain, AREA, looking(distance_m)).of_loss(0.15)
         places = planned(plain, distance_m, price)
         west = places.easting_m < BLOCK_M
         wanted = SPACINGS_M[
@@ -169,3 +180,20 @@ class TestPlan:
         wanted = set(zip(EAST[stands].tolist(), NORTH[stands].tolist(), strict=True))
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
+
+
+class TestExpectedFinds:
+    def test_they_are_means_of_the_area_by_distance(self):
+        """A near place of 10 m and a far one of 160 m stand for 256 times the area."""
+        distance_m = np.repeat(np.float32([[50.0], [5000.0]]), BINS, axis=1)
+        nothing = np.zeros((2, BINS), np.float32)
+        east_m = np.zeros(2)
+        seen = Horizons(east_m, east_m, east_m, nothing, distance_m, nothing.astype(np.uint8))
+        tolerance_m = np.float32([5.0, 80.0])
+        places = replace(Places.of(seen, 0.0), tolerance_m=tolerance_m)
+        near, far = expected_finds(places)
+        lost = lost_shares(places.distance_m(), 2.0 * tolerance_m.astype(float))
+        near_share = (1.0 - lost[0, 0]) / (1.0 + (25.0 / places.distance_m()[0, 0]) ** 1.75)
+        far_share = (1.0 - lost[1, 1]) / (1.0 + (25.0 / places.distance_m()[1, 0]) ** 1.75)
+        assert near == (0.0, pytest.approx(1.0 / 257.0), pytest.approx(near_share))
+        assert far == (400.0, pytest.approx(256.0 / 257.0), pytest.approx(far_share))

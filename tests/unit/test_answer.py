@@ -9,7 +9,8 @@ from scenes import candidate_at
 from skyline.match.answer import MatchResult, refusal_of, sure_within_m
 from skyline.match.matchers import MatchConfig
 from skyline.match.query_rays import QueryRays
-from skyline.photo.exif import NOTHING_NOTED, Lens, NotedPlace
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.lens import Lens
 from skyline.photo.query import QuerySkyline
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5
@@ -46,6 +47,19 @@ def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
     assert refusal(rays, 62.9, confidence=0.1).endswith("is needed")
     assert refusal(rays, 65.0, None, confidence=0.1).endswith("is needed")
     assert refusal_of([], MatchConfig(), query(), rays) == "no place fits"
+
+
+def test_a_slope_that_several_places_have_is_named(rays):
+    def refusal_at(*distances_m):
+        found = [
+            replace(candidate_at(0.0, 0.0, confidence=0.1, confidence_1km=0.1), skyline_m=distance)
+            for distance in distances_m
+        ]
+        return refusal_of(found, MatchConfig(), query(None), rays)
+
+    assert "a slope 40 to 90 m away, and 3 places have" in refusal_at(40.0, 90.0, 60.0, 800.0)
+    for others in ([], [700.0, 90.0, 5000.0], [None, None]):
+        assert refusal_at(40.0, *others).endswith("is needed")
 
 
 @pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])

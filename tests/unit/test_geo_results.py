@@ -58,6 +58,23 @@ def test_results_keep_their_number_and_files_hold_them(tmp_path):
     assert list(empty.columns) == list(table.columns)
 
 
+def test_results_of_any_kind_are_a_table():
+    refused = MatchResult(QUERY, (OTHER,), 0.1, "too unsure", name="b.jpg")
+    nothing = MatchResult(QUERY, (), 0.1, "no place fits", name="c.jpg")
+    found = MatchResult(QUERY, (BEST, OTHER), 0.1, name="a.jpg", id="A")
+    table = skyline.to_dataframe([found, refused, nothing])
+    assert table["query"].tolist() == ["a.jpg", "b.jpg", "c.jpg"]
+    assert table["answered"].tolist() == [1, 0, 0]
+    assert table["lon"].tolist()[:2] == [BEST.lon, OTHER.lon]
+    assert table["lon"].isna()[2]
+    assert table["id"][0] == "A"
+    assert found.to_dataframe()["lat"].tolist() == [BEST.lat, OTHER.lat]
+    held = skyline.Orientation(QUERY, BEST, heading_sd_deg=0.1, confidence=0.9, name="d.jpg")
+    row = held.to_dataframe().iloc[0]
+    assert (row["heading_deg"], row["trusted"]) == (BEST.heading_deg, 1)
+    assert held.to_dict()["lon"] == BEST.lon
+
+
 @pytest.fixture
 def place_store(tmp_path):
     with open_store(write_rows(tmp_path / "places.h5", 0, 50, PLACES_HEADER)) as store:
@@ -162,9 +179,9 @@ def test_a_geopackage_that_cannot_be_is_refused(tmp_path, request, kind, name, s
 def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_store):
     monkeypatch.setitem(sys.modules, "geopandas", None)
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"geopandas.*skyline\[geo\]"):
+    with pytest.raises(InputError, match=r"pip install geopandas"):
         MatchResult(QUERY, (BEST,), 0.1).to_geodataframe()
-    with pytest.raises(InputError, match=r"xarray.*skyline\[geo\]"):
+    with pytest.raises(InputError, match=r"pip install xarray"):
         place_store.to_xarray()
-    with pytest.raises(InputError, match=r"geopandas.*skyline\[geo\]"):
+    with pytest.raises(InputError, match=r"pip install geopandas"):
         place_store.to_geodataframe()

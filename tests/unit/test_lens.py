@@ -6,7 +6,7 @@ from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.match.query_rays import QueryRays
-from skyline.photo.exif import Lens, lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.lens import Lens, lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.projection import Projection
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
@@ -62,7 +62,7 @@ def test_sources_that_agree_are_sharp():
     found = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000))
     assert found.fov_deg == pytest.approx(90.0, abs=1.5)
     assert found.sd_deg is None
-    assert "agrees" in found.reason
+    assert "agree" in found.reason
 
 
 def searched(lens, *, is_panorama=False):

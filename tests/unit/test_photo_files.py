@@ -1,5 +1,7 @@
 """Image files: formats, damage, size, orientation and field of view."""
 
+import io
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -50,6 +52,19 @@ def test_any_format_gives_the_skyline(tmp_path, scene, name):
     path = tmp_path / name
     VARIANTS[name](scene).save(path, format="PNG" if path.suffix == "" else None)
     assert close_to(read_query(path), scene)
+
+
+def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene, monkeypatch):
+    path = tmp_path / "photo.png"
+    Image.fromarray(scene.image).save(path)
+    of_file = read_query(path, 60.0)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(path.read_bytes())))
+    for other in (scene.image, Image.open(path), "-"):
+        query = read_query(other, 60.0)
+        np.testing.assert_array_equal(query.row_px, of_file.row_px)
+        assert query.fov_deg == 60.0
+    with pytest.raises(InputError, match=r"array of float64 of shape \(4, 4\); expected"):
+        read_query(np.zeros((4, 4)))
 
 
 def test_sky_cut_away_to_transparent_is_white(tmp_path, scene):

@@ -10,7 +10,7 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError
-from skyline.photo.exif import panorama_of_xmp
+from skyline.photo.lens import panorama_of_xmp
 from skyline.photo.projection import Projection, distorted, undistorted
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query

@@ -89,14 +89,17 @@ HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
         ("# width=4 height=4\nx,y\n1,2\n", "trace.csv"),
         ("# width=99999999999 height=4\ncolumn_px,row_px\n1,2\n", "trace.csv"),
         (HEAD.format("") + "3,10\n3,11\n", "two rows for column 3"),
-        (HEAD.format("") + "3,ten\n", "line 3: 'ten' is not a number"),
-        (HEAD.format("") + "100,1\n", "column 100 is outside"),
-        (HEAD.format("") + "3,80\n", "row 80 is outside"),
+        (HEAD.format("") + "3,ten\n", "line 3: row_px is `ten`; expected a number from"),
+        (HEAD.format("") + "100,1\n", "column_px is `100`; expected a number from -0.5 to 99.5"),
+        (HEAD.format("") + "3,80\n", "row_px is `80`; expected a number from -0.5 to 79.5"),
         (HEAD.format("") + "3,nan\n", "draws no column"),
         (HEAD.format(" fov=60"), "line 1 notes 'fov'; expected some of width, height, fov_deg"),
-        (HEAD.format(" fov_deg=wide"), "line 1: 'wide' is not a number"),
+        (HEAD.format(" fov_deg=wide"), "line 1: fov_deg is `wide`; expected a number from 0"),
         (HEAD.format(" fov_deg=600") + "0,30\n9,31\n", "horizontal field of view is 600"),
-        (HEAD.format(" eye_height_m=-2") + "0,30\n9,31\n", "eye_height_m is -2; expected 0 or"),
+        (
+            HEAD.format(" eye_height_m=-2") + "0,30\n9,31\n",
+            "eye_height_m is `-2`; expected a",
+        ),
     ],
 )
 def test_a_trace_that_cannot_be_read_is_refused(tmp_path, content, said):

@@ -11,7 +11,8 @@ from scipy import ndimage
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
-from skyline.report.peaks import HIDDEN_DEG, SUMMIT_RADIUS_M, Peaks, read_peaks, visible_peaks
+from skyline.report.gazetteer import Peaks, read_peaks
+from skyline.report.peaks import SUMMIT_RADIUS_M, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.pinhole import Camera
@@ -145,10 +146,10 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
     ("text", "message"),
     [
         ("name,x,y\na,1,2\n", "has the columns"),
-        ("name,lon,lat\na,1\n", "row 2 has 2 cells"),
-        ("name,lon,lat\na,east,2\n", "lon of 'a' is `east`"),
+        ("name,lon,lat\na,1,2,3\n", "line 2 has 4 cells; expected 3"),
+        ("name,lon,lat\na,east,2\n", "line 2: lon is `east`"),
         ("name,lon,lat\na,1,91\n", "from -90 to 90"),
-        ("name,lon,lat,height_m\na,1,2,high\n", "height_m of 'a'"),
+        ("name,lon,lat,height_m\na,1,2,high\n", "line 2: height_m is `high`"),
     ],
 )
 def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
@@ -201,9 +202,9 @@ def test_of_thirty_summits_the_visible_are_named_where_a_camera_shows_them(headi
         nearest = np.argmax(rays @ towards)
         is_inside = np.arccos(min(1.0, rays[nearest] @ towards)) < pixel_rad
         over_deg = truly_over_deg(terrain, eye_m, summit_m)
-        if not is_inside or over_deg > HIDDEN_DEG:
+        if not is_inside or over_deg > 0.0:
             assert name not in found
-        elif over_deg <= 0.0:
+        elif over_deg <= -0.05:  # Between its steps a crest may be higher.
             row, column = divmod(nearest, 900)
             assert np.hypot(found[name].column_px - column, found[name].row_px - row) < 1.0
             visible += 1

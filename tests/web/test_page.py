@@ -442,6 +442,13 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     page.settled()
     best = page.state("state.results.get(state.photo.id).candidates[0]")
     assert within(page, "#map", page.find(".spot.best"))
+    handle = page.find(".turn").rect
+    for spot in page.all(".spot:not(.chosen)"):
+        apart = (
+            spot.rect[axis] + spot.rect[side] / 2 - handle[axis] - handle[side] / 2
+            for axis, side in (("x", "width"), ("y", "height"))
+        )
+        assert np.hypot(*apart) > 23.0
     link = page.find("#answer a").get_attribute("href")
     place = f"{best['lat']:.5f}", f"{best['lon']:.5f}"
     assert link == "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)

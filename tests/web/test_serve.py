@@ -42,7 +42,7 @@ def test_without_its_packages_it_says_what_to_install(run, store, monkeypatch):
     for name in [name for name in sys.modules if name.startswith("skyline.web")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "uvicorn", None)
-    assert_refused(run("serve", store), "pip install 'skyline[web]'")
+    assert_refused(run("serve", store), "pip install starlette uvicorn websockets")
 
 
 def test_ctrl_c_ends_it_without_a_word(store):

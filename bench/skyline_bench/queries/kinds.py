@@ -90,7 +90,7 @@ def make_kind(
 
 
 def distance_m(query: Query) -> float:
-    """Return the mean over the photos of the median distance of their skylines; 0 without any.
+    """Return the mean over the photos of the distances of their skylines; 0 without any.
 
     What fills an image without a skyline stands right before it.
     """

@@ -1,6 +1,5 @@
 """Real photographs to measure with: a CSV file with all that is known of each."""
 
-import csv
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -8,10 +7,10 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.match.queries import finite_number
 from skyline.photo.read import read_photo
 from skyline.photo.sky_model import topmost_border
 from skyline.photo.trace import read_trace
+from skyline.tables import Row, read_table
 
 LOCATE, REFUSE, EXTRACT = "locate", "refuse", "extract"
 KINDS = (LOCATE, REFUSE, EXTRACT)
@@ -76,18 +75,11 @@ _FILES = ("photo", "mask", "trace")
 
 def read_manifest(path: Path) -> list[Photograph]:
     """Read a manifest; paths in it count from its folder."""
-    if not path.is_file():
-        raise MissingFileError(f"{path} does not exist; expected a manifest of photographs (CSV)")
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
-        known = [field.name for field in fields(Photograph)]
-        unknown = [name for name in reader.fieldnames or ["nothing"] if name not in known]
-        if unknown or not {"photo", "kind"} <= set(reader.fieldnames or ()):
-            raise InputError(
-                f"{path} has the columns {', '.join(reader.fieldnames or ())}; expected photo, "
-                f"kind and some of {', '.join(known[2:])}"
-            )
-        photographs = [_photograph(path, reader.line_num, row) for row in reader]
+    expected = "expected a manifest of photographs: CSV with the columns photo and kind"
+    table = read_table(path, expected)
+    table.first_in(("photo", "kind"), expected=expected)
+    table.refuse_other(*(field.name for field in fields(Photograph)))
+    photographs = [_photograph(path, row) for row in table.rows]
     named = [getattr(one, name) for one in photographs for name in _FILES]
     absent = [file for file in named if file is not None and not file.is_file()]
     if absent:
@@ -99,21 +91,17 @@ def read_manifest(path: Path) -> list[Photograph]:
     return photographs
 
 
-def _photograph(path: Path, line: int, row: dict[str, str | None]) -> Photograph:
-    where, given = f"{path}, line {line}", {}
-    text = {name: (value or "").strip() for name, value in row.items() if name is not None}
-    if text["kind"] not in KINDS or not text["photo"]:
+def _photograph(path: Path, row: Row) -> Photograph:
+    if row["kind"] not in KINDS or not row["photo"]:
         raise InputError(
-            f"{where} has the photo {text['photo']!r} of the kind {text['kind']!r}; expected a "
+            f"{row.where} has the photo {row['photo']!r} of the kind {row['kind']!r}; expected a "
             f"file and one of {', '.join(KINDS)}"
         )
-    for name in _NUMBERS:
-        if text.get(name):
-            given[name] = finite_number(where, name, text[name])
-    if text["kind"] != EXTRACT and not {"lon", "lat"} <= given.keys():
-        raise InputError(f"{where} has no lon and lat, which {text['kind']} needs")
-    files = {name: path.parent / text[name] for name in _FILES if text.get(name)}
-    return Photograph(kind=text["kind"], **files, **given)  # type: ignore[arg-type]
+    given = {name: row.number(name) for name in _NUMBERS if row[name]}
+    if row["kind"] != EXTRACT and not {"lon", "lat"} <= given.keys():
+        raise InputError(f"{row.where} has no lon and lat, which {row['kind']} needs")
+    files = {name: path.parent / row[name] for name in _FILES if row[name]}
+    return Photograph(kind=row["kind"], **files, **given)  # type: ignore[arg-type]
 
 
 def _upper_edge(mask: UInt8Array) -> Float64Array:

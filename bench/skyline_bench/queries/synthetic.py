@@ -96,7 +96,7 @@ class SyntheticQuery:
     truth: Truth
     # (W,); the true skyline, without errors, masks and occluders; NaN where not in the image.
     row_px: Float64Array
-    distance_m: float  # Median horizontal distance of that skyline; NaN where none is in the image
+    distance_m: float  # Harmonic mean of that skyline's; NaN where none is in the image
     occluders: tuple[Occluder, ...]
 
     def rays(self) -> QueryRays:
@@ -217,6 +217,7 @@ def _photographed(
     found += _errors_px(errors, camera, config)
     for run in random_runs(masks, camera.width_px, config.masked_share, _MASKED_RUNS):
         found[slice(*run)] = np.nan
+    seen_m = np.maximum(horizons.distance_m[index, sample[inside]].astype(np.float64), 1.0)
     given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
     return SyntheticQuery(
@@ -225,7 +226,7 @@ def _photographed(
         config.fov_slack,
         truth,
         row_px,
-        float(np.median(horizons.distance_m[index, sample[inside]])) if inside.any() else np.nan,
+        1.0 / float(np.mean(1.0 / seen_m)) if len(seen_m) else np.nan,
         occluders,
     )
 

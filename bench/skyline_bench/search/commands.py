@@ -49,8 +49,8 @@ def _grids(holds: str = PLACES, spacings_m: Sequence[float] = _GRIDS_M) -> list[
     return [StoreSpec(holds, metres) for metres in spacings_m]
 
 
-def _planned(*losses: float) -> list[StoreSpec]:
-    return [StoreSpec(loss=share) for share in losses]
+def _planned(*numbers: int | None) -> list[StoreSpec]:
+    return [StoreSpec(places=number) for number in numbers]
 
 
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
@@ -71,7 +71,7 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
             The paper's matcher and correlation search uniform grids of renderings, ours planned
             places.""",
             "hours",
-            Comparison((*_grids(RENDERINGS), *_planned(0.2)), MATCHERS, OF_ONE_AREA, 300),
+            Comparison((*_grids(RENDERINGS), *_planned(None)), MATCHERS, OF_ONE_AREA, 300),
             "store matcher queries places build_cpu_s bytes " + _FOUND,
             in_middle=True,
         ),
@@ -87,7 +87,7 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
                     *_grids(RENDERINGS),
                     *_plans(["lpov"], None),
                     *_grids(),
-                    *_planned(0.35, 0.27, 0.2),
+                    *_planned(1_000, 4_000, 16_000, None),
                 ),
                 (PAPER, FULL),
                 by_thirds=True,
@@ -104,7 +104,8 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
             area; a query is lost that is not found within 1 km.""",
             "an hour",
             Comparison(
-                (*_grids(spacings_m=(320.0, 160.0, 80.0)), *_planned(0.35, 0.27, 0.2)), queries=150
+                (*_grids(spacings_m=(80.0, 40.0, 20.0)), *_planned(2_000, 8_000, 32_000, None)),
+                queries=150,
             ),
             f"store places bytes build_cpu_s=cpu_s group=skyline {_FOUND} claimed_loss lost",
             claims=True,
@@ -117,7 +118,7 @@ SEARCHES: Mapping[str, Search] = MappingProxyType(
             left after that stage: where it drops, queries are lost.""",
             "hours",
             Comparison(
-                (*_planned(0.2),), queries=200, areas_km2=(50.0, 1000.0, 10_000.0), near_km=(30.0,)
+                (*_planned(None),), queries=200, areas_km2=(50.0, 1000.0, 10_000.0), near_km=(30.0,)
             ),
             f"store places bytes build_s build_cpu_s search group {_FOUND} query_cpu_s screen_s"
             " screened retrieved refined",
@@ -155,9 +156,8 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         spacing: Annotated[
             Floats, Option(metavar="M", help="Build uniform grids, these alone; repeatable.")
         ] = None,
-        loss: Annotated[
-            Floats,
-            Option(metavar="SHARE", help="Plan places that may lose this share of the views."),
+        places: Annotated[
+            list[int] | None, Option(min=1, help="Plan about so many places; repeatable.")
         ] = None,
         threshold_px: Annotated[
             Floats, Option(help="Plan as the paper does, to so many pixels; repeatable.")
@@ -196,7 +196,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         terrain = read_dem(dem, DemOptions(crs=crs))
         named = [StoreSpec(path=path) for path in store or ()]
         named += [*_grids(RENDERINGS, spacing or ()), *_plans(strategy, threshold_px, seed)]
-        named += [*_grids(spacings_m=spacing or ()), *_planned(*(loss or ()))]
+        named += [*_grids(spacings_m=spacing or ()), *_planned(*(places or ()))]
         bounds_deg = options.bounds_of(bounds)
         if bounds_deg is None and search.in_middle and not store:
             bounds_deg = middle_deg(terrain)
@@ -241,8 +241,8 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
 
     command.__name__ = name
     command.__doc__ = (
-        f"{search.about}\n\n    Stores that are named (--spacing, --loss, --threshold-px, --store) "
-        "are searched instead of the\n    usual ones. A query without any candidate counts as "
-        "wrong by half of the area's diagonal."
+        f"{search.about}\n\n    Stores that are named (--spacing, --places, --threshold-px, "
+        "--store) are searched instead\n    of the usual ones. A query without any candidate "
+        "counts as wrong by half of the area's diagonal."
     )
     return command

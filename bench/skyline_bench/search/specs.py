@@ -12,8 +12,8 @@ import numpy as np
 
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
-from skyline.build.plans import DEFAULT_LOSS, map_bounds, uniform_grid
-from skyline.build.spacing import lost_shares
+from skyline.build.plans import map_bounds, uniform_grid
+from skyline.build.spacing import expected_finds
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
@@ -38,7 +38,7 @@ class StoreSpec:
 
     holds: str = PLACES  # Places or renderings
     spacing_m: float | None = None  # Of a uniform grid; places are planned without it
-    loss: float = DEFAULT_LOSS  # The share of the views that planned places may lose
+    places: int | None = None  # About so many planned places; by default as many as a build plans
     plan: PlanConfig | None = None  # A plan of the paper's, which is of renderings
     path: Path | None = None  # A store that exists already
 
@@ -59,7 +59,7 @@ class StoreSpec:
         if self.plan is not None:
             return f"{self.plan.strategy}-{self.plan.threshold_px:g}px"
         if self.spacing_m is None:
-            return f"planned-{self.loss:g}"
+            return "planned" if self.places is None else f"planned-{self.places}"
         return f"{'places' if self.holds == PLACES else 'uniform'}-{self.spacing_m:g}"
 
     def check(self, terrain: HeightField, bounds_deg: Bounds | None) -> None:
@@ -96,7 +96,9 @@ class StoreSpec:
             elif self.holds == RENDERINGS and self.spacing_m is not None:
                 build_uniform(terrain, path, self.spacing_m, bounds_deg, progress=progress)
             else:
-                build_places(terrain, path, self.spacing_m, bounds_deg, progress, loss=self.loss)
+                build_places(
+                    terrain, path, self.spacing_m, bounds_deg, progress, places=self.places
+                )
             taken = time.perf_counter() - wall, time.process_time() - cpu
             note = dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
             if resumed:
@@ -161,12 +163,7 @@ class BuiltStore:
 
 def claimed_loss(places: Places) -> float:
     """Return the share of views that is expected to be lost over the area of the places."""
-    spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
-    lost = np.zeros(len(places))
-    for one in np.unique(spacing_m):
-        mine = spacing_m == one
-        lost[mine] = lost_shares(places[mine].distance_m(), np.array([one]))[:, 0]
-    return float(np.average(lost, weights=spacing_m**2))
+    return 1.0 - sum(share * found for _, share, found in expected_finds(places))
 
 
 def middle_deg(

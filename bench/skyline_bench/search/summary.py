@@ -12,12 +12,8 @@ from skyline_bench.search.trials import STAGES, Trial
 
 ALL = "all"
 THIRDS = ("close", "medium", "far")
-CLASSES = {
-    "< 1 km": (0.0, 1000.0),
-    "1-5 km": (1000.0, 5000.0),
-    "> 5 km": (5000.0, math.inf),
-}
-"""Distances of skylines, metres."""
+CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400.0, math.inf)}
+"""Distances of skylines, harmonic means in metres: how much a skyline moves with the eye."""
 
 _RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
 _RESAMPLES = 2000
@@ -28,7 +24,7 @@ _LEAST_M = 1e-3
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
     """Return the numbers of queries by the distance of their skylines; all of them come last.
 
-    Queries are split at 1 and 5 km, or into thirds of one size to a query, as the paper does.
+    Queries are split at 150 and 400 m, or into thirds of one size to a query, as the paper does.
     """
     every = list(range(len(distance_m)))
     if not by_thirds:

@@ -5,7 +5,7 @@ import { moveTo, release } from "./hand.js";
 import { standing } from "./known.js";
 
 const L = window.L;
-const REACH_M = 2000, HANDLE_PX = 74, EARTH_M = 6371008.8;
+const REACH_M = 2000, HANDLE_PX = [74, 102, 130], APART_PX = 26, EARTH_M = 6371008.8;
 let map, camera, handle, cone, noted, spots, circle, centre, where, middleLon = 0;
 
 // The map runs half a turn either way from the store, so that it may cross the antimeridian.
@@ -80,7 +80,11 @@ function showCamera() {
   const at = L.latLng(onMap(pose.lat, pose.lon));
   camera.setLatLng(at);
   const turn = (pose.heading * Math.PI) / 180;
-  const end = map.latLngToContainerPoint(at).add([HANDLE_PX * Math.sin(turn), -HANDLE_PX * Math.cos(turn)]);
+  const spot = (place) => map.latLngToContainerPoint(place);
+  const numbers = spots.getLayers().filter((one) => one.getLatLng).map((one) => spot(one.getLatLng()));
+  const ends = HANDLE_PX.map((px) => spot(at).add([px * Math.sin(turn), -px * Math.cos(turn)]));
+  // The handle must cover no candidate's number.
+  const end = ends.find((end) => numbers.every((one) => one.distanceTo(end) > APART_PX)) ?? ends[0];
   handle.setLatLng(map.containerPointToLatLng(end));
   cone.setLatLngs(view(pose, REACH_M));
 }

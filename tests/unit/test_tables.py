@@ -1,0 +1,56 @@
+"""CSV files as people have them: other separators, names and orders of columns."""
+
+import io
+import sys
+
+import pytest
+
+from skyline.errors import InputError
+from skyline.tables import is_table, read_table
+
+
+def places(path, text):
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return [
+        (row.label, row.number("lon"), row.number("lat"))
+        for row in read_table(path, "expected places").rows
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "id,lon,lat\nA,9.85,46.75\n",
+        "\ufeffLongitude, Latitude ,Name\r\n9.85,46.75, A\r\n\r\n",
+        "name;longitude;latitude\nA;9,85;46,75\n",
+        "lat\tlng\tid\tname\n46.75\t9.85\tA\tnot this\n",
+        '# from a survey\n"id","long","lat"\n"A","9.85","46.75"\n',
+    ],
+    ids=["usual", "excel", "semicolons and decimal commas", "tabs", "notes and quotes"],
+)
+def test_places_are_read_however_their_file_is_written(tmp_path, text):
+    assert places(tmp_path / "a.csv", text) == [("A", 9.85, 46.75)]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("lon,lat\n9.85\n", "line 2: lat is ``; expected a number from -90 to 90"),
+        ("lon,lat\n9.85,nan\n", "lat is `nan`"),
+        ("# note\nlon,lat\n\n9,85,46,75\n", "line 4 has 4 cells; expected 2 for `lon,lat`"),
+        ("lon,longitude\n", "has the column `lon` twice"),
+        ("", "is empty; expected places"),
+        (b"lon,lat\n\0", "cannot be read as CSV"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_line(tmp_path, text, said):
+    with pytest.raises(InputError, match=said):
+        places(tmp_path / "a.csv", text)
+
+
+def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
+    for content, is_csv in ((b"path,id\na.jpg,1\n", True), (b"\xff\xd8\xff\xe0", False)):
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))
+        assert is_table("-") is is_csv
+        if is_csv:
+            assert read_table("-", "").rows[0].label == "1"
