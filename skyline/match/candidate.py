@@ -191,13 +191,14 @@ class Hypotheses(Rows):
         place = self.easting_m + 1j * self.northing_m
         return np.asarray(np.abs(place[:, np.newaxis] - place))
 
-    def rival_margin(self, farther_than_m: float) -> Float64Array:
+    def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
         """Return the score (M,) of each pose's best rival minus the pose's own score.
 
-        Rivals are the poses farther away than ``farther_than_m``. Infinite for a pose without
-        rivals.
+        Rivals are the poses farther away than ``farther_than_m``, and those that look more than
+        ``turn_deg`` away. Infinite for a pose without rivals.
         """
-        is_rival = self.distances_m() > farther_than_m
+        turn = np.abs(in_turn(self.heading_deg - self.heading_deg[:, np.newaxis]))
+        is_rival = (self.distances_m() > farther_than_m) | (turn > turn_deg)
         rival = np.where(is_rival, self.score, np.inf).min(axis=1, initial=np.inf)
         return np.asarray(rival - self.score)
 

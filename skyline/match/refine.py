@@ -337,8 +337,8 @@ class Refinement:
             found.effective_columns,
             solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            hypotheses.rival_margin(RIGHT_WITHIN_M),
-            hypotheses.rival_margin(ROUGHLY_WITHIN_M),
+            hypotheses.rival_margin(RIGHT_WITHIN_M, _SAME_VIEW_DEG),
+            hypotheses.rival_margin(ROUGHLY_WITHIN_M, _SAME_VIEW_DEG),
             self._angle_sd_deg(particles, covariance),
         )
 
