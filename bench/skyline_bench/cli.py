@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.cli.console import command_line, run_app
-from skyline_bench import durability, figures, page, paper, photos, speed, summits
+from skyline_bench import durability, figures, orient, page, paper, photos, speed, summits
 from skyline_bench.search.commands import SEARCHES, command_of
 from skyline_bench.truth.stability import stability
 
@@ -22,6 +22,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
+        orient.orient: "an hour",
         photos.photos: "30 minutes",
         photos.sky_masks: "a minute",
     },

@@ -291,9 +291,15 @@ def learn_all(examples: Examples) -> Learned:
     return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)
 
 
-def rated(model: str, terrain: str, sure: Float64Array, right: BoolArray) -> Row:
+def rated(
+    model: str,
+    terrain: str,
+    sure: Float64Array,
+    right: BoolArray,
+    least: float = MatchConfig().min_confidence,
+) -> Row:
     """Return how well the probabilities (N,) of a model hold on a terrain."""
-    answered = sure >= MatchConfig().min_confidence
+    answered = sure >= least
     return {
         "model": model,
         "terrain": terrain,

@@ -17,7 +17,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
-from skyline.match.orient import RIGHT_DEG
+from skyline.match.orient import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import perturbed, resampled
@@ -73,22 +73,22 @@ def _oriented(
     """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
     rng = np.random.default_rng([seed, 1])
     west, south, east, north = middle_of(model)
-    for number, query in enumerate(queries):
-        within_m, truth = WITHIN_M[number % len(WITHIN_M)], query.truth
-        off = within_m / math.sqrt(2.0) * rng.standard_normal(2)
-        place = truth.easting_m + off[0], truth.northing_m + off[1]
-        if is_strange:
-            place = rng.uniform(west, east), rng.uniform(south, north)
-        lon, lat = map(float, model.frame.to_lonlat(*place))
-        try:
-            with Orienter(model, lon=lon, lat=lat, within_m=within_m) as orienter:
-                found = _figures_of(orienter, query)
-        except SkylineError:  # The place is on a hole.
-            continue
-        if found is not None:
-            figures, heading_deg = found
-            off_deg = abs(float(in_turn(heading_deg - truth.heading_deg)))
-            yield Example(figures, math.inf if is_strange else off_deg)
+    with orienters(model) as orienter_at:
+        for number, query in enumerate(queries):
+            within_m, truth = WITHIN_M[number % len(WITHIN_M)], query.truth
+            off = within_m / math.sqrt(2.0) * rng.standard_normal(2)
+            place = truth.easting_m + off[0], truth.northing_m + off[1]
+            if is_strange:
+                place = rng.uniform(west, east), rng.uniform(south, north)
+            lon, lat = map(float, model.frame.to_lonlat(*place))
+            try:
+                found = _figures_of(orienter_at((lon, lat, None, within_m)), query)
+            except SkylineError:  # The place is on a hole.
+                continue
+            if found is not None:
+                figures, heading_deg = found
+                off_deg = abs(float(in_turn(heading_deg - truth.heading_deg)))
+                yield Example(figures, math.inf if is_strange else off_deg)
 
 
 def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, float], float] | None:
@@ -115,6 +115,7 @@ def learn_orientation(
             name,
             probabilities(model, some),
             np.array([example.error <= RIGHT_DEG for example in some]),
+            LEAST_CONFIDENCE,
         )
         for name, some in examples.items()
     ]

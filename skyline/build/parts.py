@@ -74,7 +74,8 @@ def build_places(
     terrain : path, paths or HeightField
         The elevation model.
     path : str or Path
-        The store. Nothing is done if it already exists with the same settings.
+        The store. Nothing is done if it already exists with the same settings and bounds. One of
+        other bounds is replaced by a store of both areas.
     spacing_m : float, optional
         Metres between the places of a uniform grid. By default places lie densely where skylines
         are near, and sparsely where they are far; see `skyline.build.spacing`.
@@ -144,11 +145,16 @@ def build_store(
     path = Path(path).resolve()
     check_folder(path)
     folder = parts_folder(path)
+    others, held = [], 0
     if path.exists():
-        finished = finished_store(path, header)
-        # A build that was killed at its very end leaves parts beside a finished store.
-        _remove(folder)
-        return finished
+        if finished := finished_store(path, header):
+            # A build that was killed at its very end leaves parts beside a finished store.
+            _remove(folder)
+            return finished
+        # The store of other boxes is one more part of the new store, which replaces it.
+        others = [path]
+        with open_store(path) as store:
+            held = len(store)
     numbers = range(1, len(work) + 1)
     parts = [folder / part_name(header.holds, number, len(work)) for number in numbers]
     there = _whole_parts(folder, header)
@@ -171,17 +177,17 @@ def build_store(
                 for part, some in left.items():
                     rendered += _write_part(renderer, part, some)
                     advance()
-            with merged_rows(parts, folder) as (joint, columns, order):
-                rows = len(order)
+            with merged_rows([*parts, *others], folder) as (joint, columns, order):
+                rows = len(order) if len(columns[joint.checksum]) > held else 0
                 if rows:
                     # A build that is killed here leaves its files to `_remove`.
                     write_store(folder / path.name, joint, columns, order)
                     (folder / path.name).replace(path)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
-            if not path.exists():
+            if not path.exists() or not (finished := finished_store(path, header)):
                 raise
-            rows = finished_store(path, header).rows
+            rows = finished.rows
     _remove(folder)
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"
@@ -192,16 +198,19 @@ def build_store(
     return BuildResult(rows, rendered, time.perf_counter() - started)
 
 
-def finished_store(path: Path, header: StoreHeader) -> BuildResult:
-    """Return the result of a finished build; `StoreMismatchError` where its settings differ."""
+def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
+    """Return the result of a finished build; None where the store has only other boxes.
+
+    Raises `StoreMismatchError` where other settings differ.
+    """
     with open_store(path) as store:
         refuse_mismatch(
-            (store.header, "there"),
-            (header, "here"),
+            (store.header.anywhere, "there"),
+            (header.anywhere, "here"),
             f"store {path} was built otherwise",
             "repeat its settings or write to another file",
         )
-        return BuildResult(len(store), 0, 0.0)
+        return BuildResult(len(store), 0, 0.0) if store.header.covers(header) else None
 
 
 def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:

@@ -20,12 +20,12 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.orient import CameraPlace, Place, camera_place, place_noted
+from skyline.cli.orient import CameraPlace, camera_place, place_noted
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, named, printable
 from skyline.files import read_bytes, write_whole
 from skyline.match.candidate import Candidate
-from skyline.match.orient import Orienter
+from skyline.match.orient import Orienter, Place
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo, read_query
@@ -93,10 +93,12 @@ def label(
         camera_in = partial(_camera, _read_pose(pose, photo, query.projection))
     terrain = read_terrain(dem, crs, reproject)
     gazetteer = read_peaks(peaks, terrain.frame)
-    with note_if_slow("looking for summits"), Viewer(terrain, gazetteer) as viewer:
-        camera = camera_in(viewer)
-        seen = viewer.summits(camera, query)
-        sight = viewer.look(camera, query) if ridges and kind != "json" else None
+    with Viewer(terrain, gazetteer) as viewer:
+        with note_if_slow("orienting the camera"):
+            camera = camera_in(viewer)
+        with note_if_slow("looking for summits"):
+            seen = viewer.summits(camera, query)
+            sight = viewer.look(camera, query) if ridges and kind != "json" else None
     unnamed = 0
     if kind == "json":
         written: str | bytes = json.dumps([_record_of(one) for one in seen], indent=1) + "\n"

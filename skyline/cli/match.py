@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -33,11 +34,12 @@ from skyline.match.answer import JointResult, MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.matchers import FULL, MATCHERS, MatchConfig
 from skyline.match.prior import Narrowing
-from skyline.match.queries import Query, listed, match_here, match_many
+from skyline.match.queries import Query, listed, match_here, match_many, written_ns
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.gazetteer import read_peaks
+from skyline.store import is_store
 from skyline.terrain.rasters import absolute_name
 
 _UNREFINED = "unrefined"
@@ -56,7 +58,8 @@ def match(
         list[Path],
         Argument(
             metavar="QUERY...",
-            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists.",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. Stores "
+            "named before them are searched as one with the first: areas of one DEM.",
         ),
     ],
     fov_deg: FieldOfView = None,
@@ -119,6 +122,7 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
+    stores, query = _stores_and_queries(store, query)
     named("matcher", matcher, dict.fromkeys(_CHOICES))
     for is_wrong, error in (
         (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),
@@ -138,16 +142,15 @@ def match(
     ):
         if is_wrong:
             raise InputError(error)
-    config = MatchConfig(refine=matcher != _UNREFINED)
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(query, common))
-    check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
+    check_outputs([*exports, results], [*stores, *query, *(Path(one.path) for one in queries)])
     for path in exports:
         check_export(path)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     file = None
     if results is not None:
-        file = ResultsFile(results, _search_of(store, matcher, common, surfaces))
+        file = ResultsFile(results, _search_of(stores, matcher, common, surfaces))
         queries = _unanswered(queries, file)
     output = _Output(as_json, file, goes_on=bool(exports or report or results))
     # These checks come before the store is opened, which may take a minute.
@@ -165,13 +168,20 @@ def match(
     # Workers may have another working directory.
     tiles = tuple(absolute_name(one) for one in dem or ())
     name = FULL if matcher == _UNREFINED else matcher
-    asked = (str(store), tiles or None, name, config, None, surfaces or None)
+    asked = (
+        stores,
+        tiles or None,
+        name,
+        MatchConfig(refine=matcher != _UNREFINED),
+        None,
+        surfaces or None,
+    )
     opened = time.perf_counter()
-    with note_if_slow(f"opening {store} and its elevation model"):
+    with note_if_slow(f"opening {', '.join(map(str, stores))} and its elevation model"):
         matching = Matcher(*asked)
     output.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    done = f"{matching.rows} {matching.holds} of the store were searched."
+    done = f"{matching.rows} {matching.holds} were searched."
     if same_place:
         done += f" {len(skylines)} photos of one place were matched together."
         found = _match_together(output, matching, skylines)
@@ -191,6 +201,15 @@ def match(
         (print_note if as_json else output.line)(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
+
+
+def _stores_and_queries(store: Path, others: list[Path]) -> tuple[tuple[Path, ...], list[Path]]:
+    """Return the first store with the stores named after it, and the queries named after those."""
+    stores = (store, *takewhile(is_store, others))
+    queries = others[len(stores) - 1 :]
+    if not queries:
+        raise InputError(f"{', '.join(map(str, stores))} are stores; name photos to find in them")
+    return stores, queries
 
 
 def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
@@ -299,10 +318,10 @@ def _match_together(
     return results
 
 
-def _search_of(store: Path, matcher: str, common: Query, surfaces: Iterable[str]) -> str:
-    """Return a digest of the store and the options, which differs between searches."""
-    written = store.stat().st_mtime_ns if store.exists() else 0
-    settings = repr((store.name, written, matcher, MatchConfig(), common, *surfaces))
+def _search_of(stores: Sequence[Path], matcher: str, common: Query, surfaces: Iterable[str]) -> str:
+    """Return a digest of the stores and the options, which differs between searches."""
+    names = [one.name for one in stores]
+    settings = repr((names, written_ns(stores), matcher, MatchConfig(), common, *surfaces))
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 

@@ -3,8 +3,6 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,14 +22,9 @@ from skyline.cli.console import (
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError, printable
 from skyline.files import STANDARD, write_whole
-from skyline.match.orient import DEFAULT_WITHIN_M, Orienter, noted_place
+from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
 from skyline.photo.query import QuerySkyline
-from skyline.terrain.heightfield import HeightField
-
-Place = tuple[float, float, float | None, float]
-"""Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
-
 
 CameraPlace = Annotated[
     str | None,
@@ -78,7 +71,7 @@ def orient(
     terrain = read_terrain(dem, crs, reproject)
     found: list[dict[str, Any]] = []
     exit_code = 0
-    with _orienters(terrain) as orienter_at:
+    with orienters(terrain) as orienter_at:
         for one in queries:
             try:
                 skyline = one.read()
@@ -104,31 +97,6 @@ def orient(
         write_whole(csv_file, _csv(found))
     if exit_code:
         raise typer.Exit(exit_code)
-
-
-@contextmanager
-def _orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns the orienter of a place, the same while the place is.
-
-    A fixed camera's frames share one; orienters are released at the end of the block.
-    """
-    made: dict[Place, Orienter] = {}
-
-    def orienter_at(place: Place) -> Orienter:
-        if place not in made:
-            while made:
-                made.popitem()[1].release()
-            lon, lat, elevation_m, within_m = place
-            made[place] = Orienter(
-                terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
-            )
-        return made[place]
-
-    try:
-        yield orienter_at
-    finally:
-        for one in made.values():
-            one.release()
 
 
 def camera_place(at: str | None) -> Place | None:

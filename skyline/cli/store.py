@@ -52,7 +52,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
 
 @store.command()
 def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
-    """Join several stores into one, sorted by location; equal rows are kept once."""
+    """Join stores of one DEM into one; a place that several have is kept once."""
     _print_copied(merge_stores(stores, output), output)
 
 

@@ -8,6 +8,7 @@ import logging
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,17 +17,17 @@ from urllib.parse import urlsplit
 import numpy as np
 import rasterio
 from numpy.typing import DTypeLike, NDArray
+from rasterio import windows
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
-from skyline.arrays import Progress
+from skyline.arrays import BoolArray, Progress
 from skyline.errors import InputError
 from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, with_remote
 from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.rasters import shown
-from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64
 """Greatest number of tiles of a fetch: 8 x 8 degrees."""
@@ -73,7 +74,6 @@ class _Cut:
     path: Path
     tag: str
     window: Window
-    step_deg: tuple[float, float]
     dtype: DTypeLike
 
     @property
@@ -88,6 +88,7 @@ def fetch_dem(
     retries: int = RETRIES,
     timeout_s: int = TIMEOUT_S,
     progress: Progress | None = None,
+    earlier: Sequence[Path] = (),
 ) -> FetchResult:
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
 
@@ -112,12 +113,14 @@ def fetch_dem(
         Seconds without an answer after which a request has failed.
     progress : callable, optional
         Called with the number of tiles done and of all.
+    earlier : sequence of Path
+        Folders of earlier fetches. Samples that they have from the same source are copied.
 
     Raises
     ------
     InputError
-        The bounds or the source are not usable, the area is too large, there is no tile, tiles
-        differ in spacing, or a file is in the way or cannot be written.
+        The bounds or the source are not usable, the area is too large, there is no tile, or a file
+        is in the way or cannot be written.
     FetchError
         A server still fails after the retries. Nothing of its tile is written.
     """
@@ -150,12 +153,17 @@ def fetch_dem(
             f"({shown(address(template, *corners[0]))}, for one, is not there); check the place, "
             "or the source's template"
         )
-    _check_together(cuts)
+    size_bytes = sum(cut.size_bytes for cut in cuts)
+    if size_bytes > MAX_BYTES:
+        raise InputError(
+            f"the bounds need {len(cuts)} tiles and {size_bytes / 1e9:.1f} GB, more than the "
+            f"{MAX_BYTES / 1e9:.1f} GB that are fetched at a time: choose smaller bounds"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     for done, cut in enumerate(cuts):
         if progress:
             progress(done, len(cuts))
-        _fetch(cut, retries, timeout_s)
+        _fetch(cut, earlier, retries, timeout_s)
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
@@ -218,8 +226,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
 
     def look(file: Any) -> _Cut:
         _check_usable(url, file)
-        step_deg = (file.transform.a, -file.transform.e)
-        return _Cut(url, path, tag, _window(url, file, bounds_deg), step_deg, file.dtypes[0])
+        return _Cut(url, path, tag, _window(url, file, bounds_deg), file.dtypes[0])
 
     return with_remote(url, look, retries, timeout_s)
 
@@ -271,44 +278,51 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     return Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
 
-def _check_together(cuts: Sequence[_Cut]) -> None:
-    """Raise `InputError` for too many bytes, and for tiles that do not make one grid."""
-    size_bytes = sum(cut.size_bytes for cut in cuts)
-    if size_bytes > MAX_BYTES:
-        raise InputError(
-            f"the bounds need {len(cuts)} tiles and {size_bytes / 1e9:.1f} GB, more than the "
-            f"{MAX_BYTES / 1e9:.1f} GB that are fetched at a time: choose smaller bounds"
-        )
-    for cut in cuts[1:]:
-        first = cuts[0]
-        for step, other in zip(cut.step_deg, first.step_deg, strict=True):
-            if abs(step / other - 1.0) * max(cut.window.width, cut.window.height) > GRID_TOLERANCE:
-                raise InputError(
-                    f"{shown(cut.url)} has samples {3600.0 * step:g} arc-seconds apart and "
-                    f"{shown(first.url)} {3600.0 * other:g}, so they are no one grid; fetch them "
-                    "one at a time (Copernicus changes its spacing at 50, 60, 70, 75, 80 and 85 "
-                    "degrees of latitude), and merge them with gdalwarp if both are needed"
-                )
-
-
-def _fetch(cut: _Cut, retries: int, timeout_s: int) -> None:
+def _fetch(cut: _Cut, earlier: Sequence[Path], retries: int, timeout_s: int) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
-    samples, known = np.empty((height, width), cut.dtype), 0
+    samples, known = np.empty((height, width), cut.dtype), np.zeros((height, width), bool)
 
     def read(file: Any) -> bytes:
         """Read a row of blocks at a time, and keep them when a connection fails."""
-        nonlocal known
+        for folder in earlier:
+            _copy_held(folder / cut.path.name, cut, file.transform, samples, known)
         block_rows = int(file.block_shapes[0][0])
-        while known < height:
-            start = top + known
+        start = top
+        while start < top + height:
             stop = min((start // block_rows + 1) * block_rows, top + height)
-            strip = Window(left, start, width, stop - start)
-            samples[known : stop - top] = file.read(1, window=strip)
-            known = stop - top
+            rows = slice(start - top, stop - top)
+            unknown = np.flatnonzero(~known[rows].all(axis=0))
+            if len(unknown):
+                cols = slice(int(unknown[0]), int(unknown[-1]) + 1)
+                strip = Window(left + cols.start, start, cols.stop - cols.start, stop - start)
+                samples[rows, cols] = file.read(1, window=strip)
+                known[rows, cols] = True
+            start = stop
         return _geotiff(samples, cut, file)
 
     write_whole(cut.path, with_remote(cut.url, read, retries, timeout_s))
+
+
+def _copy_held(
+    path: Path, cut: _Cut, transform: Any, samples: NDArray[Any], known: BoolArray
+) -> None:
+    """Copy the samples of a cut that a file has which was fetched from the same tile."""
+    with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
+        tag = json.loads(file.tags().get(_TAG, "{}"))
+        if tag.get("source") != shown(cut.url) or file.dtypes[0] != np.dtype(cut.dtype).name:
+            return
+        col, row = (round(at) for at in ~transform * (file.transform.c, file.transform.f))
+        held = Window(col, row, file.width, file.height)
+        if not windows.intersect(held, cut.window):
+            return
+        both = windows.intersection(held, cut.window)
+        there, here = (
+            Window(both.col_off - one.col_off, both.row_off - one.row_off, both.width, both.height)
+            for one in (held, cut.window)
+        )
+        samples[here.toslices()] = file.read(1, window=there)
+        known[here.toslices()] = True
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:

@@ -19,6 +19,10 @@ TIMEOUT_S = 30
 PASSING = (429, 500, 502, 503, 504)
 """Codes of HTTP for failures that may pass."""
 
+_UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
+"""Failures, in curl's words, to find a server: without a network every one of them is the same."""
+_UNREACHABLE_RETRIES = 2
+
 _FIRST_DELAY_S = 1.0
 """Delay before the first repetition; it doubles before each further one."""
 
@@ -38,11 +42,14 @@ class RequestError(Exception):
         The failure, and the next thing to try.
     may_pass : bool
         Whether the same request may succeed later.
+    is_reached : bool
+        Whether the server was found.
     """
 
-    def __init__(self, reason: str, advice: str, may_pass: bool) -> None:
+    def __init__(self, reason: str, advice: str, may_pass: bool, is_reached: bool = True) -> None:
         super().__init__(reason)
         self.reason, self.advice, self.may_pass = reason, advice, may_pass
+        self.is_reached = is_reached
 
 
 def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
@@ -54,7 +61,8 @@ def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
         try:
             return request()
         except RequestError as error:
-            if not error.may_pass or attempt == retries:
+            last = retries if error.is_reached else min(retries, _UNREACHABLE_RETRIES)
+            if not error.may_pass or attempt >= last:
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise FetchError(
                     f"{shown(url)}: {error.reason}, {times}; {error.advice}"
@@ -124,7 +132,8 @@ def _failure(url: str, error: RasterioError) -> Exception:
         return RequestError(f"the server answers HTTP {code}", advice, code in PASSING)
     if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
         advice = f"check the address and the connection, then {again}"
-        return RequestError(f"no answer ({curl[1]})", advice, may_pass=True)
+        is_reached = _UNREACHABLE.search(curl[1]) is None
+        return RequestError(f"no answer ({curl[1]})", advice, may_pass=True, is_reached=is_reached)
     if "not recognized as being in" in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
         advice = "check the address and the source's template"

@@ -339,9 +339,10 @@ def _fetch(folder: Path, bounds: Bounds, source: str, say: Say, bar: Bar) -> tup
     seen = _grown(bounds, SEEN_KM)
     where = ",".join(f"{side:.2f}" for side in seen)
     say(f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}")
+    earlier = [one / "tiles" for one in folder.parent.iterdir() if one != folder]
     try:
         with bar("fetching tiles") as progress:
-            done = fetch_dem(seen, source, folder / "tiles", progress=progress)
+            done = fetch_dem(seen, source, folder / "tiles", progress=progress, earlier=earlier)
     except FetchError as error:
         raise FetchError(f"{error}; or give elevation files with --dem") from error
     if done.missing:

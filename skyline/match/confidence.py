@@ -25,6 +25,7 @@ from skyline.match.candidate import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
+    SAME_VIEW_DEG,
     Hypotheses,
     RefinedPoses,
 )
@@ -188,14 +189,15 @@ def shared_probabilities(
     """Return the probabilities (M,) that refined poses are right within 200 m, and within 1 km.
 
     The models were learned from best poses, and hold for the best one alone. Its probability is
-    that of all poses within the distance of it, and the rest is that of all others: each pose has a
-    share by its score, and poses near one another add up. An infinite score has no share.
+    that of all poses within the distance of it that look the same way, and the rest is that of all
+    others: each pose has a share by its score, and those near one another add up. An infinite score
+    has no share.
     """
     best = int(np.argmin(poses.score))
     of_best = {name: values[best : best + 1] for name, values in figures.items()}
     weight = np.exp((poses.score[best] - poses.score) / TEMPERATURE)
     near, roughly = (
-        _shares(poses.distances_m() <= within_m, weight, best, float(sure[0]))
+        _shares(poses.are_same(within_m, SAME_VIEW_DEG), weight, best, float(sure[0]))
         for within_m, sure in zip(
             DISTANCES_M, probabilities(learned, "refined", of_best), strict=True
         )

@@ -33,7 +33,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.store import open_store
+from skyline.store import open_joined
 from skyline.store.format import PLACES
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
@@ -49,7 +49,9 @@ class Matcher:
 
     Parameters
     ----------
-    store : str or Path
+    store : path or paths
+        Several stores, of one DEM and configuration, are searched as one: they are merged into a
+        temporary file, as `skyline.store.merge_stores` does.
     dem : path, paths or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
@@ -73,12 +75,12 @@ class Matcher:
     StoreError
         The store cannot be read.
     StoreMismatchError
-        The store was rendered from another DEM.
+        The store was rendered from another DEM, or the stores from different ones.
     """
 
     def __init__(
         self,
-        store: str | Path,
+        store: str | Path | Sequence[str | Path],
         dem: Dem | None = None,
         matcher: str = FULL,
         config: MatchConfig | None = None,
@@ -89,11 +91,11 @@ class Matcher:
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
-        with open_store(store) as file:
+        with open_joined(paths_of(store)) as file:
             self.header = file.header
             self.rows, self.holds = len(file), file.header.holds
             if not self.rows:
-                raise InputError(f"store {store} holds no {self.holds}; build it first")
+                raise InputError(f"store {file.path} holds no {self.holds}; build it first")
             self.terrain = given_terrain(self.header, dem)
             self._scene = None
             if kind.searches == PLACES == self.holds:
@@ -350,6 +352,11 @@ def rays_of(query: QuerySkyline, config: MatchConfig, *, finds_fov: bool) -> Que
     raise InputError(
         "the query's field of view is not known: it is not in the image; give --fov-deg"
     )
+
+
+def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
+    """Return the paths of one store or several."""
+    return [store] if isinstance(store, str | Path) else store
 
 
 def name_of(query: Picture | QuerySkyline) -> str:

@@ -12,6 +12,8 @@ confidence of a match was (`skyline.match.confidence`).
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -38,12 +40,20 @@ from skyline.render.context import RenderThread
 from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_where_possible
+
+Place = tuple[float, float, float | None, float]
+"""Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
 
 RIGHT_DEG = 1.0
 """Largest error of a heading that is right."""
 DEFAULT_WITHIN_M = 50.0
 """Error of a place that a person reads off a map, or a phone notes between cliffs."""
+LEAST_CONFIDENCE = 0.85
+"""Of a heading that is trusted by default. Of the terrain that the confidence was learned on, none
+of 131 photos of elsewhere has as much, and 2 % of the headings that do are wrong; with 0.8, one
+has, and 5 % are."""
 _MOST_WITHIN_M = 500.0
 """Places that are known less well are searched for: that is a match."""
 _RING = 8
@@ -202,19 +212,24 @@ class Orienter:
             )
         self.terrain, self.curvature = read_dem(dem), Curvature()
         self.frame = self.terrain.frame
-        self._config, self._within_m = config or MatchConfig(), within_m
+        self._config = config or MatchConfig(min_confidence=LEAST_CONFIDENCE)
+        self._within_m = within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m = elevation_m
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views, render_thread)
-        places = self._rendered_places(render_thread)
+        self._run = _at_once if render_thread is None else render_thread.run
+        # Kept, since it holds the terrain's textures, which the scene shares.
+        self._panoramas = self._run(lambda: PanoramaRenderer(self.terrain, BINS, self.curvature))
+        places = self._rendered_places()
         self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
         self._model = confidence.orientation_model()
 
     def release(self) -> None:
         """Free the orienter's GPU memory."""
         self._scene.release()
+        self._run(self._panoramas.release)
 
     def __enter__(self) -> Self:
         return self
@@ -315,19 +330,45 @@ class Orienter:
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
 
-    def _rendered_places(self, thread: RenderThread | None) -> Places:
+    def _rendered_places(self) -> Places:
         """Return the known place and a ring of places around it, with their skylines."""
         ring = self._within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
         place = complex(self._east, self._north) + np.concatenate([[0.0], ring])
         eyes, _ = stand_where_possible(self.terrain, place.real, place.imag)
         if self._elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
+        return Places.of(self._run(lambda: self._panoramas.render(eyes)), self._within_m / 2.0)
 
-        def rendered() -> Places:
-            with PanoramaRenderer(self.terrain, BINS, self.curvature) as renderer:
-                return Places.of(renderer.render(eyes), self._within_m / 2.0)
 
-        return rendered() if thread is None else thread.run(rendered)
+@contextmanager
+def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
+    """Yield a function that returns the orienter of a place, the same while the place is.
+
+    A fixed camera's frames share one. Each stays until the next is made, so that they share the
+    terrain's textures; the last is released at the end of the block.
+    """
+    made: dict[Place, Orienter] = {}
+
+    def orienter_at(place: Place) -> Orienter:
+        if place not in made:
+            lon, lat, elevation_m, within_m = place
+            made[place] = Orienter(
+                terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
+            )
+            while len(made) > 1:
+                made.pop(next(iter(made))).release()
+        return made[place]
+
+    try:
+        yield orienter_at
+    finally:
+        for one in made.values():
+            one.release()
+
+
+def _at_once(work: Callable[[], Any]) -> Any:
+    """Do work on this thread, as `RenderThread.run` does it on another."""
+    return work()
 
 
 class _RefinementByHeading(Refinement):

@@ -11,12 +11,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.files import STANDARD
 from skyline.match.answer import MatchResult
-from skyline.match.matcher import Matcher
+from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
 from skyline.photo.lens import Lens
@@ -44,7 +45,7 @@ _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
 
 _Opening = tuple[Hashable, ...]
-"""The time at which the store was written, followed by the arguments of `Matcher`."""
+"""The times at which the stores were written, followed by the arguments of `Matcher`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,14 +174,13 @@ def match_many(
     runner : Runner
         Runs the jobs. Workers need the store, the DEM and the queries under the same paths.
     matcher : tuple
-        The arguments of `Matcher`, in order: the store's path first.
+        The arguments of `Matcher`, in order: the store's path first, or the paths of several.
     """
-    store = Path(str(matcher[0])).absolute()
+    stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
     # A worker that outlives this command must not take a store for the one it has replaced.
-    written = store.stat().st_mtime_ns if store.exists() else 0
-    opening = (written, str(store), *matcher[1:])
+    opening = (written_ns(stores), stores, *matcher[1:])
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
-    parts = _parts(store)
+    parts = _parts(stores)
     screened: list[Alike | SkylineError | None] = [None] * len(jobs)
     if len(parts) > 1:
         of_parts = [(query, part) for query in jobs for part in parts]
@@ -200,10 +200,21 @@ def match_many(
         yield replace(result, name=query.path) if isinstance(result, MatchResult) else result
 
 
-def _parts(store: Path) -> list[slice]:
-    """Return parts of a store's blocks of places; none for a store of renderings."""
-    with open_store(store) as opened:
-        blocks = -(-len(opened) // PLACES_A_CHUNK) if opened.header.holds == PLACES else 0
+def written_ns(stores: Sequence[Path]) -> tuple[int, ...]:
+    """Return the times at which stores were written; 0 where there is none."""
+    return tuple(one.stat().st_mtime_ns if one.exists() else 0 for one in stores)
+
+
+def _parts(stores: Sequence[Path]) -> list[slice]:
+    """Return parts of the blocks of places of stores, none of renderings.
+
+    Stores that overlap have fewer blocks together, and the last parts may be empty.
+    """
+    blocks = 0
+    for store in stores:
+        with open_store(store) as opened:
+            if opened.header.holds == PLACES:
+                blocks += -(-len(opened) // PLACES_A_CHUNK)
     return [slice(start, start + _PART_BLOCKS) for start in range(0, blocks, _PART_BLOCKS)]
 
 

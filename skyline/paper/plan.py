@@ -18,7 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Pr
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, named
+from skyline.errors import InputError, StoreMismatchError, named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import (
     displacements_m,
@@ -174,7 +174,11 @@ def build_planned(
     header = rendering_header(terrain, settings, config)
     check_folder(path)
     if path.exists():
-        finished_store(path, header)
+        if finished_store(path, header) is None:
+            raise StoreMismatchError(
+                f"store {path} was planned for other bounds; write to another file, and join the "
+                "two with `skyline store merge`"
+            )
         return None
     with HorizonRenderer.of(terrain, config) as renderer:
         area = map_bounds(terrain, bounds_deg)

@@ -18,7 +18,6 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.gazetteer import Peaks
 from skyline.report.peaks import (
-    HIDDEN_DEG,
     UNDERFOOT_SAMPLES,
     Sighting,
     elevation_deg,
@@ -41,7 +40,7 @@ _SURFACE_STEP_DEG = 0.1
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
 _RINGS_SAMPLES = (300.0, 1000.0, math.inf)
 """Outer radii of rings around the eye; terrain seen in one ring hides terrain of the next."""
-_HIDDEN_DEG = HIDDEN_DEG + 0.05
+_HIDDEN_DEG = 0.05
 """Terrain this far below nearer terrain is hidden, as are peaks on it between two columns."""
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
 """A point is a ridge if the next terrain in sight is farther by more than this factor and, beyond

@@ -20,7 +20,7 @@ from skyline.report.gazetteer import Peaks
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import HIDDEN_DEG, Sighting
+from skyline.report.peaks import Sighting
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import package_version
@@ -108,8 +108,7 @@ def _about(viewer: Viewer | None) -> str:
         return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
     return (
         f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
-        "nothing on the line to them stands more than "
-        f"{HIDDEN_DEG:g}° above them in the elevation model."
+        "nothing on the line to them stands above them in the elevation model."
     )
 
 

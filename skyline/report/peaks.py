@@ -2,8 +2,8 @@
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
-there. It is visible if nothing on the straight line to it stands more than a tenth of a degree
-above it.
+there. It is visible if nothing on the straight line to it stands above it, up to 150 m from it:
+nearer ground is the peak's own.
 """
 
 import math
@@ -24,8 +24,6 @@ SUMMIT_RADIUS_M = 150.0
 """Radius around a named place in which its summit is searched, and terrain cannot hide it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
-HIDDEN_DEG = 0.1
-"""Terrain before a visible peak stands at most this angle above it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +79,7 @@ def visible_peaks(
             np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
             np.array([distance_m - SUMMIT_RADIUS_M]),
         )
-        if highest_deg > math.degrees(math.atan2(up_m, distance_m)) + HIDDEN_DEG:
+        if highest_deg > math.degrees(math.atan2(up_m, distance_m)):
             continue
         seen.append(
             Sighting(

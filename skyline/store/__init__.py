@@ -5,7 +5,13 @@ A store is written once, takes its name when its bytes are on disk, and is never
 """
 
 from skyline.store.format import StoreHeader, columns_of
-from skyline.store.merge import StoreReport, check_store, merge_stores, repair_store
+from skyline.store.merge import (
+    StoreReport,
+    check_store,
+    merge_stores,
+    open_joined,
+    repair_store,
+)
 from skyline.store.read import PlaceMap, Store, is_store, open_store
 from skyline.store.write import write_store
 
@@ -18,6 +24,7 @@ __all__ = [
     "columns_of",
     "is_store",
     "merge_stores",
+    "open_joined",
     "open_store",
     "repair_store",
     "write_store",

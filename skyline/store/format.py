@@ -13,7 +13,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from skyline.camera import check_width
 from skyline.errors import StoreError, StoreMismatchError
-from skyline.geodesy import Curvature, Frame
+from skyline.geodesy import Bounds, Curvature, Frame
 from skyline.skylines import Views
 from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS
 from skyline.store.places import (
@@ -112,6 +112,9 @@ PLACE_CODING = {
 }
 """The constants by which the bytes of places become tangents and distances."""
 
+_NAMED = 3
+"""Files of a DEM that an error names."""
+
 _AT_ONCE_BYTES = 1 << 22
 """Bytes of rows that are copied at a time for their checksums."""
 
@@ -190,6 +193,11 @@ class StoreHeader:
         return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
+    def preferred_by(self) -> list[str]:
+        """The datasets whose least value is kept, of rows that `sorted_by` does not distinguish."""
+        return [self.fields["tolerance_m"]] if self.holds == PLACES else []
+
+    @property
     def specs(self) -> dict[str, np.dtype[Any]]:
         """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
         return {
@@ -211,6 +219,25 @@ class StoreHeader:
             "fletcher32": True,
             **(_PACKING if row.shape and self.holds == RENDERINGS else {}),
         }
+
+    @property
+    def boxes_deg(self) -> list[Bounds] | None:
+        """The boxes for which rows were built, W, S, E, N in degrees; None for all of the DEM."""
+        bounds: Any = self.config.get("bounds_deg")
+        if not bounds:
+            return None
+        return [tuple(box) for box in (bounds if isinstance(bounds[0], list) else [bounds])]
+
+    @property
+    def anywhere(self) -> "StoreHeader":
+        """The header without its boxes: stores that agree in it can be joined."""
+        config = {key: value for key, value in self.config.items() if key != "bounds_deg"}
+        return replace(self, config=config)
+
+    def covers(self, other: "StoreHeader") -> bool:
+        """Return whether this store has the boxes of another one."""
+        held, wanted = self.boxes_deg, other.boxes_deg
+        return held is None or (wanted is not None and set(wanted) <= set(held))
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -298,20 +325,23 @@ def _compared(one: StoreHeader, other: StoreHeader) -> Iterator[tuple[str, objec
     if one.holds != other.holds:
         yield "kind of rows", one.holds, other.holds
         return
-    if one.frame_wkt != other.frame_wkt:
-        names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
-        yield "frame", *(names if names[0] != names[1] else (one.frame_wkt, other.frame_wkt))
-    for name in ("dem_digest", "width"):
-        yield name, getattr(one, name), getattr(other, name)
+    if (one.frame_wkt, one.dem_digest) != (other.frame_wkt, other.dem_digest):
+        yield "elevation model", _model(one), _model(other)
+    yield "width", one.width, other.width
     for key in sorted({*one.config, *other.config}):
         yield f"config {key}", one.config.get(key, "absent"), other.config.get(key, "absent")
 
 
-def _frame_name(wkt: str) -> str:
+def _model(header: StoreHeader) -> str:
+    """Return the files of a store's DEM, its frame and its digest, in one line."""
+    names = [Path(file).name for file in header.dem_files]
+    if len(names) > _NAMED:
+        names[_NAMED:] = [f"and {len(names) - _NAMED} more"]
     try:
-        return Frame(wkt).name
+        frame = Frame(header.frame_wkt).name
     except RuntimeError:  # pyproj's CRSError: the text may come from anywhere
-        return wkt
+        frame = header.frame_wkt
+    return f"{', '.join(names) or 'no file'} ({frame}, digest {header.dem_digest[:12]})"
 
 
 def columns_of(

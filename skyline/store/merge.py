@@ -2,7 +2,9 @@
 
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
 are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
-nor on how they were cut.
+nor on how they were cut. Stores of several boxes of one DEM may overlap. The lattices on which
+places are planned are nested, so that the denser plan has all places of the other; of a place that
+both have, the one that represents less ground is kept, as the denser plan has it.
 
 A file whose structures were forged together with their checksums may hang or crash HDF5 itself.
 `check_store` therefore reads in a process of its own, which may die.
@@ -24,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError, StoreError
+from skyline.geodesy import Bounds
 from skyline.store.format import Columns, StoreHeader, refuse_mismatch, row_checksums
 from skyline.store.read import Store, open_hdf5, open_store
 from skyline.store.write import check_folder, explained, write_store
@@ -89,7 +92,7 @@ def merge_stores(
     Parameters
     ----------
     paths : sequence of path-like
-        At least one, of the same frame, DEM and configuration.
+        At least one, of the same DEM and configuration, each of any box.
     out : path-like
         Must not exist.
 
@@ -139,17 +142,21 @@ def merged_rows(
     for store in stores[1:]:
         one, other = stores[0].path, store.path
         refuse_mismatch(
-            (stores[0].header, f"in {one.name}"),
-            (store.header, f"in {other.name}"),
-            f"stores {one} and {other} were built otherwise",
-            "merge stores of one DEM and configuration",
+            (stores[0].header.anywhere, f"in {one.name}"),
+            (store.header.anywhere, f"in {other.name}"),
+            f"stores {one} and {other} cannot be joined",
+            "build both with the same settings from one DEM of both areas: skylines show terrain "
+            "far around them",
         )
     headers = [store.header for store in stores]
     # The header must not depend on the order of the stores.
     header = replace(
         headers[0],
+        config=_joint_config(headers),
         dem_files=min(header.dem_files for header in headers),
-        renderer="; ".join(sorted({header.renderer for header in headers})),
+        renderer="; ".join(
+            sorted({name for header in headers for name in header.renderer.split("; ")})
+        ),
         package_version=max(header.package_version for header in headers),
     )
     counted = [(store.path, len(store)) for store in stores]
@@ -157,10 +164,42 @@ def merged_rows(
         yield header, columns, sorted_once(header, columns)
 
 
+@contextmanager
+def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
+    """Open a store, or several as the store into which `merge_stores` merges them.
+
+    Several are merged into a temporary file, which disappears once its reader is closed. Raises as
+    `open_store` and `merge_stores`.
+    """
+    if len(paths) == 1:
+        with open_store(paths[0]) as store:
+            yield store
+        return
+    with tempfile.TemporaryDirectory(prefix="skyline-") as folder:
+        joined = Path(folder) / "joined.h5"
+        merge_stores(paths, joined)
+        with open_store(joined) as store:
+            yield store
+
+
+def _joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
+    """Return the configuration of stores that may differ in their boxes."""
+    config = dict(headers[0].config)
+    if "bounds_deg" in config:
+        boxes: set[Bounds] = set()
+        for header in headers:
+            if header.boxes_deg is None:
+                return config | {"bounds_deg": None}
+            boxes.update(header.boxes_deg)
+        config["bounds_deg"] = sorted(boxes) if len(boxes) > 1 else boxes.pop()
+    return config
+
+
 def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
     """Return the rows to write, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
-    order = np.lexsort(keys[::-1])
+    ties = [np.asarray(columns[name]) for name in header.preferred_by]
+    order = np.lexsort([*ties, *keys[::-1]])
     again = np.ones(len(order), dtype=bool)
     again[:1] = False
     for key in keys:

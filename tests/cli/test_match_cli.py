@@ -69,6 +69,28 @@ def test_a_matcher_and_a_store_that_do_not_fit_are_refused(run, store, rendering
         assert_refused(run("match", searched, photo, "--fov-deg", "60", *options), message)
 
 
+def test_areas_of_one_dem_are_searched_together(run, store, dem, photo, tmp_path):
+    lon, _ = lonlat_of(dem, 601_800.0, 5_178_000.0)
+    west, east, grown, other = (tmp_path / f"{name}.h5" for name in ("w", "e", "grown", "other"))
+    for area, box in ((west, f"9,46,{lon + 0.003},47"), (east, f"{lon - 0.001},46,11,47")):
+        assert run("build", dem, "--spacing", 80, "--bounds", box, "-o", area).code == 0
+        done = run("build", dem, "--spacing", 80, "--bounds", box, "-o", grown)
+        assert done.code == 0, done.err
+
+    def found(*areas):
+        done = run("match", *areas, photo, "--fov-deg", 60, "--matcher", "unrefined", "--json")
+        assert done.code == 0, done.err
+        return json.loads(done.out)["candidates"]
+
+    assert found(west, east) == found(east, west) == found(grown) == found(store)
+    assert_refused(run("match", west, east), "are stores; name photos to find in them")
+    write_dem(tmp_path / "flat.tif", np.zeros((40, 40), dtype=np.float32))
+    assert run("build", tmp_path / "flat.tif", "--spacing", 80, "-o", other).code == 0
+    refused = run("match", west, other, photo, "--fov-deg", 60)
+    assert_refused(refused, "cannot be joined: elevation model is 'dem.tif (")
+    assert "build both with the same settings from one DEM of both areas" in refused.err
+
+
 def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):
     lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
     shutil.copy(photo, tmp_path / "one.jpg")

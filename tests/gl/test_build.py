@@ -7,7 +7,7 @@ import subprocess
 import sys
 import textwrap
 import threading
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
-from skyline.store import check_store, open_store
+from skyline.store import check_store, merge_stores, open_store
 from skyline.store.places import BINS, Places
 from skyline.store.read import parts_folder
 
@@ -133,6 +133,82 @@ def test_renderings_of_given_viewpoints_are_kept_once_each(terrain, tmp_path):
     assert render_to_store(terrain, eyes, path, CONFIG).rendered == 0
     with pytest.raises(StoreMismatchError, match="viewpoints_digest"):
         render_to_store(terrain, eyes[:1], path, CONFIG)
+
+
+def halves_of(terrain):
+    """Return boxes that hold the west and the east of the terrain, and overlap by 760 m."""
+    data = terrain.bounds_m
+    west, south, east, north = terrain.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+    middle = 0.5 * (west + east)
+    return (
+        (west - 0.1, south - 0.1, middle + 0.01, north + 0.1),
+        (middle, south - 0.1, east + 0.1, north + 0.1),
+    )
+
+
+class TestAreas:
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_a_box_is_added_to_a_store(self, terrain, tmp_path, kind):
+        """As if the boxes were built each on its own and merged, whichever comes first."""
+        west, east = halves_of(terrain)
+        plan = plan_of(terrain, kind)
+
+        def of(box):
+            if kind == "renderings":
+                return RenderingPlan.uniform(terrain, 700.0, box, CONFIG)
+            return replace(plan, bounds_deg=box)
+
+        for name, boxes in (
+            ("a", [west]),
+            ("b", [east]),
+            ("ab", [west, east]),
+            ("ba", [east, west]),
+        ):
+            for box in boxes:
+                done = build_store(terrain, tmp_path / f"{name}.h5", of(box))
+        report = merge_stores([tmp_path / "a.h5", tmp_path / "b.h5"], tmp_path / "m.h5")
+        assert report.rows == done.rows > done.rendered > 0
+        assert report.duplicates > 0
+        whole = (tmp_path / "m.h5").read_bytes()
+        assert (tmp_path / "ab.h5").read_bytes() == (tmp_path / "ba.h5").read_bytes() == whole
+        assert build_store(terrain, tmp_path / "ab.h5", of(west)).rendered == 0
+        assert (tmp_path / "ab.h5").read_bytes() == whole
+
+    def test_areas_of_one_grid_are_the_store_built_at_once(self, terrain, tmp_path):
+        places = {}
+        for name, boxes in (("once", [None]), ("grown", halves_of(terrain))):
+            for box in boxes:
+                build_places(terrain, tmp_path / f"{name}.h5", SPACING_M, box)
+            with open_store(tmp_path / f"{name}.h5") as store:
+                places[name] = store.stored()
+        for name, values in places["once"].items():
+            np.testing.assert_array_equal(places["grown"][name], values)
+
+    def test_a_box_that_fails_leaves_the_store_as_it_was(self, terrain, tmp_path):
+        west, east = halves_of(terrain)
+        path = tmp_path / "s.h5"
+        build_places(terrain, path, 150.0, west)
+        before = path.read_bytes()
+        with pytest.raises(StoreMismatchError, match=r"spacing_m is 150\.0 there, 100\.0 here"):
+            build_places(terrain, path, 100.0, east)
+        with pytest.raises(KeyboardInterrupt):
+            build_places(terrain, path, 150.0, east, stop_at(1))
+        assert path.read_bytes() == before
+
+    def test_a_box_without_places_leaves_the_store_as_it_was(self, terrain, tmp_path):
+        west, (lon, lat, _, _) = halves_of(terrain)
+        path = tmp_path / "s.h5"
+        build_places(terrain, path, bounds_deg=west, places=PLACES)
+        before = path.read_bytes()
+        with pytest.raises(InputError, match="no place falls on the surface"):
+            build_places(
+                terrain,
+                path,
+                bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001),
+                places=PLACES,
+            )
+        assert path.read_bytes() == before
+        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
 
 
 class TestBroken:

@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
 from skyline.report.gazetteer import Peaks, read_peaks
-from skyline.report.peaks import HIDDEN_DEG, SUMMIT_RADIUS_M, visible_peaks
+from skyline.report.peaks import SUMMIT_RADIUS_M, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.pinhole import Camera
@@ -202,9 +202,9 @@ def test_of_thirty_summits_the_visible_are_named_where_a_camera_shows_them(headi
         nearest = np.argmax(rays @ towards)
         is_inside = np.arccos(min(1.0, rays[nearest] @ towards)) < pixel_rad
         over_deg = truly_over_deg(terrain, eye_m, summit_m)
-        if not is_inside or over_deg > HIDDEN_DEG:
+        if not is_inside or over_deg > 0.0:
             assert name not in found
-        elif over_deg <= 0.0:
+        elif over_deg <= -0.05:  # Between its steps a crest may be higher.
             row, column = divmod(nearest, 900)
             assert np.hypot(found[name].column_px - column, found[name].row_px - row) < 1.0
             visible += 1

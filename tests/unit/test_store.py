@@ -35,11 +35,13 @@ from skyline.errors import (
 )
 from skyline.store import (
     check_store,
+    columns_of,
     is_store,
     merge,
     merge_stores,
     open_store,
     repair_store,
+    write_store,
 )
 from skyline.store.checks import PLACE_CODING
 from skyline.store.merge import examine
@@ -136,9 +138,16 @@ class TestHeader:
     @pytest.mark.parametrize(
         ("change", "expected"),
         [
-            ({"dem_digest": "b2" * 32}, ("a1" * 32 + "' in a.h5", "b2" * 32 + "' in b.h5")),
+            (
+                {"dem_digest": "b2" * 32},
+                (
+                    "digest a1a1a1a1a1a1)' in a.h5",
+                    "digest b2b2b2b2b2b2)' in b.h5",
+                    "one DEM of both areas",
+                ),
+            ),
             ({"config": {"planner": "rov"}}, ("planner is 'uniform' in", "'rov' in b.h5")),
-            ({"frame_wkt": "nonsense"}, ("EPSG:32632", "'nonsense' in b.h5")),
+            ({"frame_wkt": "nonsense"}, ("EPSG:32632", "(nonsense, digest")),
             ({"holds": "places", "width": 0}, ("'renderings' in a.h5", "'places' in b.h5")),
         ],
     )
@@ -448,6 +457,31 @@ class TestMerge:
         assert results == {(tmp_path / "d.h5").read_bytes()}
         with open_store(tmp_path / "d.h5") as store:
             assert_holds(store, np.arange(3000))
+
+    def test_boxes_that_overlap(self, tmp_path):
+        """The boxes are listed; of a place in both, that of the denser plan is kept."""
+        stores = []
+        for number, (box, tolerance_m) in enumerate(
+            [((9, 46, 10, 47), 25.0), ((8, 46, 9.2, 47), 18.0)]
+        ):
+            header = replace(PLACES_HEADER, config=PLACES_HEADER.config | {"bounds_deg": box})
+            places = replace(
+                numbered_places(200 * number, 200 * number + 300),
+                tolerance_m=np.full(300, tolerance_m, np.float32),
+            )
+            stores.append(tmp_path / f"{number}.h5")
+            write_store(stores[-1], header, columns_of(header, places))
+        results = set()
+        for number, order in enumerate([(0, 1), (1, 0)]):
+            joined = tmp_path / f"joined-{number}.h5"
+            report = merge_stores([stores[one] for one in order], joined)
+            assert (report.rows, report.duplicates) == (500, 100)
+            results.add(joined.read_bytes())
+        assert len(results) == 1
+        with open_store(joined) as store:
+            assert store.header.boxes_deg == [(8, 46, 9.2, 47), (9, 46, 10, 47)]
+            tolerance_m = store.places().take(np.arange(500)).tolerance_m
+        assert (tolerance_m == np.where(np.arange(500) < 200, 25.0, 18.0)).all()
 
     def test_nothing_is_overwritten(self, tmp_path):
         a = write_rows(tmp_path / "a.h5", 0, 3)

@@ -47,6 +47,7 @@ class Scenery:
     snow_line_m: float = np.inf  # Height above which ground that is not too steep is white
     tree_line_m: float = 1900.0  # Height below which there is forest
     clouds: float = 0.3  # How much of the sky is covered, 0 to 1; they gather about the ridge
+    fog_m: float = np.inf  # Distance at which fog leaves 2 % of the contrast; it hides the sky too
 
 
 def ground_rgb(
@@ -160,7 +161,12 @@ _NOISE = 3.0
 
 
 def photograph(
-    renderer: DepthRenderer, viewpoints: Viewpoints, index: int, camera: Camera, seed: int
+    renderer: DepthRenderer,
+    viewpoints: Viewpoints,
+    index: int,
+    camera: Camera,
+    seed: int,
+    scenery: Scenery = Scenery(),
 ) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
@@ -172,7 +178,10 @@ def photograph(
     distance = distance_along(renderer.depth_images(viewpoints, index), rays)
     eye = float(viewpoints.easting_m[index]), float(viewpoints.northing_m[index])
     ground = np.isfinite(distance)
-    picture = scene_rgb(renderer, eye, rays, distance, ground.astype(float), Scenery(), generator)
+    picture = scene_rgb(renderer, eye, rays, distance, ground.astype(float), scenery, generator)
+    if np.isfinite(scenery.fog_m):
+        away_m = distance * np.linalg.norm(rays, axis=-1)
+        picture = mixed(picture, _HAZE_RGB, 1.0 - np.exp(-_KOSCHMIEDER * away_m / scenery.fog_m))
     return exposed(picture, generator)
 
 

@@ -55,14 +55,14 @@ class Camera:
         """
         turned = np.mod(azimuth_deg - self.heading_deg + 180.0, 360.0) - 180.0
         first = int(np.argmin(turned))
-        column, row, ahead = self._project(
+        column, row, ahead = self.project(
             np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
         )
         row_px, segment = _topmost(column, row, ahead, self.width_px)
         sample = np.where(segment >= 0, (segment + first) % len(azimuth_deg), -1)
         return row_px, sample
 
-    def _project(
+    def project(
         self, azimuth_rad: Float64Array, elevation_tan: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
         """Return column, row and whether it is drawn, of directions relative to the heading."""

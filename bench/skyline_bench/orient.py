@@ -1,0 +1,312 @@
+"""How cameras stood at known places: photographs, made photos, a webcam, and what they show.
+
+Made photos see the elevation model with errors of 10 m rms added, and the place that is given is
+50 m beside the true one: as much as a phone and a model are off. Strangers are photos of other
+terrain, given any place.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, SupportsFloat
+
+import numpy as np
+from PIL import Image
+from typer import Option
+
+from skyline import Orientation, Orienter, QuerySkyline, read_dem
+from skyline.arrays import Progress
+from skyline.build.plans import map_bounds
+from skyline.cli.console import progress_bar
+from skyline.errors import SkylineError
+from skyline.geodesy import in_turn
+from skyline.match.orient import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.dem import DemOptions
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import at_elevation
+from skyline_bench import options
+from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.queries.kinds import STRANGERS, make_kind, perturbed
+from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
+from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
+from skyline_bench.search.specs import middle_deg
+from skyline_bench.search.summary import ALL, groups
+from skyline_bench.sights import Posed, label_row, pixel_row
+
+BESIDE_M = 50.0
+"""Distance of the place that is given from the true one."""
+NEAR_DEG, FOV_SHARE = 0.3, 0.03
+"""Errors of a heading, and of a field of view as a share of it, that are small."""
+SHARP_DEG = 0.15
+"""Standard error up to which a heading within 0.3 degrees is claimed."""
+STEADY_DEG = 0.1
+"""Largest deviation of a frame's heading from the others' of a camera that stands still."""
+_FOGGY = 10
+"""Of so many frames of a webcam one is taken in fog."""
+_WEBCAM_M = 2000.0
+"""Least median distance of the skyline that a webcam is pointed at."""
+_RENDERED_PX = 2048
+_PIXEL_SHARE = 10
+"""Places in pixels are compared for one made photo in so many: each takes seconds."""
+_QUICK = 4
+_ORIENTED = """of group n answered within_0.3_deg within_1_deg=within_1 median_deg p95_deg
+    median_sd_deg=median_sd within_2_sd fov_within_3_% wrong strongest seconds=s"""
+_TABLES = {
+    "photo": """photo answered off_deg sd_deg fov_off confidence moved_m seconds=s refusal""",
+    "photos": _ORIENTED,
+    "made photos": _ORIENTED,
+    "strangers": _ORIENTED,
+    "labels": """pose model photos summits visible named within_5_px hidden hidden_named
+        median_px p95_px""",
+    "pixels": """pose model photos pixels sky_right median_off_m p99_off_m within_2_sd""",
+    "webcam": """skyline_m frames answered within_0.1_deg spread_deg greatest_deg off_deg fog
+        fog_answered seconds=s""",
+}
+"""Columns of the printed tables, by what is measured."""
+
+_OrienterAt = Callable[[Place], Orienter]
+_Held = tuple[SyntheticQuery, Orientation]
+"""A made photo, and how its camera was found to be held."""
+
+
+def orient(
+    dem: options.Dems,
+    photos: Annotated[
+        Path | None,
+        Option(metavar="MANIFEST.csv", help="Measure these photographs instead of made ones."),
+    ] = None,
+    strange: Annotated[
+        str | None, Option(metavar="DEM", help="Other terrain, whose photos are refused.")
+    ] = None,
+    queries: Annotated[int, Option(min=1, help="Made photos, strangers and frames.")] = 200,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 71,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """How cameras stood at known places: photographs, or made photos, labels, pixels and a webcam.
+
+    docs/howto/comparing-grids.md has the columns of a manifest; places in it are given to 50 m.
+
+    An existing record keeps its rows of other DEMs and manifests.
+    """
+    name = photos.stem if photos else Path(dem[0]).stem
+    wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    other = read_dem(strange, DemOptions(reproject=True)) if strange else None
+    with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
+        if photos:
+            rows = photograph_rows(orienter_at, wanted[:2] if quick else wanted, progress)
+        else:
+            count = min(queries, _QUICK) if quick else queries
+            rows = made_rows(orienter_at, terrain, other, count, seed, progress)
+    rows = [{"of": name, **row} for row in rows]
+    for measured, columns in _TABLES.items():
+        some = [row for row in rows if row["measured"] == measured]
+        if some:
+            options.print_rows(some, columns)
+    write_record(json_file, "orient", options.rows_but(json_file, "of", [name]) + rows)
+
+
+def photograph_rows(
+    orienter_at: _OrienterAt, photographs: Sequence[Photograph], progress: Progress
+) -> list[Row]:
+    """Return a row for each photograph, and one for each kind."""
+    rows = list[Row]()
+    for one in photographs:
+        given = one.elevation_m, one.given_fov_deg
+        found = _oriented(orienter_at, one.photo, one.lonlat, *given)
+        about = {"measured": "photo", "photo": one.name, "kind": one.kind}
+        rows.append(about | figures_of(found, one.heading_deg, one.fov_deg))
+        progress(len(rows), len(photographs))
+    return [
+        *rows,
+        *(
+            {"measured": "photos", "group": kind}
+            | summarize([row for row in rows if row["kind"] == kind], is_strange=kind != LOCATE)
+            for kind in dict.fromkeys(one.kind for one in photographs)
+        ),
+    ]
+
+
+def made_rows(
+    orienter_at: _OrienterAt,
+    terrain: HeightField,
+    strange: HeightField | None,
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> list[Row]:
+    """Return the rows of made photos, strangers, labels, places in pixels and a webcam."""
+    seen, area = perturbed(terrain, seed=seed), map_bounds(terrain, middle_deg(terrain))
+    rng, steps = np.random.default_rng(seed), (2 + (strange is not None)) * count
+    to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
+    for query in make_queries(seen, area, count, seed):
+        off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
+        place = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
+        held.append((query, _oriented(orienter_at, query.skyline, to_lonlat(*place))))
+        progress(len(held), steps)
+    rows = _by_distance(terrain, held)
+    if strange is not None:
+        found = list[Row]()
+        for (query,) in make_kind(STRANGERS, terrain, area, count, seed + 1, strange):
+            place = rng.uniform(area[0], area[2]), rng.uniform(area[1], area[3])
+            one = _oriented(orienter_at, query.skyline, to_lonlat(*place))
+            found.append(figures_of(one))
+            progress(count + len(found), steps)
+        about = {"measured": "strangers", "group": ALL}
+        rows.append(about | summarize(found, is_strange=True))
+    own: list[Posed] = [(query, None) for query in make_queries(terrain, area, count, seed + 2)]
+    given: list[Posed] = [(query, None) for query, _ in held]
+    answered: list[Posed] = [(query, one.pose) for query, one in held if one.answer is not None]
+    for row_of, share in ((label_row, 1), (pixel_row, _PIXEL_SHARE)):
+        for model, posed in ((terrain, own), (seen, given), (seen, answered)):
+            if posed:
+                rows.append(row_of(terrain, model, posed[: -(-count // share)]))
+    far = (query for query, _ in held if query.distance_m > _WEBCAM_M)
+    camera = next(far, held[0][0])
+    return [*rows, webcam_row(orienter_at, terrain, seen, camera, count, seed, progress)]
+
+
+def figures_of(
+    found: Orientation, heading_deg: float | None = None, fov_deg: float | None = None
+) -> dict[str, Any]:
+    """Return the figures of an orientation against the true angles, where these are known."""
+    pose = found.pose
+    off_deg = fov_off = None
+    if pose is not None and heading_deg is not None:
+        off_deg = abs(float(in_turn(pose.heading_deg - heading_deg)))
+    if pose is not None and fov_deg is not None:
+        fov_off = pose.fov_deg / fov_deg - 1.0
+    return {
+        "answered": found.answer is not None,
+        "off_deg": off_deg,
+        "sd_deg": found.heading_sd_deg,
+        "fov_off": fov_off,
+        "confidence": found.confidence,
+        "moved_m": found.moved_m,
+        "seconds": found.seconds,
+        "refusal": found.refusal,
+    }
+
+
+def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any]:
+    """Return how many are answered, and how good the answers are; a stranger's is wrong."""
+    answered = [row for row in rows if row["answered"]]
+    known = [row for row in answered if row["off_deg"] is not None]
+    off, sd = (np.array([row[key] for row in known]) for key in ("off_deg", "sd_deg"))
+    fov = [abs(row["fov_off"]) for row in answered if row["fov_off"] is not None]
+    line: dict[str, Any] = {
+        "n": len(rows),
+        "answered": len(answered),
+        "wrong": len(answered) if is_strange else int((off > RIGHT_DEG).sum()),
+        "strongest": max((row["confidence"] for row in rows), default=None),
+        "seconds": float(np.median([row["seconds"] for row in rows])),
+    }
+    if known and not is_strange:
+        line |= {
+            "within_0.3_deg": float((off <= NEAR_DEG).mean()),
+            "within_1_deg": float((off <= RIGHT_DEG).mean()),
+            "median_deg": float(np.median(off)),
+            "p95_deg": float(np.quantile(off, 0.95)),
+            "median_sd_deg": float(np.median(sd)),
+            "within_2_sd": float((off <= 2.0 * sd).mean()),
+        }
+    if fov and not is_strange:
+        line["fov_within_3_%"] = float((np.array(fov) <= FOV_SHARE).mean())
+    return line
+
+
+def webcam_row(
+    orienter_at: _OrienterAt,
+    terrain: HeightField,
+    seen: HeightField,
+    query: SyntheticQuery,
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> Row:
+    """Return how steady the headings of a camera's frames are that stands still, and the fog's.
+
+    Weather and season differ from frame to frame. In the fog of every tenth frame 2 % of the
+    contrast is left at half the distance of the nearest skyline, or nearer.
+    """
+    truth = query.truth
+    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg)
+    eyes = at_elevation(seen, truth.easting_m, truth.northing_m, truth.eye_elevation_m)
+    lonlat = terrain.frame.to_lonlat(truth.easting_m + BESIDE_M, truth.northing_m)
+    rng, found = np.random.default_rng(seed), list[Orientation]()
+    fog = np.arange(count) % _FOGGY == _FOGGY - 1
+    with DepthRenderer(seen, _RENDERED_PX) as renderer, TemporaryDirectory() as folder:
+        away_m = distance_along(renderer.depth_images(eyes, 0), camera.rays())
+        nearest_m = float(np.where(np.isfinite(away_m), away_m, 0.0).max(axis=0).min())
+        for number in range(count):
+            scenery = Scenery(
+                visibility_m=float(np.exp(rng.uniform(np.log(20_000.0), np.log(120_000.0)))),
+                snow_line_m=float(rng.uniform(1200.0, 3500.0)),
+                clouds=float(rng.uniform(0.0, 0.7)),
+                fog_m=float(rng.uniform(0.1, 0.5)) * nearest_m if fog[number] else math.inf,
+            )
+            file = Path(folder) / f"{number:04}.jpg"
+            frame = photograph(renderer, eyes, 0, camera, seed + number, scenery)
+            Image.fromarray(frame).save(file, quality=92)
+            found.append(_oriented(orienter_at, file, lonlat))
+            progress(number, count)
+    answered = np.array([one.answer is not None for one in found])
+    clear = [one.pose for one, is_clear in zip(found, answered & ~fog, strict=True) if is_clear]
+    turned = np.array(
+        [in_turn(pose.grid_heading_deg - truth.heading_deg) for pose in clear if pose]
+    )
+    middle = float(np.median(turned)) if len(turned) else math.nan
+    spread = np.abs(turned - middle)
+    return {
+        "measured": "webcam",
+        "skyline_m": query.distance_m,
+        "nearest_m": nearest_m,
+        "frames": int((~fog).sum()),
+        "answered": len(clear),
+        "within_0.1_deg": float((spread <= STEADY_DEG).mean()) if clear else None,
+        "spread_deg": float(np.std(turned)) if clear else None,
+        "greatest_deg": float(spread.max(initial=0.0)),
+        "off_deg": abs(middle),
+        "fog": int(fog.sum()),
+        "fog_answered": int((answered & fog).sum()),
+        "seconds": float(np.median([one.seconds for one in found])),
+    }
+
+
+def _oriented(
+    orienter_at: _OrienterAt,
+    query: Path | QuerySkyline,
+    lonlat: tuple[SupportsFloat, SupportsFloat],
+    elevation_m: float | None = None,
+    fov_deg: float | None = None,
+) -> Orientation:
+    """Orient a query at a place; one that cannot be read or oriented is refused."""
+    try:
+        lon, lat = map(float, lonlat)
+        return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
+    except SkylineError as error:
+        blank = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
+        return Orientation(blank, None, refusal=str(error))
+
+
+def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:
+    """Return rows of made photos by the distance of their skylines, and of those sharply held."""
+    figures = []
+    for query, found in held:
+        truth = query.truth
+        place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
+        north_deg = truth.heading_deg + float(terrain.frame.convergence_deg(**place_m))
+        figures.append(figures_of(found, north_deg, truth.fov_deg))
+    members = dict(groups([query.distance_m for query, _ in held], by_thirds=False))
+    sharp = [number for number, one in enumerate(figures) if one["sd_deg"] <= SHARP_DEG]
+    members |= {f"sd <= {SHARP_DEG:g}": sharp} if sharp else {}
+    return [
+        {"measured": "made photos", "group": name} | summarize([figures[k] for k in some])
+        for name, some in members.items()
+    ]

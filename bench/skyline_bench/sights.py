@@ -1,0 +1,217 @@
+"""Names of summits and places of pixels in made photos, against the terrain that the photos show.
+
+A summit is a sample that is the highest for 500 m around. It is visible if no terrain stands before
+it, up to 150 m from it: nearer ground is the summit's own. What hides a summit is found in steps of
+1 m along the line of sight, and where a pixel's ray meets the ground in steps of 5 m.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from skyline import Candidate, HeightField, Viewer
+from skyline.arrays import BoolArray, Float64Array
+from skyline.geodesy import Curvature
+from skyline.report.gazetteer import Peaks
+from skyline.report.peaks import SUMMIT_RADIUS_M
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
+
+Posed = tuple[SyntheticQuery, Candidate | None]
+"""A made photo, and the pose that was found for it; None stands for the true one."""
+
+SUMMITS = 30
+"""Most summits in each photo; where there are more, these are drawn."""
+NEAR_PX = 5.0
+HEIGHT_SD_M = 10.0
+"""Error of the model that other photos see."""
+_APART_M, _SIGHT_M = 500.0, 25_000.0
+_SUMMIT_STEP_M, _PIXEL_STEP_M, _SLOPE_M = 1.0, 5.0, 30.0
+_EACH_PX = 24
+"""Of so many rows and columns one pixel is compared."""
+
+
+def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
+    """Return how many visible and hidden summits of photos of ``seen`` are named on ``model``."""
+    east_m, north_m = _summits(seen)
+    found, lost, named_hidden, hidden, photos = list[float](), 0, 0, 0, 0
+    for number, (query, pose) in enumerate(posed):
+        east, north, column, row, visible = _in_picture(seen, query, east_m, north_m, number)
+        photos += bool(len(east))
+        peaks = Peaks(
+            names=tuple(map(str, range(len(east)))),
+            easting_m=east,
+            northing_m=north,
+            height_m=np.full(len(east), np.nan),
+        )
+        with Viewer(model, peaks) as viewer:
+            labels = viewer.summits(pose or _true_pose(viewer, query.truth), query.skyline)
+        at = {int(one.name): (one.column_px, one.row_px) for one in labels}
+        for index in range(len(east)):
+            if not visible[index]:
+                hidden, named_hidden = hidden + 1, named_hidden + (index in at)
+            elif index in at:
+                x, y = at[index]
+                found.append(float(np.hypot(x - column[index], y - row[index])))
+            else:
+                lost += 1
+    off_px = np.array(found)
+    total = len(found) + lost
+    return {
+        "measured": "labels",
+        **_about(model, seen, posed),
+        "photos": photos,
+        "summits": total + hidden,
+        "visible": total,
+        "named": len(found) / total if total else None,
+        "within_5_px": float((off_px <= NEAR_PX).sum()) / total if total else None,
+        "hidden": hidden,
+        "hidden_named": named_hidden,
+        "median_px": float(np.median(off_px)) if found else None,
+        "p95_px": float(np.quantile(off_px, 0.95)) if found else None,
+    }
+
+
+def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
+    """Return how far the places in pixels on ``model`` are from those on ``seen``, the truth.
+
+    The standard error of a place along its ray is the model's error in height over the angle at
+    which the ray meets the ground.
+    """
+    errors = list[Float64Array]()
+    for query, pose in posed:
+        with Viewer(model) as viewer:
+            held = pose or _true_pose(viewer, query.truth)
+            places = viewer.places(held, query.skyline, _EACH_PX)
+        azimuth_rad, tan = _rays(query)
+        true_m = _met_m(seen, query.truth, azimuth_rad, tan)
+        found_m = places.distance_m.astype(np.float64).ravel()
+        east, north = model.frame.from_lonlat(places.lon.ravel(), places.lat.ravel())
+        off_m = np.hypot(
+            east - query.truth.easting_m - true_m * np.sin(azimuth_rad),
+            north - query.truth.northing_m - true_m * np.cos(azimuth_rad),
+        )
+        ahead = _SLOPE_M * np.array([[-0.5], [0.5]])
+        before_m, behind_m = model.height_at(
+            easting_m=east + ahead * np.sin(azimuth_rad),
+            northing_m=north + ahead * np.cos(azimuth_rad),
+        )
+        sd_m = HEIGHT_SD_M / np.abs((behind_m - before_m) / _SLOPE_M - tan)
+        errors.append(np.stack([true_m, found_m, off_m, sd_m]))
+    true_m, found_m, off_m, sd_m = np.concatenate(errors, axis=1)
+    both = np.isfinite(true_m) & np.isfinite(found_m)
+    off_m, sd_m = off_m[both], sd_m[both]
+    return {
+        "measured": "pixels",
+        **_about(model, seen, posed),
+        "photos": len(posed),
+        "pixels": len(true_m),
+        "sky_right": float((np.isnan(true_m) == np.isnan(found_m)).mean()),
+        "median_off_m": float(np.median(off_m)),
+        "p99_off_m": float(np.quantile(off_m, 0.99)),
+        "within_2_sd": float((off_m <= 2.0 * sd_m).mean()),
+    }
+
+
+def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, str]:
+    given = all(pose is None for _, pose in posed)
+    return {
+        "pose": "given" if given else "found",
+        "model": "exact" if model is seen else f"{HEIGHT_SD_M:g} m rms off",
+    }
+
+
+def _true_pose(viewer: Viewer, truth: Truth) -> Candidate:
+    """Return the true pose of a photo; an eye below the model's ground stands on it."""
+    convergence_deg = viewer.frame.convergence_deg(
+        easting_m=truth.easting_m, northing_m=truth.northing_m
+    )
+    lon, lat = viewer.frame.to_lonlat(truth.easting_m, truth.northing_m)
+    pose = viewer.pose(
+        lon=float(lon),
+        lat=float(lat),
+        heading_deg=truth.heading_deg + float(convergence_deg),
+        pitch_deg=truth.pitch_deg,
+        roll_deg=truth.roll_deg,
+        fov_deg=truth.fov_deg,
+    )
+    return replace(pose, eye_elevation_m=truth.eye_elevation_m)
+
+
+def _camera(query: SyntheticQuery) -> Camera:
+    truth, size = query.truth, (query.skyline.width_px, query.skyline.height_px)
+    return Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
+
+
+def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:
+    """Return easting and northing of the samples that are the highest around."""
+    spacing_m = terrain.spacing_north_m, terrain.spacing_east_m
+    heights = np.nan_to_num(terrain.heights_m, nan=-np.inf)
+    window = [2 * round(_APART_M / step) + 1 for step in spacing_m]
+    return terrain.to_map(*np.nonzero((heights == maximum_filter(heights, window)) & (heights > 0)))
+
+
+def _in_picture(
+    terrain: HeightField,
+    query: SyntheticQuery,
+    east_m: Float64Array,
+    north_m: Float64Array,
+    seed: int,
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
+    """Return easting, northing, column, row and visibility of summits in a photo, some drawn."""
+    truth, size = query.truth, query.skyline
+    away_m = truth.off_m(east_m, north_m)
+    near = (away_m > 2.0 * SUMMIT_RADIUS_M) & (away_m < _SIGHT_M)
+    east_m, north_m, away_m = east_m[near], north_m[near], away_m[near]
+    azimuth_rad = np.arctan2(east_m - truth.easting_m, north_m - truth.northing_m)
+    ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
+    tan = (ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)) / away_m
+    column, row, ahead = _camera(query).project(azimuth_rad - np.radians(truth.heading_deg), tan)
+    inside = ahead & (column >= 0.0) & (column < size.width_px)
+    inside &= (row >= 0.0) & (row < size.height_px)
+    drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:SUMMITS]
+    farthest_m = float(away_m[drawn].max(initial=0.0))
+    step_m = np.arange(0.0, farthest_m, _SUMMIT_STEP_M)
+    above_m = _ground_above_m(terrain, truth, azimuth_rad[drawn], step_m)
+    is_before = (step_m > 0.0) & (step_m < away_m[drawn, np.newaxis] - SUMMIT_RADIUS_M)
+    over_m = np.where(is_before, above_m - tan[drawn, np.newaxis] * step_m, -np.inf)
+    visible = over_m.max(axis=1, initial=-np.inf) <= 0.0
+    return east_m[drawn], north_m[drawn], column[drawn], row[drawn], visible
+
+
+def _ground_above_m(
+    terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, away_m: Float64Array
+) -> Float64Array:
+    """Return the ground above the level of the eye on K rays at D distances, -inf without data."""
+    ground_m = terrain.height_at(
+        easting_m=truth.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],
+        northing_m=truth.northing_m + away_m * np.cos(azimuth_rad)[:, np.newaxis],
+    )
+    above_m = ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)
+    return np.asarray(np.nan_to_num(above_m, nan=-np.inf))
+
+
+def _rays(query: SyntheticQuery) -> tuple[Float64Array, Float64Array]:
+    """Return grid azimuths and elevations (N,) of the pixels that are compared."""
+    east, up, north = np.moveaxis(_camera(query).rays()[::_EACH_PX, ::_EACH_PX], -1, 0)
+    return np.arctan2(east, north).ravel(), (up / np.hypot(east, north)).ravel()
+
+
+def _met_m(
+    terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, tan: Float64Array
+) -> Float64Array:
+    """Return where rays (N,) first are below the ground, straight between steps; NaN for sky."""
+    found_m = np.full(len(tan), np.nan)
+    reach_m = terrain.reach_m(easting_m=truth.easting_m, northing_m=truth.northing_m)
+    away_m = np.arange(0.0, reach_m, _PIXEL_STEP_M)
+    for index in range(len(tan)):
+        above_m = _ground_above_m(terrain, truth, azimuth_rad[index : index + 1], away_m)
+        over_m = above_m[0] - tan[index] * away_m
+        after = int(np.argmax(over_m >= 0.0))
+        if over_m[after] >= 0.0:
+            ends = slice(max(after - 1, 0), after + 1)
+            found_m[index] = np.interp(0.0, over_m[ends], away_m[ends])
+    return found_m

@@ -1,0 +1,97 @@
+"""Known places measured small: photographs, made photos, summits, places of pixels, a webcam."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from commands import lonlat_of
+from scenes import field_of, fractal, write_dem
+
+from skyline import read_dem, stand_on
+from skyline.render.depth import DepthRenderer
+from skyline_bench.orient import summarize
+from skyline_bench.queries.kinds import perturbed
+from skyline_bench.queries.made_photos import Scenery, photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.synthetic import make_queries
+from skyline_bench.sights import label_row, pixel_row
+
+PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
+
+
+def test_photographs_and_made_photos_share_a_record(run_bench, dem, photo, tmp_path):
+    lon, lat = lonlat_of(dem, *PLACE_M)
+    manifest, record = tmp_path / "held.csv", tmp_path / "record.json"
+    manifest.write_text(
+        "photo,kind,lon,lat,heading_deg,fov_deg,given_fov_deg\n"
+        f"{photo},locate,{lon},{lat},{HEADING_DEG},60,60\n{photo},refuse,{lon},{lat},,,20\n"
+    )
+    done = run_bench("orient", dem, "--photos", manifest, "--json", record)
+    assert done.code == 0, done.err
+    other = write_dem(tmp_path / "other.tif", fractal(110, 120, 400.0, seed=12))
+    done = run_bench("orient", dem, "--strange", other, "--queries", 1, "--json", record)
+    assert done.code == 0, done.err
+    rows = json.loads(record.read_text())["rows"]
+    held, strange, found, refused = rows[:4]
+    assert held["answered"]
+    assert held["off_deg"] < 1.0
+    assert abs(held["fov_off"]) < 0.03
+    assert not strange["answered"]
+    assert (found["n"], found["answered"], found["wrong"]) == (1, 1, 0)
+    assert (refused["n"], refused["answered"]) == (1, 0)
+    measured = [row["measured"] for row in rows[4:]]
+    assert {"made photos", "strangers", "labels", "pixels", "webcam"} == set(measured)
+    assert rows[-1]["frames"] == 1
+    assert str(tmp_path) not in record.read_text()
+
+
+def test_answers_of_strangers_are_wrong_and_others_by_a_degree():
+    row = {"answered": True, "sd_deg": 0.2, "fov_off": -0.02, "confidence": 0.9, "seconds": 1.0}
+    rows = [row | {"off_deg": off} for off in (0.1, 0.35, 1.5)]
+    rows.append(row | {"answered": False, "off_deg": 90.0})
+    line = summarize(rows)
+    assert (line["n"], line["answered"], line["wrong"]) == (4, 3, 1)
+    assert line["within_0.3_deg"] == line["within_2_sd"] / 2.0 == pytest.approx(1.0 / 3.0)
+    assert summarize(rows, is_strange=True)["wrong"] == 3
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Rough terrain, and made photos of it."""
+    field = field_of(1000.0 + fractal(160, 160, 900.0, seed=8, exponent=1.8), 30.0)
+    west, south, east, north = field.bounds_m
+    middle = (0.7 * west + 0.3 * east, 0.7 * south + 0.3 * north)
+    area = (*middle, 0.3 * west + 0.7 * east, 0.3 * south + 0.7 * north)
+    return field, [(query, None) for query in make_queries(field, area, 3, seed=5)]
+
+
+def test_at_the_true_pose_all_is_where_it_is(seen):
+    field, posed = seen
+    labels, pixels = (of(field, field, posed) for of in (label_row, pixel_row))
+    assert labels["visible"] > 0
+    assert labels["hidden"] > labels["hidden_named"] == 0
+    assert labels["named"] == labels["within_5_px"] == 1.0
+    assert pixels["sky_right"] > 0.99
+    assert pixels["median_off_m"] < 0.1
+    assert pixels["within_2_sd"] > 0.98
+
+
+def test_another_model_moves_names_and_places(seen):
+    field, posed = seen
+    labels, pixels = (of(perturbed(field, 60.0), field, posed) for of in (label_row, pixel_row))
+    assert labels["median_px"] > 1.0
+    assert pixels["median_off_m"] > 1.0
+    assert pixels["within_2_sd"] < 0.9
+
+
+def test_fog_hides_what_is_far(dem):
+    terrain = read_dem([dem])
+    eye = stand_on(terrain, easting_m=PLACE_M[0], northing_m=PLACE_M[1])
+    camera = Camera(HEADING_DEG, width_px=96, height_px=64)
+    with DepthRenderer(terrain, 256) as renderer:
+        clear, foggy = (
+            photograph(renderer, eye, 0, camera, 1, Scenery(clouds=0.0, fog_m=fog_m))
+            for fog_m in (math.inf, 50.0)
+        )
+    assert np.ptp(clear[:32].mean(axis=(1, 2))) > 3.0 * np.ptp(foggy[:32].mean(axis=(1, 2)))
