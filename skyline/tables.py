@@ -5,6 +5,7 @@ not separate, they may be decimal commas. Lines before the header that begin wit
 """
 
 import csv
+import io
 import math
 from collections.abc import Mapping
 from contextlib import suppress
@@ -123,9 +124,10 @@ def read_table(
     """
     content = read_bytes(path, expected)
     if b"\0" in content:
-        raise InputError(f"{path} cannot be read as CSV (it is no text); {expected}")
+        raise InputError(f"{path} cannot be read as CSV (it is not UTF-8 text); {expected}")
     # Names of files are bytes, which need not be UTF-8.
-    lines = content.decode("utf-8-sig", errors="surrogateescape").splitlines(keepends=True)
+    text = content.decode("utf-8-sig", errors="surrogateescape")
+    lines = list(io.StringIO(text, newline=""))
     before = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
     heading = next((line for line in lines[before:] if line.strip()), "")
     separator = max(_SEPARATORS, key=heading.count)

@@ -93,10 +93,12 @@ def label(
         camera_in = partial(_camera, _read_pose(pose, photo, query.projection))
     terrain = read_terrain(dem, crs, reproject)
     gazetteer = read_peaks(peaks, terrain.frame)
-    with Viewer(terrain, gazetteer) as viewer, note_if_slow("looking for summits"):
-        camera = camera_in(viewer)
-        seen = viewer.summits(camera, query)
-        sight = viewer.look(camera, query) if ridges and kind != "json" else None
+    with Viewer(terrain, gazetteer) as viewer:
+        with note_if_slow("orienting the camera"):
+            camera = camera_in(viewer)
+        with note_if_slow("looking for summits"):
+            seen = viewer.summits(camera, query)
+            sight = viewer.look(camera, query) if ridges and kind != "json" else None
     unnamed = 0
     if kind == "json":
         written: str | bytes = json.dumps([_record_of(one) for one in seen], indent=1) + "\n"

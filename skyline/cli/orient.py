@@ -70,7 +70,7 @@ def orient(
         one.check()
     terrain = read_terrain(dem, crs, reproject)
     found: list[dict[str, Any]] = []
-    exit_code = 0
+    oriented, exit_code = 0, 0
     with orienters(terrain) as orienter_at:
         for one in queries:
             try:
@@ -81,9 +81,13 @@ def orient(
             except SkylineError as error:
                 print_error(str(error))
                 exit_code = error.exit_code
+                found.append(
+                    {"query": printable(one.path), "trusted": 0, "refusal": printable(str(error))}
+                )
                 continue
             row = result.to_row() | ({"id": printable(one.label)} if one.label else {})
             found.append(row)
+            oriented += 1
             if csv_file is not None and str(csv_file) == STANDARD:
                 continue
             text = json.dumps(row) if as_json else result.to_text()
@@ -93,7 +97,7 @@ def orient(
             except BrokenPipeError:
                 if csv_file is None:
                     raise
-    if csv_file is not None and found:
+    if csv_file is not None and oriented:
         write_whole(csv_file, _csv(found))
     if exit_code:
         raise typer.Exit(exit_code)
@@ -119,7 +123,7 @@ def place_noted(query: QuerySkyline, name: str) -> Place:
 
 def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
-    names = dict.fromkeys(name for row in rows for name in row)
+    names = dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row)
     writer = csv.DictWriter(text, list(names), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

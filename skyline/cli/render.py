@@ -142,8 +142,10 @@ def render(
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
     terrain = read_terrain(dem, crs, reproject)
+    labels: tuple[str, ...] = ()
     if viewpoints is not None:
-        plan = RenderingPlan.given(read_viewpoints(viewpoints, terrain)[0], config)
+        eyes, labels = read_viewpoints(viewpoints, terrain)
+        plan = RenderingPlan.given(eyes, config)
     else:
         plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
@@ -151,7 +153,7 @@ def render(
     if depth_images is not None:
         from skyline.report.plan_pictures import save_depth_pictures  # noqa: PLC0415  (slow to load)
 
-        save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
+        save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
     print_built(result, output, "renderings")
 
 

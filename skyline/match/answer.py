@@ -230,11 +230,8 @@ class MatchResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.candidates, start=1):
-            quality = _confidences(one)
-            if one.confidence is None:
-                quality = f"score {one.score:.3f} (the lower, the better it fits)"
             unrefined = "" if one.refined else "  (unrefined)"
-            lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
+            lines.append(f"{number}. {_place(one)}  {_view(one)}  {_quality(one)}{unrefined}")
         if 0 < len(self.candidates) < TOP:
             count = f"{len(self.candidates)} of {TOP} candidates"
             lines.append(f"{count}: no other place was worth refining to the end")
@@ -345,7 +342,7 @@ class JointResult:
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.places, start=1):
-            lines.append(f"{number}. {_place(one)}  {_confidences(one)}")
+            lines.append(f"{number}. {_place(one)}  {_quality(one)}")
         for result in self.results:
             refused = f"does not agree: {result.refusal}"
             view = refused if result.best is None else _view(result.best)
@@ -382,7 +379,9 @@ def _view(one: Candidate) -> str:
     )
 
 
-def _confidences(one: Candidate) -> str:
+def _quality(one: Candidate) -> str:
+    if one.confidence is None:
+        return f"score {one.score:.3f} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 

@@ -1,5 +1,7 @@
 """Pictures of the paper's plans and renderings: coverage maps and depth images."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,24 +29,32 @@ if TYPE_CHECKING:
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _PANEL_SQUARE_IN = 14.0
 _OPACITY = 0.55
+_UNSAFE = re.compile(r"[^\w.-]+")
 
 
 def save_depth_pictures(
-    terrain: HeightField, viewpoints: Viewpoints, folder: Path, config: RenderConfig
+    terrain: HeightField,
+    viewpoints: Viewpoints,
+    folder: Path,
+    config: RenderConfig,
+    labels: Sequence[str] = (),
 ) -> None:
     """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
 
-    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order.
+    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order; after
+    the number comes the viewpoint's label, if it has one.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with DepthRenderer(terrain, config.width, config.curvature) as renderer:
         for index in range(len(viewpoints)):
             images = renderer.depth_images(viewpoints, index)
+            label = _UNSAFE.sub("-", labels[index]) if labels else ""
+            stem = f"{index:04d}{label and '_'}{label}"
             for heading in HEADINGS:
                 picture = cv2.imencode(".tif", images[heading])[1].tobytes()
-                write_whole(folder / f"{index:04d}_heading_{heading}.tif", picture)
+                write_whole(folder / f"{stem}_heading_{heading}.tif", picture)
             views = renderer.render(viewpoints[index : index + 1])
-            save_figure(_depth_figure(images, views), folder / f"{index:04d}.png")
+            save_figure(_depth_figure(images, views), folder / f"{stem}.png")
 
 
 def _depth_figure(images: Float32Array, views: Views) -> Figure:

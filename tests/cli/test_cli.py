@@ -28,7 +28,8 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 def viewpoints_csv(tmp_path):
     return csv_of(
         tmp_path / "viewpoints.csv",
-        [f"{WEST_M + 900 + 300 * i},{NORTH_M - 1500}" for i in range(3)],
+        [f"{WEST_M + 900 + 300 * i},{NORTH_M - 1500},site/{i}" for i in range(3)],
+        "easting,northing,id",
     )
 
 
@@ -69,10 +70,10 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     assert unflagged.mean() > 0.3
     error_px = (views.elevation_tan - truth.elevation_tan)[unflagged] * 80.0
     assert np.abs(error_px).max() < 0.51
-    depth = cv2.imread(str(pictures / "0001_heading_2.tif"), cv2.IMREAD_UNCHANGED)
+    depth = cv2.imread(str(pictures / "0001_site-1_heading_2.tif"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (160, 160)
     assert depth.dtype == np.float32
-    picture = cv2.imread(str(pictures / "0001.png"))
+    picture = cv2.imread(str(pictures / "0001_site-1.png"))
     assert picture is not None
     assert picture.std() > 20.0
 

@@ -2,8 +2,10 @@
 
 import csv
 import json
+import shutil
 
 from commands import assert_refused, lonlat_of
+from PIL import Image
 
 PLACE_M = 601_800.0, 5_178_000.0
 """Where the photo and the trace were taken; see `off_m` of tests/commands.py."""
@@ -23,6 +25,20 @@ def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
     assert 0.0 < float(rows[0]["heading_sd_deg"]) < 1.0
     record = json.loads(run(*asked, "--json").out.splitlines()[0])
     assert abs(record["heading_deg"] - float(rows[0]["heading_deg"])) < 1e-6
+
+
+def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
+    frames, table = tmp_path / "frames", tmp_path / "held.csv"
+    frames.mkdir()
+    Image.new("RGB", (96, 64), (200, 205, 210)).save(frames / "1.jpg")
+    shutil.copy(photo, frames / "2.jpg")
+    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    done = run("orient", frames, "--at", at, "--dem", dem, "--fov-deg", "60", "--csv", table)
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    fog, clear = csv.DictReader(table.read_text().splitlines())
+    assert list(fog)[:2] == ["query", "trusted"]
+    assert (fog["trusted"], fog["heading_deg"], clear["trusted"]) == ("0", "", "1")
+    assert "no skyline found" in fog["refusal"]
 
 
 def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):

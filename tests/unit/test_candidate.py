@@ -74,3 +74,12 @@ def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
     )
     assert lost.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
     assert lost.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
+
+
+def test_a_pose_has_rivals_at_other_places_and_in_other_directions():
+    some = poses(
+        3, easting_m=[0.0, 50.0, 900.0], heading_deg=[350.0, 100.0, 5.0], score=[1.0, 4.0, 9.0]
+    )
+    assert some.rival_margin(200.0).tolist() == [8.0, 5.0, -8.0]
+    assert some.rival_margin(200.0, turn_deg=30.0).tolist() == [3.0, -3.0, -8.0]
+    assert np.isinf(some[:1].rival_margin(200.0)).all()
