@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skyline.arrays import Float64Array, IntArray, Rows
+from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.geodesy import Frame, in_turn
 
 RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
@@ -14,6 +14,8 @@ RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
 than the first are different answers; farther apart than the second, they are not even roughly the
 same answer."""
 DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
+SAME_VIEW_DEG = 30.0
+"""Poses that look farther apart than this are different answers, wherever they are."""
 
 COLUMNS = {
     "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
@@ -191,15 +193,19 @@ class Hypotheses(Rows):
         place = self.easting_m + 1j * self.northing_m
         return np.asarray(np.abs(place[:, np.newaxis] - place))
 
+    def are_same(self, within_m: float, turn_deg: float = 360.0) -> BoolArray:
+        """Return which pairs of poses (M, M) lie and look within a distance and a turn."""
+        turn = np.abs(in_turn(self.heading_deg - self.heading_deg[:, np.newaxis]))
+        return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
+
     def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
         """Return the score (M,) of each pose's best rival minus the pose's own score.
 
         Rivals are the poses farther away than ``farther_than_m``, and those that look more than
         ``turn_deg`` away. Infinite for a pose without rivals.
         """
-        turn = np.abs(in_turn(self.heading_deg - self.heading_deg[:, np.newaxis]))
-        is_rival = (self.distances_m() > farther_than_m) | (turn > turn_deg)
-        rival = np.where(is_rival, self.score, np.inf).min(axis=1, initial=np.inf)
+        is_same = self.are_same(farther_than_m, turn_deg)
+        rival = np.where(is_same, np.inf, self.score).min(axis=1, initial=np.inf)
         return np.asarray(rival - self.score)
 
     def suppress_non_maxima(

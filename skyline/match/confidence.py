@@ -20,15 +20,17 @@ from importlib import resources
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array
 from skyline.match.candidate import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
+    SAME_VIEW_DEG,
     Hypotheses,
     RefinedPoses,
 )
 from skyline.match.query_rays import QueryRays
+from skyline.match.solver import TEMPERATURE
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
@@ -179,6 +181,39 @@ def models(file: str = _MODELS) -> dict[str, Logistic]:
         )
         for name, model in json.loads(text)["models"].items()
     }
+
+
+def shared_probabilities(
+    learned: Mapping[str, Logistic], poses: Hypotheses, figures: Mapping[str, Float64Array]
+) -> tuple[Float64Array, Float64Array]:
+    """Return the probabilities (M,) that refined poses are right within 200 m, and within 1 km.
+
+    The models were learned from best poses, and hold for the best one alone. Its probability is
+    that of all poses within the distance of it that look the same way, and the rest is that of all
+    others: each pose has a share by its score, and those near one another add up. An infinite score
+    has no share.
+    """
+    best = int(np.argmin(poses.score))
+    of_best = {name: values[best : best + 1] for name, values in figures.items()}
+    weight = np.exp((poses.score[best] - poses.score) / TEMPERATURE)
+    near, roughly = (
+        _shares(poses.are_same(within_m, SAME_VIEW_DEG), weight, best, float(sure[0]))
+        for within_m, sure in zip(
+            DISTANCES_M, probabilities(learned, "refined", of_best), strict=True
+        )
+    )
+    return near, np.maximum(near, roughly)
+
+
+def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
+    """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
+
+    Other answers get no more than their weights are worth beside the best one's.
+    """
+    own, others = weight * is_near[best], weight * ~is_near[best]
+    worth = sure / own.sum()
+    rest = (1.0 - sure) / max(others.sum(), np.finfo(float).tiny)
+    return np.asarray(is_near @ own * worth + is_near @ others * min(worth, rest))
 
 
 def probabilities(

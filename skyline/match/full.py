@@ -103,8 +103,11 @@ class FullMatcher(Ranker):
         # A pose that has moved out of the narrowing is no candidate.
         standing = poses.hypotheses
         score = np.where(prior.allows(standing), standing.score, np.inf)
-        chosen = _distinct(replace(standing, score=score), top)
-        near, roughly = confidence.probabilities(self._models, "refined", figures)
+        allowed = replace(standing, score=score)
+        chosen = _distinct(allowed, top)
+        if not len(chosen):
+            return Ranking(standing[chosen])
+        near, roughly = confidence.shared_probabilities(self._models, allowed, figures)
         return Ranking(standing[chosen], near[chosen], roughly[chosen], poses[chosen])
 
     def _found(
@@ -139,7 +142,8 @@ class FullMatcher(Ranker):
         cost = joint[0].hypotheses.score
         for poses, (_, prior), agrees in zip(joint, queries, agreeing, strict=True):
             cost = np.where(prior.allows(poses.hypotheses) | ~agrees, cost, np.inf)
-        chosen = _distinct(replace(joint[0].hypotheses, score=cost), top)
+        standing = replace(joint[0].hypotheses, score=cost)
+        chosen = _distinct(standing, top)
         agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
         figures = [
             confidence.refined_figures(poses, retrieved, query)
@@ -151,7 +155,7 @@ class FullMatcher(Ranker):
         near = roughly = np.zeros(len(cost))
         if figures:
             mean = confidence.mean_figures(figures)
-            near, roughly = confidence.probabilities(self._models, "refined", mean)
+            near, roughly = confidence.shared_probabilities(self._models, standing, mean)
         return [
             Ranking(poses.hypotheses[chosen], near[chosen], roughly[chosen], poses[chosen])
             if belongs

@@ -37,6 +37,7 @@ from skyline.match.candidate import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
+    SAME_VIEW_DEG,
     Hypotheses,
     RefinedPoses,
 )
@@ -61,8 +62,8 @@ from skyline.match.solver import (
 )
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
-_SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
-"""Poses nearer to each other, that look within this angle of each other, are one."""
+_SEPARATION_M = 12.0
+"""Poses nearer to each other, that look within `SAME_VIEW_DEG` of each other, are one."""
 _RIVALS = 3
 """Best poses of other answers, and best distant poses, that are kept to the end beside the best
 pose: their fits show how sure an answer is."""
@@ -252,7 +253,7 @@ class Refinement:
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
         standing = self.hypotheses(particles, self.rough)
-        best = standing.suppress_non_maxima(self._effort.restarts, _SEPARATION_M, _SAME_VIEW_DEG)
+        best = standing.suppress_non_maxima(self._effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
         around = self.around(particles[best])
         for _ in range(_RESTART_ROUNDS - 1):
             around = self._moved(self.rough, around.best(len(around)))
@@ -307,7 +308,7 @@ class Refinement:
     def finalists(self, particles: Particles) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
         standing = self.hypotheses(particles, self.rough)
-        return particles[best_and_rivals(standing, self._effort.finalists, _SAME_VIEW_DEG)]
+        return particles[best_and_rivals(standing, self._effort.finalists, SAME_VIEW_DEG)]
 
     def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
         """Return the poses of particles; the scores are their costs."""
@@ -337,8 +338,8 @@ class Refinement:
             found.effective_columns,
             solver.heights_m[particles.fit.height],
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            hypotheses.rival_margin(RIGHT_WITHIN_M, _SAME_VIEW_DEG),
-            hypotheses.rival_margin(ROUGHLY_WITHIN_M, _SAME_VIEW_DEG),
+            hypotheses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
+            hypotheses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
             self._angle_sd_deg(particles, covariance),
         )
 

@@ -41,3 +41,20 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[2:] < 0.8).all()
+
+
+def test_poses_near_one_another_share_one_probability_and_others_the_rest():
+    half = confidence.Logistic((), (), (), (), 0.0)
+    models = {confidence.model_name("refined", within_m): half for within_m in DISTANCES_M}
+    # Three within a kilometre, two of them one answer, and two that are one answer farther away.
+    some = retrieved([0.0, 100.0, 600.0, 5000.0, 5100.0], [3.0, 4.0, 11.0, 5.0, 4.0])
+    near, roughly = confidence.shared_probabilities(models, some, {"any": np.zeros(5)})
+    assert near[0] == near[1] == roughly[0] == roughly[1] == pytest.approx(0.5)
+    assert 0.0 < near[2] < 0.5
+    assert roughly[2] == pytest.approx(0.5)
+    assert near[3] == near[4] == pytest.approx(0.5 - near[2])
+    assert near[3] <= roughly[3] <= 0.5
+    # What fits far worse has no share, nor has what may not be.
+    worse = retrieved([0.0, 5000.0, 9000.0], [3.0, 203.0, np.inf])
+    near, _ = confidence.shared_probabilities(models, worse, {"any": np.zeros(3)})
+    assert near == pytest.approx([0.5, 0.0, 0.0], abs=1e-9)
