@@ -92,7 +92,7 @@ def locate(
         photos,
         fov_deg,
         ",".join(map(str, within)),
-        list(ready.dem),
+        [str(ready.terrain)],
         output,
         as_json,
         peaks=peaks,

@@ -312,7 +312,8 @@ def _copy_held(
         tag = json.loads(file.tags().get(_TAG, "{}"))
         if tag.get("source") != shown(cut.url) or file.dtypes[0] != np.dtype(cut.dtype).name:
             return
-        col, row = (round(at) for at in ~transform * (file.transform.c, file.transform.f))
+        col = round((file.transform.c - transform.c) / transform.a)
+        row = round((file.transform.f - transform.f) / transform.e)
         held = Window(col, row, file.width, file.height)
         if not windows.intersect(held, cut.window):
             return

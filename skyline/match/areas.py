@@ -1,9 +1,10 @@
 """The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
-and ``places-DIGEST.h5``. ORIGIN has a digest of the source, or of the DEM's files with their sizes
-and times, DIGEST one of all else on which the rows of a store depend. A store is there when it is
-finished, so whoever finds one needs no server.
+``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN has
+a digest of the source, or of the DEM's files with their sizes and times, DIGEST one of all else on
+which the rows of a store depend. A store is there when it is finished, so whoever finds one needs
+no server.
 """
 
 import errno
@@ -31,6 +32,7 @@ from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.rasters import absolute_name
+from skyline.terrain.saved import SUFFIX, save_field
 
 SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -40,8 +42,9 @@ is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer
 DEFAULT_SOURCE = "copernicus"
 
 _PLACE_BYTES_KM2 = 200_000
-_SAMPLE_BYTES_DEG2 = 4 * 3600**2
-"""Greatest usual size of a store, for a square kilometre, and of unpacked tiles of 1 arc-second."""
+_SAMPLE_BYTES_DEG2 = 8 * 3600**2
+"""Greatest usual size of a store, for a square kilometre, and of tiles of 1 arc-second with the
+terrain that is read from them."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".asc")
@@ -70,12 +73,10 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class ReadyArea:
-    """The store of an area and the files of its DEM."""
+    """The store of an area and its elevation model, which `skyline.read_dem` reads."""
 
     store: Path
-    dem: tuple[str, ...]
-    terrain: HeightField | None
-    """The DEM, where it has just been read to build the store."""
+    terrain: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,16 +147,16 @@ def prepare_area(
     origin = _origin_of_files(files) if files else _origin_of_source(source)
     home = _areas() / origin
     with _explained():
-        serving = _serving(home, area.needed, with_tiles=not files)
+        serving = _serving(home, area.needed)
         if serving is not None:
-            say(f"{serving}: the area is there already")
-            return ReadyArea(serving / _STORE, files or _tiles(serving), None)
+            say(f"{serving.store.parent}: the area is there already")
+            return serving
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder, say):
-            if (folder / _STORE).exists() and (files or _tiles(folder)):
-                return ReadyArea(folder / _STORE, files or _tiles(folder), None)
+            if ready := _ready(folder):
+                return ready
             _check_room(folder, bounds, with_tiles=not files)
             say(f"{folder} keeps what is made for this area")
             if not files:
@@ -163,11 +164,18 @@ def prepare_area(
             with bar("reading the elevation model"):
                 terrain = read_dem(files)
             _check_terrain(terrain, area, dem)
+            save_field(terrain, folder / _TERRAIN)
             say(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
                 built = build_places(terrain, folder / _STORE, bounds_deg=bounds, progress=progress)
             say(f"{built.rows} places are built, in {built.seconds:.0f} s")
-            return ReadyArea(folder / _STORE, files, terrain)
+            return ReadyArea(folder / _STORE, folder / _TERRAIN)
+
+
+def _ready(folder: Path) -> ReadyArea | None:
+    """Return a finished area; None if there is none in a folder."""
+    store, terrain = folder / _STORE, folder / _TERRAIN
+    return ReadyArea(store, terrain) if store.is_file() and terrain.is_file() else None
 
 
 def cached_areas() -> list[CachedArea]:
@@ -228,6 +236,7 @@ def _digest(*parts: object) -> str:
 
 _STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSS, PLACE_CODING)}.h5"
 """Name of a store, which differs between releases that would build another one."""
+_TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
 def _origin_of_source(source: str) -> str:
@@ -317,21 +326,16 @@ def _bounds_of(name: str) -> Bounds | None:
         return None
 
 
-def _tiles(folder: Path) -> tuple[str, ...]:
-    return tuple(str(path) for path in sorted((folder / "tiles").glob("*.tif")))
-
-
-def _serving(home: Path, needed: Bounds, with_tiles: bool) -> Path | None:
+def _serving(home: Path, needed: Bounds) -> ReadyArea | None:
     """Return the smallest finished area that contains a box; None if there is none."""
     found = [
-        (_km2(bounds), folder)
+        (_km2(bounds), str(folder), ready)
         for folder in home.glob("*")
         if (bounds := _bounds_of(folder.name)) is not None
         and _contains(bounds, needed)
-        and (folder / _STORE).is_file()
-        and (not with_tiles or _tiles(folder))
+        and (ready := _ready(folder))
     ]
-    return min(found)[1] if found else None
+    return min(found)[2] if found else None
 
 
 def _fetch(folder: Path, bounds: Bounds, source: str, say: Say, bar: Bar) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ def locate(
     area, narrowing = area_of([photo], narrowing_near(near))
     files = [dem] if isinstance(dem, str | Path) else dem or ()
     ready = prepare_area(area, files, source)
-    with Matcher(ready.store, ready.terrain or ready.dem) as matcher:
+    with Matcher(ready.store, ready.terrain) as matcher:
         return matcher.match(photo, fov_deg, narrowing=narrowing)
 
 

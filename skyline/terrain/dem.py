@@ -26,6 +26,7 @@ from skyline.geodesy import (
 from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
 from skyline.terrain.rasters import open_tile
+from skyline.terrain.saved import SUFFIX, read_field
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
@@ -110,7 +111,7 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
         Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
         the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
         they overlap the first named gives the height; samples that none covers are holes. A height
-        field is returned as it is.
+        field is returned as it is, and read as it was from `skyline.terrain.saved.save_field`.
 
     Returns
     -------
@@ -131,7 +132,10 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """
     if isinstance(paths, HeightField):
         return paths
-    return _height_field(read_files(paths, options), options)
+    files = [paths] if isinstance(paths, str | Path) else paths
+    if len(files) == 1 and Path(files[0]).suffix == SUFFIX:
+        return read_field(Path(files[0]))
+    return _height_field(read_files(files, options), options)
 
 
 def read_blocks(

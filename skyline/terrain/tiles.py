@@ -128,7 +128,9 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     """Read tiles onto their common grid.
 
     Where tiles overlap, the first tile that has a height gives it. If they differ by more than
-    `AGREEMENT_M`, a warning gives the difference.
+    `AGREEMENT_M`, a warning gives the difference. Tiles in degrees that agree in their spacing of
+    latitude alone, as Copernicus' do north and south of 50 degrees, are resampled to the finest
+    spacing of longitude.
 
     Raises
     ------
@@ -136,8 +138,16 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
         Tiles differ in CRS or spacing, lie off the grid of the first or too far apart, or one has
         heights above the geoid and another above the ellipsoid.
     """
-    grid, offsets = _common_grid(tiles)
     _check_vertical(tiles)
+    groups = _by_spacing(tiles)
+    if len(groups) > 1:
+        finest = min((group[0].grid for group in groups), key=lambda grid: grid.step_east)
+        tiles = [_with_columns_of(finest, _read(group), group[0]) for group in groups]
+    return _read(tiles)
+
+
+def _read(tiles: Sequence[Tile]) -> Mosaic:
+    grid, offsets = _common_grid(tiles)
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
@@ -162,6 +172,57 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
         grid,
         merged([tile.conventions for tile in tiles]),
         tuple(file for tile in tiles for file in tile.files),
+    )
+
+
+def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
+    """Return tiles by their spacing of longitude, if that is all in which their grids differ."""
+    first = tiles[0]
+    groups: dict[float, list[Tile]] = {}
+    for tile in tiles:
+        step = round(tile.grid.step_east / first.grid.step_east, 3)
+        groups.setdefault(step, []).append(tile)
+    alike = all(
+        abs(tile.grid.step_north / first.grid.step_north - 1.0) * tile.grid.rows <= GRID_TOLERANCE
+        for tile in tiles
+    )
+    return list(groups.values()) if alike and first.crs.is_geographic else [list(tiles)]
+
+
+def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
+    """Return a mosaic as a tile on the columns of a finer grid.
+
+    Heights are interpolated linearly between two samples, and are the nearest one's where either
+    is a void. A sample higher than those beside it gives the column nearest to it its height, so
+    that no crest sinks. ``first`` is one of the tiles of the mosaic.
+    """
+    grid, step = mosaic.grid, finest.step_east
+    # Samples stand for their pixels, which reach half a sample beyond the outermost.
+    half = 0.5 * grid.step_east
+    left = math.ceil((grid.west - half - finest.west) / step - GRID_TOLERANCE)
+    right = math.floor((grid.east + half - finest.west) / step + GRID_TOLERANCE)
+    west, cols = finest.west + left * step, right - left + 1
+    at = np.clip((west + step * np.arange(cols) - grid.west) / grid.step_east, 0, grid.cols - 1)
+    before = np.minimum(at.astype(np.intp), max(grid.cols - 2, 0))
+    after, share = np.minimum(before + 1, grid.cols - 1), (at - before).astype(np.float32)
+    own = mosaic.heights_m
+    heights = np.where(share < 0.5, own[:, before], own[:, after])
+    known = np.isfinite(own[:, before]) & np.isfinite(own[:, after])
+    between = np.multiply(own[:, after] - own[:, before], share, where=known, out=heights.copy())
+    np.add(own[:, before], between, where=known, out=heights)
+    row, col = np.nonzero(
+        (own[:, 1:-1] > own[:, :-2]) & (own[:, 1:-1] >= own[:, 2:]) & np.isfinite(own[:, 1:-1])
+    )
+    nearest = np.rint((grid.west + (col + 1) * grid.step_east - west) / step).astype(np.intp)
+    heights[row, nearest] = np.maximum(heights[row, nearest], own[row, col + 1])
+    return replace(
+        first,
+        source=mosaic.source,
+        grid=replace(grid, west=west, step_east=step, cols=cols),
+        north_up=(slice(None), slice(None)),
+        conventions=mosaic.conventions,
+        read=lambda: iter([(slice(None), heights)]),
+        files=mosaic.files,
     )
 
 

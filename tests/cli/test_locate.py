@@ -99,6 +99,7 @@ def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, serv
     again = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--json")
     assert again.code == 0, again.err
     assert "there already" in again.err
+    assert "reading the elevation model" not in again.err
     quiet = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--quiet")
     assert (quiet.code, quiet.err) == (0, "")
     assert quiet.out.endswith("report: skyline-report/index.html\n")

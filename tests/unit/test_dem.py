@@ -12,6 +12,7 @@ from scenes import at_m
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.saved import save_field
 from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import Warp, local_maxima
 
@@ -197,3 +198,18 @@ def test_metres_of_web_mercator_are_warned_of(tmp_path, caplog):
 def test_options_of_other_releases_are_left_out():
     options = DemOptions(crs="EPSG:32632", reproject=True)
     assert DemOptions.from_json({**options.to_json(), "spike_m": None}) == options
+
+
+def test_a_saved_field_is_read_as_it_was(tmp_path):
+    heights = np.random.default_rng(2).uniform(0.0, 900.0, (40, 50)).astype(np.float32)
+    heights[20:30, 20:32] = np.nan
+    transform = from_origin(9.5, 46.5, 1 / 3600, 1 / 3600)
+    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:4326"))
+    path = tmp_path / "dem.terrain"
+    save_field(field, path)
+    again = read_dem(path)
+    assert again.digest == field.digest
+    assert again.provenance == field.provenance
+    path.write_bytes(path.read_bytes()[:-3000])
+    with pytest.raises(InputError, match="holds no elevation model that skyline saved"):
+        read_dem(path)

@@ -101,6 +101,24 @@ def test_tiles_that_are_there_are_not_fetched_again(template, server, tmp_path):
     assert fetch(template, tmp_path, (9.8, 46.5, 10.1, 46.8)).fetched == 2
 
 
+def test_what_an_earlier_fetch_has_is_copied(template, server, heights, tmp_path):
+    whole = fetch(template, tmp_path / "whole")
+    server.sent = 0
+    fetch(template, tmp_path / "none")
+    alone = server.sent
+    server.sent = 0
+    bounds = (9.85, 46.65, 10.15, 46.85)
+    done = fetch_dem(bounds, template, tmp_path / "next", earlier=[tmp_path / "whole"])
+    expect_heights(done, heights)
+    assert done.fetched == 2
+    assert server.sent < alone
+    server.sent = 0
+    fetch_dem(BOUNDS, template, tmp_path / "again", earlier=[tmp_path / "whole"])
+    assert server.sent < alone / 4
+    for one, other in zip(whole.files, sorted((tmp_path / "again").iterdir()), strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
 def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
     done = fetch(template, tmp_path, (9.8, 46.6, 10.1, 47.2))
     assert done.missing == ("N47E009", "N47E010")
@@ -137,6 +155,15 @@ def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, mess
     assert "vsicurl" not in str(caught.value)
     assert "\n" not in str(caught.value)
     assert {path.name for path in tmp_path.rglob("*")} <= {"N46E009.tif"}
+
+
+def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
+    """After one and two seconds, however many repetitions there may be of other failures."""
+    waited = []
+    monkeypatch.setattr(remote.time, "sleep", waited.append)
+    with pytest.raises(FetchError, match=r"no answer \(.*\), tried 3 times; check the address"):
+        fetch("http://127.0.0.1:9/{lat}{lon}.tif", tmp_path, retries=9)
+    assert waited == [1.0, 2.0]
 
 
 def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
@@ -182,7 +209,6 @@ def test_too_much_is_refused_before_anything_is_asked(tmp_path):
     [
         ({"crs": "EPSG:32632"}, "expected degrees"),
         ({"west": 20.0}, "no part of the bounds"),
-        ({"step": 1.0 / 500}, "no one grid"),
     ],
 )
 def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, message):
