@@ -294,7 +294,10 @@ def _oriented(
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
         blank = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
-        return Orientation(blank, None, refusal=str(error))
+        refusal = str(error)
+        if isinstance(query, Path):
+            refusal = refusal.replace(str(query), query.stem)
+        return Orientation(blank, None, refusal=refusal)
 
 
 def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:
