@@ -3,7 +3,7 @@
 import json
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -73,15 +73,12 @@ def report(
     write_record(json_file, bench, rows)
 
 
-def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
-    """Return the rows of an existing record, but those to be measured anew.
-
-    These are the rows whose ``key`` begins with one of some words.
-    """
+def rows_but(json_file: Path | None, key: str, value: str) -> list[Row]:
+    """Return the rows of an existing record, but those of a value, which are measured anew."""
     if json_file is None or not json_file.exists():
         return []
     rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
-    return [row for row in rows if not str(row[key]).startswith(tuple(begins))]
+    return [row for row in rows if row[key] != value]
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:

@@ -19,7 +19,7 @@ from skyline import Orientation, Orienter, QuerySkyline, read_dem
 from skyline.arrays import Progress
 from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
-from skyline.errors import SkylineError
+from skyline.errors import InputError, SkylineError
 from skyline.geodesy import in_turn
 from skyline.match.orient import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
@@ -90,12 +90,14 @@ def orient(
 ) -> None:
     """How cameras stood at known places: photographs, or made photos, labels, pixels and a webcam.
 
-    docs/howto/comparing-grids.md has the columns of a manifest; places in it are given to 50 m.
+    docs/howto/comparing-grids.md has the columns of a manifest. Places are given to 50 m.
 
     An existing record keeps its rows of other DEMs and manifests.
     """
     name = photos.stem if photos else Path(dem[0]).stem
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []
+    if photos and not wanted:
+        raise InputError(f"{photos} names no photograph to locate or to refuse; expected some")
     terrain = read_dem(dem, DemOptions(crs=crs))
     other = read_dem(strange, DemOptions(reproject=True)) if strange else None
     with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
@@ -109,7 +111,7 @@ def orient(
         some = [row for row in rows if row["measured"] == measured]
         if some:
             options.print_rows(some, columns)
-    write_record(json_file, "orient", options.rows_but(json_file, "of", [name]) + rows)
+    write_record(json_file, "orient", options.rows_but(json_file, "of", name) + rows)
 
 
 def photograph_rows(
@@ -292,7 +294,10 @@ def _oriented(
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
         blank = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
-        return Orientation(blank, None, refusal=str(error))
+        refusal = str(error)
+        if isinstance(query, Path):
+            refusal = refusal.replace(str(query), query.stem)
+        return Orientation(blank, None, refusal=refusal)
 
 
 def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:

@@ -156,7 +156,7 @@ def summits(
     for name, value in rows[0].items():
         if name.startswith(("summit_below", "prominent", "anywhere", *STOOD)):
             typer.echo(f"{name:<24} {value:g}")
-    write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
+    write_record(json_file, "summits", options.rows_but(json_file, "dem", rows[0]["dem"]) + rows)
 
 
 def measure(
