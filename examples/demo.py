@@ -68,7 +68,7 @@ def main() -> None:
     places, renderings = out / "places.h5", out / "renderings.h5"
     for store in (places, renderings):
         store.unlink(missing_ok=True)
-    built = build_places(terrain, places, bounds_deg=BOUNDS_DEG)
+    built = build_places(terrain, places, bounds_deg=BOUNDS_DEG, places=10_000)
     console.print(f"{built.rows} places in {built.seconds:.0f} s -> {places}")
     built = build_uniform(terrain, renderings, RENDERINGS_M, BOUNDS_DEG)
     console.print(f"{built.rows} renderings in {built.seconds:.0f} s -> {renderings}")

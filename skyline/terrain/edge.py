@@ -110,9 +110,7 @@ def _highest(band_m: FloatArray, reach: int) -> Float64Array:
 
     Near means within ``reach`` samples of the part's middle. It is -inf where there are no data.
     """
-    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
-
     along_m = np.fmax.reduce(band_m, axis=0, initial=-np.inf)
-    widened = maximum_filter1d(along_m, 2 * reach + 1, mode="nearest")
-    middle = (np.arange(_PARTS) + 0.5) * len(along_m) / _PARTS
-    return np.asarray(widened[middle.astype(np.intp)])
+    middle = ((np.arange(_PARTS) + 0.5) * len(along_m) / _PARTS).astype(np.intp)
+    near = (along_m[max(at - reach, 0) : at + reach + 1].max() for at in middle)
+    return np.fromiter(near, np.float64, _PARTS)
