@@ -242,7 +242,8 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
         swapped = south, west, north, east
         is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
         raise InputError(
-            f"bounds {west},{south},{east},{north} do not meet the DEM, which covers "
+            f"bounds {west:.6g},{south:.6g},{east:.6g},{north:.6g} do not meet the DEM, which "
+            "covers "
             + ",".join(
                 f"{side:.4f}"
                 for side in field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])

@@ -7,6 +7,7 @@ import logging
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -36,6 +37,8 @@ _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
 _SLOW_S = 5.0
 """Time after which a message names the step that is taking long."""
+_NOTE_EVERY_S = 60.0
+"""Time between messages on how far a step is, where no bar is shown."""
 
 _on_interrupt: ContextVar[tuple[str, Callable[[], bool]]] = ContextVar("on_interrupt")
 _is_quiet: ContextVar[bool] = ContextVar("is_quiet", default=False)
@@ -192,11 +195,20 @@ def run_app(app: typer.Typer) -> None:
 def progress_bar(doing: str) -> "Iterator[Progress]":
     """Show a bar on standard error from the first step on; yields a function of done and total.
 
-    Without a terminal, a line names a step that takes more than five seconds.
+    Without a terminal, a line names a step that takes more than five seconds, and one a minute says
+    how far it is.
     """
     if _is_quiet.get() or not sys.stderr.isatty():
+        noted_s = time.monotonic()
+
+        def note(done: int, total: int) -> None:
+            nonlocal noted_s
+            if time.monotonic() - noted_s > _NOTE_EVERY_S:
+                noted_s = time.monotonic()
+                print_note(f"{doing}: {done} of {total}")
+
         with note_if_slow(doing.partition(",")[0]):
-            yield lambda done, total: None
+            yield note
         return
     bar = ProgressBar(
         TextColumn(doing),

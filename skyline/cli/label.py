@@ -34,6 +34,8 @@ from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
 from skyline.report.viewer import SeenPeak, Viewer
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
+_NAMED = 5
+"""Summits that are not seen of which the names are printed."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
 _EXPECTED = (
@@ -56,7 +58,10 @@ def label(
     dem: Dem,
     peaks: Annotated[
         Path,
-        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV with name,lon,lat[,height_m]."),
+        Option(
+            metavar="FILE",
+            help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].",
+        ),
     ],
     output: Annotated[
         Path,
@@ -74,8 +79,8 @@ def label(
 ) -> None:
     """Write the names and distances of the summits that a photo shows on it.
 
-    The camera is oriented by the skyline at its place, unless its pose is given. What terrain hides
-    is not named.
+    The camera is oriented by the skyline at its place, unless its pose is given. Summits that
+    terrain hides are left out.
     """
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 
@@ -106,6 +111,10 @@ def label(
         written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
     write_whole(output, written)
     without = f", {unnamed} of them without a name for want of room" if unnamed else ""
+    missing = sorted(set(gazetteer.names) - {one.name for one in seen})
+    if missing:
+        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+        without += f"; hidden or outside the photo: {', '.join(missing[:_NAMED])}{more}"
     print_line(f"{output}: {len(seen)} of {len(gazetteer)} peaks are seen{without}")
 
 

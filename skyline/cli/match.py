@@ -107,7 +107,7 @@ def match(
         Path | None,
         _files(
             metavar="FILE",
-            help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
+            help="Peaks to name in the report: GeoJSON, or CSV: name,lon,lat[,height_m].",
         ),
     ] = None,
     results: Annotated[

@@ -73,6 +73,7 @@ def orient(
     oriented, exit_code = 0, 0
     with orienters(terrain) as orienter_at:
         for one in queries:
+            label = {"id": printable(one.label)} if one.label else {}
             try:
                 skyline = one.read()
                 lon, lat, elevation_m, usual_m = place or place_noted(skyline, one.path)
@@ -81,11 +82,10 @@ def orient(
             except SkylineError as error:
                 print_error(str(error))
                 exit_code = error.exit_code
-                found.append(
-                    {"query": printable(one.path), "trusted": 0, "refusal": printable(str(error))}
-                )
+                failed = {"query": printable(one.path), "trusted": 0, "refusal": str(error)}
+                found.append(failed | label)
                 continue
-            row = result.to_row() | ({"id": printable(one.label)} if one.label else {})
+            row = result.to_row() | label
             found.append(row)
             oriented += 1
             if csv_file is not None and str(csv_file) == STANDARD:

@@ -58,7 +58,8 @@ def serve(
     ] = None,
     dem: StoreDem = None,
     peaks: Annotated[
-        Path | None, Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m].")
+        Path | None,
+        Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m]."),
     ] = None,
     port: Annotated[
         int, Option(min=0, max=65535, help="Port of the page; 0 takes any that is free.")

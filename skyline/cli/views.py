@@ -150,7 +150,10 @@ def panorama(
     ],
     peaks: Annotated[
         Path | None,
-        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV with name,lon,lat[,height_m]."),
+        Option(
+            metavar="FILE",
+            help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].",
+        ),
     ] = None,
     heading: Annotated[
         float, Option(metavar="DEG", help="The picture's middle, from true north.")

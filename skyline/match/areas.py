@@ -47,7 +47,7 @@ _SAMPLE_BYTES_DEG2 = 8 * 3600**2
 terrain that is read from them."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
-_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".asc")
+_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
 
 Say = Callable[[str], None]
 """Prints a line on what is done."""
@@ -261,7 +261,7 @@ def _dem_files(dem: Sequence[str | Path]) -> Iterator[str]:
         if not path.is_dir():
             yield absolute_name(str(one))
             continue
-        some = sorted(file for file in path.iterdir() if file.suffix.lower() in _RASTERS)
+        some = sorted(file for file in path.iterdir() if file.name.lower().endswith(_RASTERS))
         if not some:
             raise InputError(
                 f"{path} has no elevation files; expected {', '.join(_RASTERS)}, or name files"

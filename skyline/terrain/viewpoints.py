@@ -127,11 +127,13 @@ def place_on(
         west, south, east, north = bounds_m
         box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         is_swapped = _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
+        which, remedy = f"viewpoint {first} ({outside.size} such)", "move it or remove it"
+        if len(lon) == 1:
+            which, remedy = "the place", "give another place, or a DEM that covers it"
         raise OffMapError(
-            f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "
-            f"is off the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
-            f"{box[3]:.4f}: "
-            + (swapped_in_words(lon[first], lat[first]) if is_swapped else "move it or remove it")
+            f"{which} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off the map; the DEM covers "
+            f"lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to {box[3]:.4f}: "
+            + (swapped_in_words(lon[first], lat[first]) if is_swapped else remedy)
         )
     return easting, northing
 

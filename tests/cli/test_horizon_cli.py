@@ -108,7 +108,7 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--at", "7.0,46.8"), "viewpoint 0 (lon 7.00000, lat 46.80000;"),
+        (("--at", "7.0,46.8"), "the place at lon 7.00000, lat 46.80000 is off"),
         (("--at", "9.8,95"), "expected LON,LAT in degrees"),
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
         (("--at", AT, "--summit-within", "-5"), "expected 0 to 10000"),
