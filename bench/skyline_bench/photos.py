@@ -43,8 +43,9 @@ _COLUMNS = """photo kind trusted right_columns=right error_m rank
     heading_error_deg=heading_off confidence answered gps_off_m=GPS_off_m lost=lost_by seconds=s"""
 
 RIGHT_M, RIGHT_DEG = 200.0, 10.0
-_RIGHT_ROWS = 0.01
-"""Of the photo's height: a column nearer to the truth is right."""
+_RIGHT_ROWS, _FAR_ROWS = 0.01, 0.03
+"""Of the photo's height: a column nearer to the truth is right, one farther than the second is far
+off."""
 _NEAR_KM = 0.3
 _SAME_AREA = 0.25
 """Photographs nearer than this share of an area's side are searched in one area."""
@@ -228,7 +229,7 @@ def _extracted(one: Photograph) -> Measured:
         query = replace(query, eye_height_m=one.given_eye_height_m)
     true_px = one.true_row_px(query.width_px, query.height_px)
     if true_px is not None:
-        trusted, right, known = count_columns(query, true_px)
+        trusted, right, _, known = count_columns(query, true_px)
         figures |= {
             "right_columns": right / trusted if trusted else None,
             "found_columns": right / max(known, 1),
@@ -236,11 +237,12 @@ def _extracted(one: Photograph) -> Measured:
     return Measured(one, figures, query, true_px)
 
 
-def count_columns(query: QuerySkyline, true_px: Float64Array) -> tuple[int, int, int]:
-    """Return how many columns with a true skyline are trusted, are right as well, and there are."""
+def count_columns(query: QuerySkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
+    """Count the columns with a true skyline: those trusted, of these right and far off, and all."""
     known = np.isfinite(true_px)
     off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
-    return off.size, int((off <= _RIGHT_ROWS).sum()), int(known.sum())
+    right, far = int((off <= _RIGHT_ROWS).sum()), int((off > _FAR_ROWS).sum())
+    return off.size, right, far, int(known.sum())
 
 
 def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -> Measured:
@@ -417,13 +419,14 @@ def sky_masks(
                 counts.append(_columns(_extracted(Photograph(photo, EXTRACT, mask=mask))))
                 seconds.append(time.process_time() - started)
                 progress(len(rows) * len(some) + len(counts), len(masks))
-            trusted, right, known = np.array(counts).T
+            trusted, right, far, known = np.array(counts).T
             rows.append(
                 {
                     "half": half,
                     "photos": len(counts),
                     "refused": int((trusted == 0).sum()),
                     "within": float(right.sum() / max(trusted.sum(), 1)),
+                    "far_off": float(far.sum() / max(trusted.sum(), 1)),
                     "trusted": float(trusted.sum() / max(known.sum(), 1)),
                     "mostly_wrong": int((2 * right < trusted).sum()),
                     "seconds": float(np.mean(seconds)),
@@ -432,10 +435,10 @@ def sky_masks(
     options.report(json_file, "sky-masks", rows)
 
 
-def _columns(measured: Measured) -> tuple[int, int, int]:
+def _columns(measured: Measured) -> tuple[int, int, int, int]:
     """Return the figures of `count_columns`; no column is trusted where the photo was refused."""
     if measured.query is not None and measured.row_px is not None:
         return count_columns(measured.query, measured.row_px)
     with Image.open(measured.photograph.photo) as photo:
         true_px = measured.photograph.true_row_px(*photo.size)
-    return 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())
+    return 0, 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())

@@ -124,10 +124,11 @@ def draw_landscape(
     height: int,
     haze_rgb: NDArray[np.float32],
     family: int,
+    fov_deg: tuple[float, float],
 ) -> DrawnLandscape:
     """Draw what lies below the skyline, in relief that a family of photographs shares."""
     field, (texture, fine) = draw_heights(rng, family), _noises(family)[3:]
-    fov = np.radians(rng.uniform(22.0, 85.0))
+    fov = np.radians(rng.uniform(*fov_deg))
     azimuth = rng.uniform(0, 2 * np.pi) + np.linspace(-fov / 2, fov / 2, width, dtype=np.float32)
     distance = np.geomspace(
         _NEAREST_M, _FARTHEST_M * rng.uniform(0.2, 1.0), _STEPS, dtype=np.float32
@@ -261,10 +262,15 @@ def draw_sky(
     rng: np.random.Generator, width: int, height: int, skyline_px: float
 ) -> tuple[Float32Array, NDArray[np.float32]]:
     """Draw a sky with clouds, (H, W, 3), and return the colour that haze takes from it."""
-    kind = rng.choice(["blue", "grey", "warm", "dark", "any"], p=[0.36, 0.27, 0.12, 0.1, 0.15])
+    kinds, shares = (
+        ["blue", "grey", "white", "warm", "dark", "any"],
+        [0.34, 0.2, 0.06, 0.14, 0.1, 0.16],
+    )
+    kind = rng.choice(kinds, p=shares)
     base = {
         "blue": ((55, 110, 190), (190, 212, 232)),
         "grey": ((150, 155, 162), (215, 218, 222)),
+        "white": ((218, 222, 226), (228, 231, 234)),
         "warm": ((110, 105, 140), (246, 180, 110)),
         "dark": ((25, 35, 60), (95, 100, 125)),
         "any": (

@@ -89,11 +89,16 @@ class SkyNet(nn.Module):
 
 log = logging.getLogger(__name__)
 
-_SHAPES = ((256, 256), (192, 256), (256, 192), (128, 384))
-"""Heights and widths of batches: square, both ways up, a panorama's."""
-_SHAPE_SHARES = (0.35, 0.35, 0.2, 0.1)
+_SHAPES = ((256, 256), (192, 256), (256, 192), (128, 384), (160, 512))
+"""Heights and widths of batches: square, both ways up, panoramas'."""
+_SHAPE_SHARES = (0.32, 0.32, 0.18, 0.08, 0.1)
+_WIDE = 2.0
+"""Aspect of a panorama; half of the photographs in batches of panoramas' shapes are panoramas."""
 _BATCH = 16
-_LEARNING_RATE = 4e-3
+_LEARNING_RATE, _TUNING_RATE = 4e-3, 1.5e-3
+"""Greatest rates from random weights, and from those of a model."""
+_NORMALIZED_ON = 6
+"""Batches over which the features of a model that was read are normalized again."""
 _WEIGHT_DECAY = 1e-3
 _WARM_UP_STEPS = 100
 _AVERAGE = 0.99
@@ -104,8 +109,14 @@ _SPREAD_PX = 0.6
 _LAST_STEPS = 100
 
 
-def train(photos: Sequence[TrainingPhoto], steps: int, seed: int, progress: Progress) -> SkyNet:
-    """Train on photographs and return the network with averaged weights.
+def train(
+    photos: Sequence[TrainingPhoto],
+    steps: int,
+    seed: int,
+    progress: Progress,
+    start: Path | None = None,
+) -> SkyNet:
+    """Train on photographs, from a written model if one is given; return averaged weights.
 
     One thread: a small network's threads wait for one another longer than they work.
     """
@@ -113,15 +124,21 @@ def train(photos: Sequence[TrainingPhoto], steps: int, seed: int, progress: Prog
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
     net, average = SkyNet(), SkyNet()
+    if start is not None:
+        _read_model(net, start)
+        pictures = [_batch(photos, rng, _SHAPES[1])[0] for _ in range(_NORMALIZED_ON)]
+        _normalize(net, torch.cat(pictures))
     for each in (net, average):
         each.to(memory_format=torch.channels_last)
     average.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(net.parameters(), _LEARNING_RATE, weight_decay=_WEIGHT_DECAY)
+    greatest = _LEARNING_RATE if start is None else _TUNING_RATE
+    optimizer = torch.optim.AdamW(net.parameters(), greatest, weight_decay=_WEIGHT_DECAY)
     losses = []
     for step in range(steps):
         rate = 0.5 * (1.0 + np.cos(np.pi * step / steps)) * min(1.0, (step + 1) / _WARM_UP_STEPS)
-        optimizer.param_groups[0]["lr"] = _LEARNING_RATE * rate
-        losses.append(_step(net, optimizer, _batch(photos, rng)))
+        optimizer.param_groups[0]["lr"] = greatest * rate
+        shape = _SHAPES[rng.choice(len(_SHAPES), p=_SHAPE_SHARES)]
+        losses.append(_step(net, optimizer, _batch(photos, rng, shape)))
         _follow(average, net, min(_AVERAGE, step / (step + 10)))
         progress(step + 1, steps)
     mean = np.mean(losses[-_LAST_STEPS:], axis=0)
@@ -130,10 +147,59 @@ def train(photos: Sequence[TrainingPhoto], steps: int, seed: int, progress: Prog
     return average
 
 
-def _batch(photos: Sequence[TrainingPhoto], rng: np.random.Generator) -> tuple[Tensor, ...]:
+def _weights_of(path: Path) -> dict[str, Tensor]:
+    """Return the weights of a written model by their names."""
+    import onnx  # noqa: PLC0415  (needed to start from a model only)
+
+    model = onnx.load_model_from_string(gzip.decompress(path.read_bytes()))
+    read = onnx.numpy_helper.to_array
+    return {one.name: torch.tensor(read(one)) for one in model.graph.initializer}
+
+
+def _read_model(net: SkyNet, path: Path) -> None:
+    """Give a network the weights of a written model; it then computes the same."""
+    net.eval()
+    state = net.state_dict()
+    for name, weights in _weights_of(path).items():
+        part, _, kind = name.rpartition(".")
+        if name not in state:  # A convolution's, that was its normalization's.
+            parent, _, index = part.rpartition(".")
+            part = f"{parent}.{int(index) + 1}"
+        state[f"{part}.{kind}"].copy_(weights)
+
+
+def _normalize(net: SkyNet, pictures: Tensor) -> None:
+    """Normalize features over pictures, as in training, where a written model does not."""
+    seen = list[tuple[nn.BatchNorm2d, Tensor, Tensor]]()
+
+    def see(norm: nn.Module, inputs: tuple[Tensor, ...], _: Tensor) -> None:
+        assert isinstance(norm, nn.BatchNorm2d)
+        seen.append((norm, *torch.var_mean(inputs[0], (0, 2, 3), correction=0)))
+
+    norms = [part for part in net.modules() if isinstance(part, nn.BatchNorm2d)]
+    hooks = [norm.register_forward_hook(see) for norm in norms]
+    with torch.no_grad():
+        net(pictures)
+        for norm, variance, mean in seen:
+            for kept, value in ((norm.running_mean, mean), (norm.running_var, variance)):
+                assert kept is not None
+                kept.copy_(value)
+            norm.weight.copy_((variance + norm.eps).sqrt())
+            norm.bias.add_(mean)
+    for hook in hooks:
+        hook.remove()
+
+
+def _batch(
+    photos: Sequence[TrainingPhoto], rng: np.random.Generator, shape: tuple[int, int]
+) -> tuple[Tensor, ...]:
     """Return pictures (N, 4, H, W), labels (N, H, W) and rows (N, W), changed at random."""
-    shape = _SHAPES[rng.choice(len(_SHAPES), p=_SHAPE_SHARES)]
-    cuts = [_cut(photos[int(i)], shape, rng) for i in rng.integers(0, len(photos), _BATCH)]
+    some = [photos[int(i)] for i in rng.integers(0, len(photos), _BATCH)]
+    wide = [one for one in photos if one.label.shape[1] > _WIDE * one.label.shape[0]]
+    if shape[1] > _WIDE * shape[0] and wide:
+        half = _BATCH // 2
+        some[:half] = [wide[int(i)] for i in rng.integers(0, len(wide), half)]
+    cuts = [_cut(one, shape, rng) for one in some]
     image, label, row = (np.stack(parts) for parts in zip(*cuts, strict=True))
     light = torch.from_numpy(image.transpose(0, 3, 1, 2).copy())
     down = torch.linspace(-1, 1, shape[0]).view(1, 1, -1, 1).expand(_BATCH, 1, *shape)
@@ -227,15 +293,18 @@ def _fused(net: nn.Module) -> nn.Module:
     return net
 
 
-def write_model(net: SkyNet, path: Path) -> None:
+def write_model(net: SkyNet, path: Path, start: Path | None = None) -> None:
     """Write a network as zipped ONNX, its weights to half precision.
 
-    The file states one size of pictures; OpenCV runs it at any.
+    A network that began from a written model is written halfway from that: it keeps more of what
+    the model knew (Wortsman et al. 2022, robust fine-tuning). The file states one size of pictures;
+    OpenCV runs it at any.
     """
     net = _fused(net.eval()).to(memory_format=torch.contiguous_format)
     with torch.no_grad():
-        for weight in net.parameters():
-            weight.copy_(weight.half().float())
+        before = {} if start is None else _weights_of(start)
+        for name, weight in net.named_parameters():
+            weight.copy_(((weight + before.get(name, weight)) / 2.0).half().float())
     whole = io.BytesIO()
     torch.onnx.export(
         net,

@@ -26,6 +26,7 @@ from skyline_bench.queries.made_photos import (
 from skyline_bench.queries.occluders import Occluder
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.covers import dark, put_in_front
 from skyline_training.landscapes import (
     CELL_M,
     COVER,
@@ -43,14 +44,19 @@ from skyline_training.plain_photos import CONDITIONS, draw_recipe
 from skyline_training.workers import over_processes
 
 _SIZE_PX = (400, 304)
-_PLAIN_EVERY, _VIEW_EVERY = 8, 8
-"""One photograph of so many is drawn in each of two other ways: none is like the world."""
+_PANORAMA_PX = (880, 200)
+_WAYS = 8
+"""Of so many photographs one is drawn plainly, one is a view and one a panorama: no way of
+drawing is like the world."""
 _FAMILY = 64
 """Photographs in a row whose views are of the same terrain."""
-_FAR_RIDGES_CHANCE = 0.2
+_FAR_RIDGES_CHANCE = 0.4
 """Of pale ridges behind the mountains."""
+_LOW_SUN_CHANCE = 0.2
+"""Of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
+_PANORAMA_DEG = 90.0
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which no eye would see a skyline."""
 
@@ -65,11 +71,13 @@ def draw_training_photos(count: int, seed: int, progress: Progress) -> list[Trai
 
 
 def _drawn(seed: int, index: int) -> TrainingPhoto:
-    if index % _PLAIN_EVERY == 0:
+    way = index % _WAYS
+    if way == 0:
         return _plain_photo((seed, index))
-    if index % _VIEW_EVERY == 1:
+    if way == 1:
         return draw_view((seed, index), index // _FAMILY, _SIZE_PX)
-    return draw_training_photo((seed, index), *_SIZE_PX)
+    size_px, fov_deg = (_PANORAMA_PX, (90.0, 330.0)) if way == 2 else (_SIZE_PX, (22.0, 85.0))
+    return draw_training_photo((seed, index), *size_px, fov_deg)
 
 
 def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
@@ -83,12 +91,20 @@ def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
     return TrainingPhoto(photo.image, label, np.asarray(row, dtype=np.float32))
 
 
-def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> TrainingPhoto:
-    """Draw one photograph; those whose last seeds lie in one eighth share their relief."""
+def draw_training_photo(
+    seed: tuple[int, ...], width: int, height: int, fov_deg: tuple[float, float] = (22.0, 85.0)
+) -> TrainingPhoto:
+    """Draw one photograph; those whose last seeds lie in one eighth share their relief.
+
+    One of more than 90 degrees is a panorama: its horizon sags, and it is stitched.
+    """
     rng = np.random.default_rng(seed)
     skyline_px = rng.uniform(0.15, 0.7) * height
     sky, haze = draw_sky(rng, width, height, skyline_px)
-    land = draw_landscape(rng, width, height, haze, seed[-1] // 8)
+    land = draw_landscape(rng, width, height, haze, seed[-1] // 8, fov_deg)
+    if rng.random() < _LOW_SUN_CHANCE:
+        red = np.array([1.15, rng.uniform(0.75, 1.0), 0.85])
+        land = replace(land, rgb=np.asarray(land.rgb * rng.uniform(0.05, 0.9) * red, np.float32))
     row = np.full(width, np.nan, dtype=np.float32)
     kind = rng.choice(["landscape", "sky", "ground"], p=[0.95, 0.025, 0.025])
     if kind == "sky":
@@ -114,9 +130,11 @@ def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> Train
     if rng.random() < 0.2:
         _banks(drawing)
     put_in_front(drawing)
-    image = _developed(rng, drawing.picture)
+    if fov_deg[1] > _PANORAMA_DEG:
+        stitch(drawing)
+    image = developed(rng, drawing.picture)
     _written(rng, image)
-    return TrainingPhoto(image, label, _seen(drawing.row, label, image))
+    return TrainingPhoto(image, drawing.label, _seen(drawing.row, drawing.label, image))
 
 
 def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
@@ -141,12 +159,18 @@ def _far_ridges(drawing: Drawing) -> None:
     line = float(np.median(known)) if known.size else 0.5 * height
     rows = np.arange(height)[:, np.newaxis] + 0.5
     free = drawing.label == SKY
-    dark_rgb = haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)
-    for left in np.sort(rng.uniform(0.06, 0.7, rng.integers(1, 4))):
-        swing = rng.uniform(0.01, 0.08) * height
+    line -= rng.uniform(0.0, 0.12) * height
+    texture = fractal(rng, (height, width), rng.uniform(1.0, 1.7))
+    lit = 1.0 + rng.uniform(0.0, 0.3) * texture[..., np.newaxis]
+    rock = (haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)) * lit
+    if rng.random() < 0.5:
+        snowy = np.clip(rng.normal(0.5, 1.0) + 2.0 * texture, 0.0, 1.0)[..., np.newaxis]
+        rock += snowy * (np.minimum(rng.uniform(200.0, 250.0) * lit, 255.0) - rock)
+    for left in np.sort(rng.uniform(0.05, 0.9, rng.integers(1, 4))):
+        swing = rng.uniform(0.01, 0.1) * height
         ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
         share = np.clip(rows - ridge, 0.0, 1.0) * free
-        pale = haze + left * (dark_rgb - haze)
+        pale = haze + left * (rock - haze)
         drawing.picture += share[..., np.newaxis] * (pale - drawing.picture)
         drawing.label[share > 0.5] = GROUND
         row = np.fmin(row, np.where((ridge > 1) & (ridge < height - 1), ridge, np.nan))
@@ -155,7 +179,7 @@ def _far_ridges(drawing: Drawing) -> None:
 
 
 def _near_slope(drawing: Drawing) -> None:
-    """Put a dark slope before mountains, often veiled."""
+    """Put a slope or a knoll before mountains, often veiled, dark or bare or with its own trees."""
     rng, (height, width), row, label = drawing.rng, drawing.size, drawing.row, drawing.label
     veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
     drawing.picture += (veil * (label == GROUND))[..., np.newaxis] * (
@@ -166,17 +190,32 @@ def _near_slope(drawing: Drawing) -> None:
     line = float(known.mean()) if known.size else 0.4 * height
     foot = line + rng.uniform(0.02, 0.3) * height
     rise = rng.uniform(-0.2, 0.5) * height * np.abs(across - rng.random()) ** rng.uniform(0.7, 2.0)
+    if rng.random() < 0.4:  # A knoll.
+        away = (across - rng.random()) / rng.uniform(0.05, 0.3)
+        rise += rng.uniform(0.05, 0.35) * height * np.exp(-(np.abs(away) ** rng.uniform(1.2, 3.0)))
     rough = rng.uniform(0.0, 0.02) * height * fractal(rng, (1, width), 1.3)[0]
     near = foot - rise + rough
-    if rng.random() < 0.6:  # Tree tops.
+    trees = np.zeros(width)
+    cover = rng.choice(["bare", "wood", "trees"], p=[0.35, 0.35, 0.3])
+    if cover == "wood":
         near -= rng.uniform(0.005, 0.03) * height * np.abs(fractal(rng, (1, width), 0.3)[0])
-    share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - near, 0.0, 1.0)[..., np.newaxis]
+    elif cover == "trees":
+        tall = rng.uniform(0.03, 0.2) * height
+        for _ in range(rng.integers(2, 50)):
+            half = tall * rng.uniform(0.12, 0.3)
+            away = np.abs(np.arange(width) - rng.uniform(0.0, width)) / half
+            trees = np.maximum(trees, tall * rng.uniform(0.4, 1.0) * (1.0 - away))
+        trees *= 1.0 + 0.15 * fractal(rng, (1, width), 0.3)[0]
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    share = np.clip(rows - near + trees, 0.0, 1.0)[..., np.newaxis]
     texture = fractal(rng, (height, width), rng.uniform(0.4, 1.2))
     shade = 1.0 + rng.uniform(0.1, 0.45) * texture[..., np.newaxis]
-    drawing.picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - drawing.picture)
+    colour = dark(rng, 85.0 if cover != "bare" or rng.random() < 0.4 else 210.0)
+    drawing.picture += share * (np.minimum(colour * np.maximum(shade, 0.1), 255) - drawing.picture)
     label[share[..., 0] > 0.5] = GROUND
+    label[(share[..., 0] > 0.5) & (rows < near)] = COVER
     higher = np.where(np.isfinite(row), np.minimum(row, near), np.where(label[0] == SKY, near, row))
-    inside = (higher > 1) & (higher < height - 1)
+    inside = (higher > 1) & (higher < height - 1) & (near - trees > higher - 1.0)
     drawing.row = np.asarray(np.where(inside, higher, np.nan), np.float32)
 
 
@@ -210,7 +249,32 @@ def _banks(drawing: Drawing) -> None:
         drawing.label[opacity > 0.5] = SKY
 
 
-def _developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
+def stitch(drawing: Drawing) -> None:
+    """Make a panorama of a picture as phones do: a horizon that sags, and seams in tone and row."""
+    rng, (height, width) = drawing.rng, drawing.size
+    across = np.linspace(-1.0, 1.0, width, dtype=np.float32)
+    sag = rng.normal(0.0, 0.04) * across**2 + rng.normal(0.0, 0.02) * np.sin(
+        rng.uniform(1.0, 7.0) * across + rng.uniform(0.0, 6.0)
+    )
+    gain = np.ones((width, 3))
+    for column in rng.integers(0, width, rng.integers(2, 12)):
+        sag[column:] += rng.normal(0.0, 0.003)
+        step = 0.5 + 0.5 * np.tanh((np.arange(width) - column) / rng.uniform(1.0, 40.0))
+        tone = rng.normal(0.0, 0.06) + rng.normal(0.0, 0.015, 3)
+        gain *= np.exp(tone * step[:, np.newaxis])
+    sag *= height
+    columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height))
+    at = (columns, (rows - sag).astype(np.float32))
+    moved = cv2.remap(drawing.picture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    drawing.picture = np.asarray(moved * gain, dtype=np.float32)
+    drawing.label = np.asarray(
+        cv2.remap(drawing.label, *at, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
+    row = drawing.row + sag
+    drawing.row = np.asarray(np.where((row > 1) & (row < height - 1), row, np.nan), np.float32)
+
+
+def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
     """Return what lens, sensor, taste and JPEG make of a picture."""
     height, width = picture.shape[:2]
     light = np.clip(picture / 255.0, 0.0, 1.3)
@@ -258,149 +322,6 @@ def _written(rng: np.random.Generator, image: UInt8Array) -> None:
         cv2.putText(over, words, spot, cv2.FONT_HERSHEY_SIMPLEX, size, ink, thick, cv2.LINE_AA)
     share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
     image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)
-
-
-def put_in_front(drawing: Drawing) -> None:
-    """Put things in front of the ridge."""
-    rng = drawing.rng
-    for chance, most, put in (
-        (0.28, 9, _conifer),
-        (0.12, 1, _foliage),
-        (0.12, 4, _figure),
-        (0.1, 4, _lines),
-        (0.07, 1, _houses),
-        (0.08, 1, _window),
-    ):
-        if rng.random() < chance:
-            for _ in range(rng.integers(1, most) if most > 1 else 1):
-                put(drawing)
-
-
-def dark(rng: np.random.Generator, high: float = 75.0) -> Float32Array:
-    """Return a dark colour."""
-    grey = rng.uniform(3.0, high)
-    return np.asarray(np.clip(grey + rng.normal(0, 8, 3), 0, 255), dtype=np.float32)
-
-
-def _grain(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Float32Array:
-    return np.asarray(1.0 + share * fractal(rng, (shape[0], shape[1]), 0.5), np.float32)[
-        ..., np.newaxis
-    ]
-
-
-def _conifer(drawing: Drawing) -> None:
-    rng, (height, width) = drawing.rng, drawing.size
-    centre = (
-        rng.uniform(0, 1) if rng.random() < 0.5 else abs(rng.choice([0, 1]) - rng.exponential(0.1))
-    )
-    top, half = rng.uniform(-0.1, 0.7) * height, np.exp(rng.uniform(-4.2, -2.2)) * width
-    tall = half * rng.uniform(3.0, 8.0)
-    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
-    reach = half * np.clip((rows - top) / tall, 0, 1) ** rng.uniform(0.6, 1.0) + (rows > top)
-    whorls = 0.4 * np.sin((rows - top) / tall * rng.uniform(25, 80))
-    ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
-    opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
-    colour = dark(rng) * _grain(rng, (height, width), 0.3) * np.array([0.95, 1.1, 0.85])
-    drawing.paint(opacity, colour, COVER)
-
-
-def _foliage(drawing: Drawing) -> None:
-    """Leaves or twigs that hang in from a side."""
-    rng, (height, width) = drawing.rng, drawing.size
-    column, row = rng.choice([0.0, 1.0, rng.random()]) * width, rng.uniform(-0.1, 1.1) * height
-    across = (np.arange(width) - column) / (rng.uniform(0.08, 0.3) * width)
-    down = (np.arange(height)[:, np.newaxis] - row) / (rng.uniform(0.08, 0.35) * height)
-    density = (
-        1.0 - np.hypot(across, down) + 0.6 * fractal(rng, (height, width), rng.uniform(0.5, 1.3))
-    )
-    opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
-    colour = dark(rng, 110.0) * _grain(rng, (height, width), 0.4) * np.array([1.0, 1.15, 0.7])
-    drawing.paint(opacity, colour, COVER)
-
-
-def _figure(drawing: Drawing) -> None:
-    """A person, seen from behind: head, shoulders, legs or hem."""
-    rng, (height, width) = drawing.rng, drawing.size
-    size = np.exp(rng.uniform(-4.5, -2.2)) * height
-    at = int(rng.uniform(0.03, 0.97) * (width - 1))
-    ridge = drawing.row[at] if np.isfinite(drawing.row[at]) else 0.4 * height
-    top = ridge + rng.uniform(-7.0, 2.0) * size
-    mask = np.zeros((height, width), np.uint8)
-    centre = (at, int(top + size))
-    cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
-    broad = rng.uniform(1.3, 2.2) * size
-    foot = top + rng.uniform(6.0, 16.0) * size
-    right = [(0.5, 1.8), (1.0, 2.6), (1.1, 6.0), (0.8, 99.0)]
-    body = [*right, *((-x, y) for x, y in reversed(right))]
-    points = [(at + x * broad, min(top + y * size, foot)) for x, y in body]
-    cv2.fillPoly(mask, [np.array(points, np.int32)], 255)
-    if rng.random() < 0.3:
-        hand = (int(at + rng.uniform(-5, 5) * size), int(top + rng.uniform(-2, 4) * size))
-        cv2.line(mask, (at, int(top + 2.6 * size)), hand, 255, max(1, int(0.6 * size)))
-    opacity = cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0
-    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, (height, width), 0.12)
-    drawing.paint(opacity, colour, COVER)
-
-
-def _lines(drawing: Drawing) -> None:
-    """A pole, or a wire that sags."""
-    rng, (height, width) = drawing.rng, drawing.size
-    mask = np.zeros((height, width), np.uint8)
-    if rng.random() < 0.5:
-        at, top = int(rng.uniform(0, width)), int(rng.uniform(-0.1, 0.6) * height)
-        lean = int(rng.normal(0, 0.02) * width)
-        cv2.line(mask, (at, top), (at + lean, height), 255, int(rng.integers(1, 9)), cv2.LINE_AA)
-        for arm in range(rng.integers(0, 3)):
-            half = int(rng.uniform(0.01, 0.05) * width)
-            cv2.line(mask, (at - half, top + 8 + 9 * arm), (at + half, top + 8 + 9 * arm), 255, 2)
-    else:
-        x = np.linspace(-1, 1, 40)
-        sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
-        points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
-        cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
-    drawing.paint(mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
-
-
-def _houses(drawing: Drawing) -> None:
-    rng, (height, width) = drawing.rng, drawing.size
-    for _ in range(rng.integers(1, 6)):
-        wide, tall = (rng.uniform(0.04, 0.3, 2) * (width, height)).astype(int)
-        left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
-        mask = np.zeros((height, width), np.uint8)
-        roof = int(rng.choice([0.0, 0.5]) * tall)
-        right, ridge = left + wide, (left + wide // 2, top - roof)
-        corners = [(left, top), ridge, (right, top), (right, height), (left, height)]
-        cv2.fillPoly(mask, [np.array(corners, np.int32)], 255)
-        colour = np.full((height, width, 3), rng.uniform(30, 230, 3), np.float32)
-        step = max(6, wide // int(rng.integers(3, 8)))
-        panes = rng.uniform(10, 250, 3)
-        for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
-            for x in range(left + step // 2, left + wide - step // 2, step):
-                cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
-        drawing.paint(mask.astype(np.float32) / 255.0, colour, COVER)
-
-
-def _window(drawing: Drawing) -> None:
-    """Look out of a car, a door or a tent: dark all round an opening."""
-    rng, (height, width) = drawing.rng, drawing.size
-    mask = np.full((height, width), 255, np.uint8)
-    reach = rng.uniform(-0.12, 0.25, 4)
-    left, top, right, bottom = reach * (width, height, width, height)
-    right, bottom = width - right, height - bottom
-    jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
-    corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-    cv2.fillPoly(mask, [(corners + jitter).astype(np.int32)], 0)
-    round_px = 2 * int(rng.uniform(0.0, 0.06) * width) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px))
-    mask = np.asarray(255 - cv2.morphologyEx(255 - mask, cv2.MORPH_OPEN, disc), dtype=np.uint8)
-    if rng.random() < 0.5:
-        centre = (int(rng.uniform(0, 1) * width), int(rng.uniform(0.5, 1.0) * height))
-        axes = (int(rng.uniform(0.05, 0.2) * width), int(rng.uniform(0.05, 0.2) * height))
-        cv2.ellipse(mask, centre, axes, rng.uniform(-20, 20), 0, 360, 255, -1)
-    opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
-    shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
-    colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
-    drawing.paint(opacity, colour, COVER)
 
 
 _OCCLUDER_RGB = {

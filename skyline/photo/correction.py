@@ -18,6 +18,7 @@ from skyline.errors import InputError
 from skyline.photo.extract import (
     FORBIDDEN,
     STEPS,
+    TRUST_THRESHOLD,
     Extraction,
     on_photo,
     shortest_path,
@@ -27,8 +28,6 @@ from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.read import Photo
 from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 
-_PAINTED_CONFIDENCE = 0.6
-"""Least confidence of a column under a brush stroke: a person has looked at it."""
 _HULL_PX = 64
 """Columns of the photo on each side of changed columns whose skyline is found anew with theirs."""
 
@@ -134,7 +133,8 @@ class Correction:
                 confidence[columns] = 0.0
             else:
                 touched = columns[np.isfinite(row_px[columns])]
-                confidence[touched] = np.maximum(confidence[touched], _PAINTED_CONFIDENCE)
+                # A person has looked at them.
+                confidence[touched] = np.maximum(confidence[touched], TRUST_THRESHOLD)
         known = np.isfinite(row_px)
         query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
         if self._found is not None:

@@ -10,6 +10,8 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.lens import Lens
 from skyline.photo.projection import MIN_FOV_DEG, Projection, undistorted
 
+_SAME_ROWS = 0.02
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuerySkyline:
@@ -34,6 +36,10 @@ class QuerySkyline:
         Accuracy of `fov_deg`, if it comes from the photo's EXIF or XMP.
     eye_height_m : float, optional
         Height of the camera above the ground, None if unknown.
+    crests : (2, 3, W) float64, optional
+        Rows (0) and probabilities (1) of up to three crests a column, the likeliest first, NaN
+        where there are fewer; their sum falls short of 1 by the probability of no skyline. None if
+        the skyline was not extracted.
     """
 
     row_px: Float64Array
@@ -45,14 +51,20 @@ class QuerySkyline:
     noted: NotedPlace = NOTHING_NOTED
     lens: Lens | None = None
     eye_height_m: float | None = None
+    crests: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("row_px", "confidence"):
+        shapes: dict[str, tuple[int, ...]] = {
+            "row_px": (self.width_px,),
+            "confidence": (self.width_px,),
+        }
+        if self.crests is not None:
+            shapes["crests"] = (2, 3, self.width_px)
+        for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=np.float64)
-            if values.shape != (self.width_px,):
+            if values.shape != shape:
                 raise InputError(
-                    f"{name} has shape {values.shape}; expected ({self.width_px},), one value "
-                    "per image column"
+                    f"{name} has shape {values.shape}; expected {shape}, one value per image column"
                 )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
@@ -76,6 +88,18 @@ class QuerySkyline:
     def trusted(self) -> BoolArray:
         """(W,) bool: True for columns with a skyline."""
         return np.isfinite(self.row_px)
+
+    def other_crest_px(self) -> Float64Array:
+        """Return the row (W,) of the likeliest crest that is not the skyline; NaN where none is.
+
+        A crest nearer than 2 % of the height is the skyline itself.
+        """
+        if self.crests is None:
+            return np.full(self.width_px, np.nan)
+        rows = self.crests[0]
+        other = np.isfinite(rows) & ~(np.abs(rows - self.row_px) < _SAME_ROWS * self.height_px)
+        likeliest = rows[other.argmax(axis=0), np.arange(self.width_px)]
+        return np.where(other.any(axis=0), likeliest, np.nan)
 
     def with_fov(self, fov_deg: float) -> "QuerySkyline":
         """Return the same skyline with another horizontal field of view, degrees."""

@@ -56,7 +56,7 @@ _FORMATS = (
 )  # fmt: skip
 """Formats that Pillow may decode; others run programs, or are no pictures."""
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
-_SKYLINE_RGB = (255, 0, 60)
+_SKYLINE_RGB, _OTHER_RGB = (255, 0, 60), (255, 160, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,12 +245,17 @@ def read_picture(path: str | Path) -> UInt8Array | None:
 def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
-    Raises `InputError` if the skyline belongs to an image of another size, or the file cannot be
-    written.
+    Other crests that may be the skyline are drawn in another colour. Raises `InputError` if the
+    skyline belongs to an image of another size, or the file cannot be written.
     """
     check_of_image(query, photo.shape)
     drawn = photo.copy()
     thickness = max(1, round(query.width_px / 1000))
+    other_px = query.other_crest_px()
+    columns = np.flatnonzero(np.isfinite(other_px))
+    rows = np.rint(other_px[columns]).astype(np.intp)
+    for down in range(thickness):
+        drawn[np.clip(rows + down, 0, len(drawn) - 1), columns] = _OTHER_RGB
     columns = np.flatnonzero(query.trusted)
     for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
         points = np.stack([run, np.rint(query.row_px[run])], axis=1).astype(np.int32)

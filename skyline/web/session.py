@@ -128,10 +128,13 @@ class PagePhoto:
         return held.getvalue()
 
     def lines(self) -> bytes:
-        """Return the skyline's rows, then its confidences, as float32; NaN and 0 if not trusted."""
+        """Return the skyline's rows, its confidences and the rows of other crests, as float32.
+
+        Columns that are not trusted have NaN and 0, those without another crest NaN.
+        """
         query = self.known()
-        both = np.stack([query.row_px, query.confidence])
-        return both.astype("<f4").tobytes()
+        lines = np.stack([query.row_px, query.confidence, query.other_crest_px()])
+        return lines.astype("<f4").tobytes()
 
     @property
     def found(self) -> MatchResult | None:

@@ -72,7 +72,8 @@ def test_columns_are_right_within_a_hundredth_of_the_height(tmp_path):
     true_px = np.full(100, 51.9)
     true_px[5:] = 52.1
     true_px[60:] = np.nan
-    assert count_columns(query, true_px) == (19, 5, 60)
+    true_px[9] = 57.0
+    assert count_columns(query, true_px) == (19, 5, 1, 60)
 
 
 def test_a_photograph_that_is_wrong_in_all_columns_counts():

@@ -98,6 +98,9 @@ def test_a_trained_network_is_written_and_read(train, tmp_path):
     path = tmp_path / "sky.onnx.gz"
     assert train("sky-model", "-o", path, "--quick").code == 0
     assert path.stat().st_size < 600_000
+    again = tmp_path / "again.onnx.gz"
+    assert train("sky-model", "-o", again, "--quick", "--start", path).code == 0
+    assert again.stat().st_size < 600_000
 
 
 def examples(count: int, seed: int) -> list[Example]:

@@ -77,8 +77,8 @@ async function solve() {
 
 const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
 
-export function showSkyline({ rows, trust, version }) {
-  Object.assign(state, { rows, trust, version });
+export function showSkyline({ rows, trust, others, version }) {
+  Object.assign(state, { rows, trust, others, version });
   buttons();
   emit("skyline");
 }

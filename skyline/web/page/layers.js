@@ -1,6 +1,6 @@
 // Drawing over a photo: found and rendered skyline, the gap between them, summits, strokes.
 export const SURE = 0.6;
-const FOUND = "#ffd23f", RENDERED = "#35d0ff", DARK = "rgba(8, 14, 20, 0.75)";
+const FOUND = "#ffd23f", OTHER = "#ff8a3d", RENDERED = "#35d0ff", DARK = "rgba(8, 14, 20, 0.75)";
 const MOST_GAP_DEG = 1;
 
 // A view maps photo pixels to the canvas: x = column * scale + left.
@@ -19,13 +19,15 @@ function stroke(ctx, path, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-export function drawFound(ctx, view, rows, trust) {
+export function drawFound(ctx, view, rows, trust, others) {
   const step = Math.max(1, Math.floor(0.5 / view.scale));
   const from = Math.max(0, Math.floor(-view.left / view.scale) - step);
   const to = Math.min(rows.length - 1, Math.ceil((view.width - view.left) / view.scale) + step);
   const paths = { sure: new Path2D(), doubtful: new Path2D() };
   let last = null;
+  ctx.fillStyle = OTHER;
   for (let column = from; column <= to; column += step) {
+    if (!Number.isNaN(others[column])) ctx.fillRect(x(view, column), y(view, others[column]) - 1, Math.max(1, view.scale), 2);
     const kind = Number.isNaN(rows[column]) ? null : trust[column] >= SURE ? "sure" : "doubtful";
     if (kind) {
       const at = [x(view, column), y(view, rows[column])];

@@ -59,10 +59,12 @@ export const picture = async (photo) => (await ask("GET", ofPhoto(photo, "/pictu
 export const cancel = (photo) => ask("DELETE", ofPhoto(photo, "/match"));
 
 const asLines = async (answer) => {
-  const both = new Float32Array(await answer.arrayBuffer());
+  const lines = new Float32Array(await answer.arrayBuffer());
+  const width = lines.length / 3;
   return {
-    rows: both.subarray(0, both.length / 2),
-    trust: both.subarray(both.length / 2),
+    rows: lines.subarray(0, width),
+    trust: lines.subarray(width, 2 * width),
+    others: lines.subarray(2 * width),
     version: answer.headers.get("ETag").replaceAll('"', ""),
   };
 };

@@ -5,6 +5,7 @@ export const state = {
   photo: null, // the record that is shown
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
+  others: null, // Float32Array, rows of other crests that may be the skyline
   version: null, // distinguishes the skyline from others of the same photo
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate

@@ -88,7 +88,7 @@ function paint(target, at, ratio) {
     layers.drawRendered(ctx, at, state.sight);
   }
   // The thin line is drawn over the broad one, so that both show where they agree.
-  if (state.rows) layers.drawFound(ctx, at, state.rows, state.trust);
+  if (state.rows) layers.drawFound(ctx, at, state.rows, state.trust, state.others);
   if (state.sight?.summits) layers.drawSummits(ctx, at, state.sight.summits);
   if (marks.stroke) layers.drawStroke(ctx, at, marks.stroke);
   const cross = marks.cross || (marks.brush ? marks.pointer : null);
