@@ -18,7 +18,7 @@ HALF_M = (SIZE - 1) / 2.0 * SPACING_M
 SQUARE_M = 600.0
 """Half the side of the area that is searched."""
 PLACES_M = 50.0
-QUERY = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.02, 0.02), smooth_share=0.0, masked_share=0.0)
+QUERY = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.005, 0.005), smooth_share=0.0, masked_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0, fov_slack=0.05)
 STEP_M = SPACING_M
 """Two answers agree to a sample."""
