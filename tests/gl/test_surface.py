@@ -131,7 +131,7 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
         "without": RenderedScene(bare, config),
         "with": RenderedScene(bare, config, surface=read_surface(forest, bare)),
     }
-    for index, place in enumerate(_open_places(bare, canopy, 6)):
+    for index, place in enumerate(_open_places(bare, canopy, 18)):
         camera = {"heading_deg": 37.0 * index, "pitch_deg": 1.0, "roll_deg": -1.0, "fov_deg": 60.0}
         query = _photo(forest, bare, place, camera)
         ring = 60.0 * np.exp(2j * np.pi * np.arange(6) / 6)
