@@ -67,9 +67,11 @@ def no_gl_error():
 
 
 @pytest.fixture(autouse=True)
-def small_plans(monkeypatch):
+def small_plans():
     """Plan by default as few places as lose a fifth of the views, not a minute of them."""
-    monkeypatch.setattr(plans, "DEFAULT_PLACES", 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plans, "DEFAULT_PLACES", 1)
+        yield
 
 
 @pytest.fixture
