@@ -55,7 +55,7 @@ def _plans(terrain: HeightField, bounds_deg: Bounds) -> dict[str, tuple[Plan, in
     """Return plans by name, each with a number of workers; 0 is this process."""
     views = RenderingPlan.uniform(terrain, 400.0, bounds_deg, RenderConfig(width=160))
     return {
-        "planned places": (PlacePlan(None, bounds_deg, 2000), 0),
+        "planned places": (PlacePlan(None, bounds_deg, 400), 0),
         "places of a grid": (PlacePlan(80.0, bounds_deg), 0),
         "renderings": (views, 0),
         "places of a grid, 2 workers": (PlacePlan(60.0, bounds_deg), 2),
