@@ -84,8 +84,8 @@ def build_places(
     progress : callable, optional
         Called with the number of parts that are done, and the number of all parts.
     places : int, optional
-        Number of places to plan, about. Without a spacing and a number there are 100,000, or as
-        many as lose a fifth of the views, 60 degrees wide, if these are more.
+        Number of places to plan, about. Without a spacing and a number there are 100,000, but as
+        many as lose 5 % of the views, 60 degrees wide, suffice, and no more than 20 % are lost.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 

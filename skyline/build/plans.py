@@ -26,9 +26,10 @@ from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
-DEFAULT_PLACES, DEFAULT_LOSS = 100_000, 0.2
-"""A plan has about so many places, which a machine of two cores without a GPU renders in a minute.
-In an area so large that they would lose more than this share of the views it has more."""
+DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
+"""A plan has about so many places, which two cores without a GPU render in half a minute.
+It has fewer in an area so small that they would lose a smaller share of the views than the first,
+and more in one so large that they would lose more than the second."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
@@ -67,8 +68,8 @@ class PlacePlan:
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     places : int, optional
-        Number of planned places, about. By default 100,000, or as many as lose a fifth of the
-        views, 60 degrees wide, if these are more.
+        Number of planned places, about. By default 100,000, but as many as lose 5 % of the views,
+        60 degrees wide, suffice, and no more than 20 % are lost.
     curvature : Curvature
     """
 
@@ -129,7 +130,8 @@ class PlacePlan:
     def _price(self, prices: Prices) -> float:
         if self.places is not None:
             return prices.of_number(self.places)
-        return min(prices.of_number(DEFAULT_PLACES), prices.of_loss(DEFAULT_LOSS))
+        densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
+        return min(max(prices.of_number(DEFAULT_PLACES), densest), sparsest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ import numpy as np
 
 from skyline.arrays import Progress
 from skyline.build.parts import build_places
-from skyline.build.plans import DEFAULT_LOSS, DEFAULT_PLACES, map_bounds
+from skyline.build.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
@@ -234,7 +234,7 @@ def _digest(*parts: object) -> str:
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
 
 
-_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSS, PLACE_CODING)}.h5"
+_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING)}.h5"
 """Name of a store, which differs between releases that would build another one."""
 _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 

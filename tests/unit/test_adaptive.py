@@ -1,11 +1,13 @@
 """The plan of places: as dense as the skylines are near, whichever process plans it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scenes import field_of
 
+from skyline.build.plans import PlacePlan
 from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
@@ -180,6 +182,13 @@ class TestPlan:
         wanted = set(zip(EAST[stands].tolist(), NORTH[stands].tolist(), strict=True))
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
+
+
+@pytest.mark.parametrize(("of_number", "wanted"), [(1.0, 10.0), (100.0, 100.0), (5e4, 1e3)])
+def test_a_plan_loses_5_to_20_percent_of_the_views_by_default(of_number, wanted):
+    losses = {0.05: 10.0, 0.2: 1e3}
+    prices = SimpleNamespace(of_number=lambda _: of_number, of_loss=losses.__getitem__)
+    assert PlacePlan()._price(prices) == wanted
 
 
 class TestExpectedFinds:
