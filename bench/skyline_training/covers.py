@@ -1,4 +1,4 @@
-"""What stands in front of drawn mountains: trees, people, packs, wires, houses, windows."""
+"""Things in front of drawn mountains: trees, people, packs, wires, houses, windows."""
 
 import cv2
 import numpy as np
