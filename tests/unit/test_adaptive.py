@@ -204,5 +204,11 @@ class TestExpectedFinds:
         lost = lost_shares(places.distance_m(), 2.0 * tolerance_m.astype(float))
         near_share = (1.0 - lost[0, 0]) / (1.0 + (25.0 / places.distance_m()[0, 0]) ** 1.75)
         far_share = (1.0 - lost[1, 1]) / (1.0 + (25.0 / places.distance_m()[1, 0]) ** 1.75)
+        # A store of very many places is read in part: each of these stands for 10,001 like it.
+        many = Places.concatenate([places[:1]] * 10_001 + [places[1:]] * 10_001)
+        assert expected_finds(many) == [
+            (least_m, pytest.approx(share, rel=1e-3), pytest.approx(found))
+            for least_m, share, found in (near, far)
+        ]
         assert near == (0.0, pytest.approx(1.0 / 257.0), pytest.approx(near_share))
         assert far == (400.0, pytest.approx(256.0 / 257.0), pytest.approx(far_share))
