@@ -67,7 +67,7 @@ def confidence(
         Path,
         Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
     ],
-    queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 40,
+    queries: Annotated[int, Option(help="Of each of eight kinds, on each terrain.")] = 20,
     model: Annotated[
         Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
     ] = None,

@@ -1,10 +1,12 @@
 """Learning how far a match can be believed, and showing that it can.
 
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
-and Everest. For each query the figures of the best pose (`skyline.match.confidence`) and whether
-that pose is right are an example. A logistic model is fitted to the examples with a small ridge,
-and its reliability is shown on Davos. From examples that were kept another model is learned in
-seconds.
+and Everest: skylines with errors and things in front, of the store's own model and of others; made
+photographs, whose skylines are extracted; photos that note where they were taken, rightly or
+wrongly. For each query the figures of the best pose (`skyline.match.confidence`) and its error are
+an example. A pose is right if it lies near the truth and looks the same way. A logistic model is
+fitted to the examples with a small ridge, and its reliability is shown on Davos. From examples
+that were kept another model is learned in seconds.
 """
 
 import json
@@ -24,16 +26,21 @@ from scipy.optimize import minimize
 from skyline import MatchConfig, Matcher, build_places, read_dem
 from skyline.arrays import BoolArray, Float64Array, Progress
 from skyline.errors import InputError
-from skyline.geodesy import Rectangle
+from skyline.geodesy import Rectangle, in_turn
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, Hypotheses
+from skyline.match.candidate import DISTANCES_M, SAME_VIEW_DEG, Hypotheses
 from skyline.match.confidence import Logistic, model_name
 from skyline.match.full import FullMatcher
+from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
+from skyline.photo.extract import extract_skyline
+from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import perturbed, resampled
+from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.photos import draw_photo
 from skyline_training.workers import over_processes
 
 Reliability = tuple[str, Float64Array, BoolArray]
@@ -50,32 +57,42 @@ class Example:
     """The figures of the best pose of one query, and how far off it is."""
 
     figures: Mapping[str, float]
-    error: float  # Of a place, metres; of a heading, degrees; infinite for a query of other terrain
+    # Of a place, metres, infinite where the pose looks another way; of a heading, degrees; infinite
+    # for a query of other terrain.
+    error: float
+    kind: str = ""
+    turn_deg: float = 0.0  # How far the heading is off
 
 
 def examples_from(
-    matcher: FullMatcher, queries: Sequence[SyntheticQuery]
+    matcher: FullMatcher, queries: Sequence[tuple[SyntheticQuery, Prior]], kind: str
 ) -> Iterator[tuple[str, Example]]:
-    """Yield stages and examples of each query; queries that nothing fits give none."""
-    for query in queries:
+    """Yield stages and examples of each query of a kind; queries that nothing fits give none."""
+    for query, prior in queries:
         try:
             rays = query.rays()
         except InputError:
             continue
-        found = matcher.retrieve(rays)
-        poses = matcher.refine(found, rays)
+        found, poses = matcher.found(rays, prior)
         if len(found):
-            yield "retrieved", _example(confidence.retrieved_figures(found, rays), found, query)
+            figures = confidence.retrieved_figures(found, rays)
+            yield "retrieved", _example(figures, found, query, kind)
         if poses is not None and len(poses):
             figures = confidence.refined_figures(poses, found, rays)
-            yield "refined", _example(figures, poses.hypotheses, query)
+            yield "refined", _example(figures, poses.hypotheses, query, kind)
 
 
-def _example(figures: dict[str, Float64Array], poses: Hypotheses, query: SyntheticQuery) -> Example:
+def _example(
+    figures: dict[str, Float64Array], poses: Hypotheses, query: SyntheticQuery, kind: str
+) -> Example:
     best = int(np.argmin(poses.score))
+    off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
+    turn_deg = abs(float(in_turn(poses.heading_deg[best] - query.truth.heading_deg)))
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
-        float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best])),
+        off_m if turn_deg <= SAME_VIEW_DEG else math.inf,
+        kind,
+        turn_deg,
     )
 
 
@@ -140,7 +157,8 @@ def reliability(sure: Float64Array, right: BoolArray) -> list[tuple[float, float
     return rows
 
 
-SIDE_M = 6_000.0
+SIDE_M, WIDE_M = 6_000.0, 18_000.0
+"""Sides of the areas in which terrain is searched in its own model, and in a coarse one."""
 OUTSIDE = 1.35
 """Queries come from an area this much wider than the store: nearly half from outside it."""
 
@@ -167,38 +185,108 @@ KINDS = (
 
 COARSE_M = 100.0
 """Spacing of the coarse models of the same terrain."""
-COARSE_KINDS = (KINDS[0], replace(KINDS[0], eye_height_m=20.0))
-"""Queries in those: eyes on the ground, and on what a coarse model cuts off."""
+_RAISED = replace(KINDS[0], eye_height_m=20.0)
+"""Eyes on what a coarse model cuts off."""
+_PHOTO = QueryConfig(
+    fov_deg=(35.0, 75.0), occluded_share=(0.0, 0.3), width_px=900, height_px=600, azimuths=14_400
+)
+_RENDERED_PX = 1440
+"""Columns of the depth images of a heading, of 90 degrees."""
+_NOTED_SD_M, _NOTED_WRONG_SHARE = 30.0, 0.3
+"""Error of the places that photos note, along each axis, and the share of the photos that note any
+other place."""
 
 
 def _examples_on(
     terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
 ) -> dict[str, list[Example]]:
-    """Match queries of all kinds in the terrain's middle, and some of another; by model.
+    """Match queries of all kinds in the terrain's middle, and some of another; by stage.
 
-    Half of the kinds are searched in the terrain itself, and the rest in a coarse model of it.
+    Most kinds are searched in the terrain itself, the others in a coarse model of it and a wider
+    area, where places lie farther apart.
     """
-    area = middle_of(terrain, OUTSIDE)
-    own = [(seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS]
-    coarse = [(terrain, kind) for kind in COARSE_KINDS]
-    strangers = _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed)
+    other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
+    area, wide = middle_of(terrain, SIDE_M, OUTSIDE), middle_of(terrain, WIDE_M, OUTSIDE)
+
+    def made(
+        seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
+    ) -> Sequence[SyntheticQuery]:
+        return make_queries(seen, area_m, queries, seed + number, config)
+
+    own = {
+        "own model": _without_prior(made(terrain, area, 1, KINDS[0])),
+        "own model, hidden": _without_prior(made(terrain, area, 2, KINDS[1])),
+        "other model": _without_prior(made(other, area, 3, KINDS[0])),
+        "other model, hidden": _without_prior(made(other, area, 4, KINDS[1])),
+        "place noted": _noted(made(other, area, 5, KINDS[1]), area, seed),
+    }
+    in_coarse = {
+        "coarse model": _without_prior(made(terrain, wide, 6, KINDS[0])),
+        "coarse model, raised": _without_prior(made(terrain, wide, 7, _RAISED)),
+        "photographs": _without_prior(_photographed(terrain, made(terrain, wide, 8, _PHOTO), seed)),
+    }
+    strangers = _without_prior(_strangers(strange, max(queries // STRANGERS_SHARE, 1), seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
-    for model, kinds in ((terrain, own), (resampled(terrain, COARSE_M), coarse)):
-        with _matcher(model, folder) as matcher:
-            for seen, kind in kinds:
-                seed += 1
-                made = make_queries(seen, area, queries, seed, kind)
-                for name, example in examples_from(matcher, made):
-                    found[name].append(example)
-            for name, example in examples_from(matcher, strangers):
-                found[name].append(replace(example, error=math.inf))
+    for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
+        with _matcher(model, middle_of(model, side_m), folder) as matcher:
+            for kind, some in kinds.items():
+                for stage, example in examples_from(matcher, some, kind):
+                    found[stage].append(example)
+            for stage, example in examples_from(matcher, strangers, "strangers"):
+                found[stage].append(replace(example, error=math.inf, turn_deg=math.inf))
     return found
 
 
+def _without_prior(queries: Iterable[SyntheticQuery]) -> list[tuple[SyntheticQuery, Prior]]:
+    return [(query, NOTHING_KNOWN) for query in queries]
+
+
+def _noted(
+    queries: Iterable[SyntheticQuery], area_m: Rectangle, seed: int
+) -> list[tuple[SyntheticQuery, Prior]]:
+    """Return queries with the places that they note, of which some are any place of the area."""
+    rng = np.random.default_rng([seed, 1])
+    west, south, east, north = area_m
+    pairs = []
+    for query in queries:
+        off_m = _NOTED_SD_M * rng.standard_normal(2)
+        easting_m, northing_m = query.truth.easting_m + off_m[0], query.truth.northing_m + off_m[1]
+        if rng.random() < _NOTED_WRONG_SHARE:
+            easting_m, northing_m = rng.uniform(west, east), rng.uniform(south, north)
+        place = PlacePrior(float(easting_m), float(northing_m), GPS_SD_M)
+        pairs.append((query, Prior(noted=place)))
+    return pairs
+
+
+def _photographed(
+    terrain: HeightField, queries: Iterable[SyntheticQuery], seed: int
+) -> Iterator[SyntheticQuery]:
+    """Yield queries with the skylines that are extracted from photographs of them.
+
+    Those in whose photograph no skyline is found are left out.
+    """
+    rng = np.random.default_rng([seed, 2])
+    low_m, high_m = terrain.height_range_m
+    with DepthRenderer(terrain, _RENDERED_PX) as renderer:
+        for query in queries:
+            scenery = Scenery(
+                visibility_m=float(np.exp(rng.uniform(np.log(15e3), np.log(200e3)))),
+                snow_line_m=float(rng.choice([np.inf, rng.uniform(low_m, high_m)])),
+                tree_line_m=float(rng.uniform(low_m, high_m)),
+                clouds=float(rng.uniform(0.0, 1.0)),
+            )
+            image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
+            try:
+                skyline = extract_skyline(image)
+            except InputError:
+                continue
+            yield replace(query, skyline=skyline.with_fov(query.given_fov_deg))
+
+
 @contextmanager
-def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
-    """Open a matcher on places in a terrain's middle for the block."""
-    west, south, east, north = middle_of(terrain)
+def _matcher(terrain: HeightField, area_m: Rectangle, folder: Path) -> Iterator[FullMatcher]:
+    """Open a matcher on the places of an area for the block."""
+    west, south, east, north = area_m
     store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
@@ -209,10 +297,10 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
         yield ranker
 
 
-def middle_of(terrain: HeightField, wider: float = 1.0) -> Rectangle:
+def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
     """Return the square in a terrain's middle that is built, or one so much wider."""
     west, south, east, north = terrain.bounds_m
-    half = 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
+    half = 0.5 * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
     return (*(middle - wider * half), *(middle + wider * half))
 

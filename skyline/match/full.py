@@ -91,7 +91,7 @@ class FullMatcher(Ranker):
         screened: Alike | None = None,
     ) -> Ranking:
         """See `Ranker.rank`; raises `InputError` where the search is narrowed to no place."""
-        found, poses = self._found(query, prior, screened)
+        found, poses = self.found(query, prior, screened)
         if not len(found):
             return Ranking(found)
         if poses is None:
@@ -110,10 +110,13 @@ class FullMatcher(Ranker):
         near, roughly = confidence.shared_probabilities(self._models, allowed, figures)
         return Ranking(standing[chosen], near[chosen], roughly[chosen], poses[chosen])
 
-    def _found(
+    def found(
         self, query: QueryRays, prior: Prior, screened: Alike | None = None
     ) -> tuple[Hypotheses, RefinedPoses | None]:
-        """Return the poses retrieved for a query, and the refined ones; None without a scene."""
+        """Return the poses retrieved for a query, and the refined ones; None without a scene.
+
+        Raises as `rank`.
+        """
         found = self.retrieve(query, prior, screened)
         if not len(found):
             return found, None
@@ -131,7 +134,7 @@ class FullMatcher(Ranker):
         if self._scene is None:
             return super().rank_together(queries, top)
         queries = _with_one_noted_place(queries)
-        found = [self._found(query, prior) for query, prior in queries]
+        found = [self.found(query, prior) for query, prior in queries]
         alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
         refinements = [
             Refinement(query, self._scene, WHOLE, prior.narrowing.eye_height_m, prior.noted)
