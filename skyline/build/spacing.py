@@ -68,7 +68,7 @@ _FARTHEST_M = 1e6
 
 _FINDS_SAMPLE = 20_000
 """Greatest number of places from which a plan's finds are estimated. All 2.7 million of a store
-would take 15.8 GB; shares from different samples of it differ by less than a point."""
+take 14.5 GB, and change no share by a point."""
 
 CLASSES_M = (0.0, 150.0, 400.0)
 """Least distances of the classes of skylines of which a plan's finds are reported."""
@@ -330,7 +330,7 @@ def expected_finds(places: Places) -> list[tuple[float, float, float]]:
     Each class is the least distance of its skylines, harmonic means in metres, the share that its
     views are of all, and the share of them that is found. Of very many places every n-th is read.
     """
-    places = places[:: math.ceil(len(places) / _FINDS_SAMPLE)]
+    places = places[:: len(places) // _FINDS_SAMPLE + 1]
     spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
     nearness = _nearness(places.distance_m())
     weight = np.repeat(np.square(spacing_m)[:, np.newaxis] / len(spacing_m), _WINDOWS, axis=1)

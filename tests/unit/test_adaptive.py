@@ -1,5 +1,6 @@
 """The plan of places: as dense as the skylines are near, whichever process plans it."""
 
+import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -204,11 +205,17 @@ class TestExpectedFinds:
         lost = lost_shares(places.distance_m(), 2.0 * tolerance_m.astype(float))
         near_share = (1.0 - lost[0, 0]) / (1.0 + (25.0 / places.distance_m()[0, 0]) ** 1.75)
         far_share = (1.0 - lost[1, 1]) / (1.0 + (25.0 / places.distance_m()[1, 0]) ** 1.75)
-        # A store of very many places is read in part: each of these stands for 10,001 like it.
-        many = Places.concatenate([places[:1]] * 10_001 + [places[1:]] * 10_001)
-        assert expected_finds(many) == [
+        assert near == (0.0, pytest.approx(1.0 / 257.0), pytest.approx(near_share))
+        assert far == (400.0, pytest.approx(256.0 / 257.0), pytest.approx(far_share))
+        # Of very many places a part is read, which has as many of either as all of them.
+        each = 30_000
+        many = Places.concatenate([places[:1]] * each + [places[1:]] * each)
+        tracemalloc.start()
+        estimated = expected_finds(many)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak_bytes < len(many) * BINS * 8
+        assert estimated == [
             (least_m, pytest.approx(share, rel=1e-3), pytest.approx(found))
             for least_m, share, found in (near, far)
         ]
-        assert near == (0.0, pytest.approx(1.0 / 257.0), pytest.approx(near_share))
-        assert far == (400.0, pytest.approx(256.0 / 257.0), pytest.approx(far_share))
