@@ -15,6 +15,9 @@ from skyline_training.orientation import gather, learn_orientation
 from skyline_training.panoramas import write_panoramas
 from skyline_training.photos import draw_training_photos
 
+_QUICK_PLACES = 2_000
+"""Places of each store of a quick run."""
+
 app = command_line("skyline_training", "Train what Skyline has learned. Times are of 2 cores.")
 
 
@@ -84,7 +87,8 @@ def confidence(
         found = learning.read_examples(examples)
     else:
         with progress_bar("terrains") as progress:
-            found = learning.gather(data, 1 if quick else queries, seed, progress)
+            number, places = (1, _QUICK_PLACES) if quick else (queries, None)
+            found = learning.gather(data, number, seed, progress, places)
         if examples is not None:
             learning.write_examples(found, examples)
     learned = learning.learn_all(found)

@@ -60,8 +60,8 @@ class Example:
     # Of a place, metres, infinite where the pose looks another way; of a heading, degrees; infinite
     # for a query of other terrain.
     error: float
-    kind: str = ""
-    turn_deg: float = 0.0  # How far the heading is off
+    kind: str = ""  # Of the query
+    turn_deg: float = 0.0  # Error of the heading of a place
 
 
 def examples_from(
@@ -198,7 +198,12 @@ other place."""
 
 
 def _examples_on(
-    terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
+    terrain: HeightField,
+    strange: HeightField,
+    folder: Path,
+    queries: int,
+    seed: int,
+    places: int | None,
 ) -> dict[str, list[Example]]:
     """Match queries of all kinds in the terrain's middle, and some of another; by stage.
 
@@ -228,7 +233,7 @@ def _examples_on(
     strangers = _without_prior(_strangers(strange, max(queries // STRANGERS_SHARE, 1), seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
-        with _matcher(model, middle_of(model, side_m), folder) as matcher:
+        with _matcher(model, middle_of(model, side_m), folder, places) as matcher:
             for kind, some in kinds.items():
                 for stage, example in examples_from(matcher, some, kind):
                     found[stage].append(example)
@@ -284,13 +289,15 @@ def _photographed(
 
 
 @contextmanager
-def _matcher(terrain: HeightField, area_m: Rectangle, folder: Path) -> Iterator[FullMatcher]:
-    """Open a matcher on the places of an area for the block."""
+def _matcher(
+    terrain: HeightField, area_m: Rectangle, folder: Path, places: int | None
+) -> Iterator[FullMatcher]:
+    """Open a matcher on an area's store for the block, of so many places or the default number."""
     west, south, east, north = area_m
     store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
-    build_places(terrain, store, bounds_deg=bounds_deg)
+    build_places(terrain, store, bounds_deg=bounds_deg, places=places)
     with Matcher(store, terrain) as matcher:
         ranker = matcher._ranker
         assert isinstance(ranker, FullMatcher)
@@ -314,25 +321,32 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQ
     ]
 
 
-def gather(data: Path, queries: int, seed: int, progress: Progress) -> Examples:
-    """Match queries on every terrain, each in a process; return the examples."""
+def gather(
+    data: Path, queries: int, seed: int, progress: Progress, places: int | None = None
+) -> Examples:
+    """Match queries on every terrain, each in a process; return the examples.
+
+    Stores have so many places, or by default as many as `build` plans.
+    """
     terrains = list(LEARNED | HELD_OUT)
     found: Examples = {}
-    gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
+    gathered = over_processes(partial(_gathered_on, data, queries, seed, places), terrains)
     for name, examples_of in zip(terrains, gathered, strict=True):
         found[name] = examples_of
         progress(len(found), len(terrains))
     return found
 
 
-def _gathered_on(data: Path, queries: int, seed: int, name: str) -> dict[str, list[Example]]:
+def _gathered_on(
+    data: Path, queries: int, seed: int, places: int | None, name: str
+) -> dict[str, list[Example]]:
     """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
     terrain, strange = (
         read_dem([data / path], options)
         for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
     )
     with tempfile.TemporaryDirectory() as folder:
-        return _examples_on(terrain, strange, Path(folder), queries, seed)
+        return _examples_on(terrain, strange, Path(folder), queries, seed, places)
 
 
 def read_examples(path: Path) -> Examples:
@@ -372,11 +386,32 @@ def learn_all(examples: Examples) -> Learned:
         for name, one in examples.items():
             sure = probabilities(models[model], one[stage])
             right = np.array([example.error <= within_m for example in one[stage]])
-            rows.append(rated(model, name, sure, right))
+            turn_deg = np.array([example.turn_deg for example in one[stage]])
+            kinds = np.array([example.kind for example in one[stage]])
+            rows.append(_rated_kind(model, name, "all", sure, right, turn_deg))
             if name in HELD_OUT:
                 shown.append((f"{model}, {name}", sure, right))
+                for kind in np.unique(kinds).tolist():
+                    here = kinds == kind
+                    rows.append(
+                        _rated_kind(model, name, kind, sure[here], right[here], turn_deg[here])
+                    )
     counts = {stage: len(some) for stage, some in learned_from.items()}
     return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)
+
+
+def _rated_kind(
+    model: str,
+    terrain: str,
+    kind: str,
+    sure: Float64Array,
+    right: BoolArray,
+    turn_deg: Float64Array,
+) -> Row:
+    """Return how well probabilities hold for a kind, and the worst heading that is answered."""
+    row = rated(model, terrain, sure, right)
+    answered = turn_deg[sure >= MatchConfig().min_confidence]
+    return {**row, "kind": kind, "worst_turn_deg": float(answered.max()) if len(answered) else None}
 
 
 def rated(

@@ -59,8 +59,8 @@ class Candidate:
     score : float
         Lower is better; the unit depends on the matcher. NaN for a pose set by hand.
     confidence, confidence_1km : float or None
-        Estimated probability that the place is right within 200 m, and within 1 km; None for
-        matchers that estimate none.
+        Estimated probability that the place is right within 200 m, and within 1 km, and the
+        heading within 30 degrees; None for matchers that estimate none.
     refined : bool
         Whether the pose was fitted by rendering.
     covariance_m2 : ((float, float), (float, float)) or None

@@ -1,4 +1,6 @@
-r"""Confidence: the probability that a place is right within 200 m, and within 1 km.
+r"""Confidence: the probability that a pose is right within 200 m, and within 1 km.
+
+A pose is right if it lies so near the truth and looks the same way, within 30 degrees.
 
 It is a logistic model of figures that a match gives, learned from synthetic queries on other
 terrain than any result is reported on (``python -m skyline_training confidence``, which also draws
