@@ -70,7 +70,8 @@ _LEAST_PIXELS = 110_000
 _MULTIPLE_PX = 32
 """The sides of the network's input are multiples of this."""
 _WORK_PIXELS = 400_000
-"""Working size, to which photos are reduced for their edges and for the path along them."""
+"""Working size, to which photos are reduced for their edges and for the path along them;
+panoramas to one larger by the same factor."""
 
 _LEVELS = (1.0, 99.0)
 """Percentiles of a channel that become its darkest and its brightest value."""
@@ -373,7 +374,8 @@ def _alike(pixels: UInt8Array, colour: Float64Array) -> BoolArray:
 def gather_evidence(photo: UInt8Array) -> Evidence:
     """Reduce a photo (H, W, 3) uint8 RGB to working size and collect the evidence for a skyline."""
     height, width = photo.shape[:2]
-    shrink = min(1.0, sqrt(_WORK_PIXELS / (height * width)))
+    wanted = _WORK_PIXELS * max(1.0, _aspect_scale(height, width))
+    shrink = min(1.0, sqrt(wanted / (height * width)))
     h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
     small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
     odds = _network_odds(np.asarray(small, dtype=np.uint8))
@@ -407,10 +409,14 @@ def levelled(rgb: UInt8Array) -> Float32Array:
     return np.asarray(2.0 * np.clip(share, 0.0, 1.0) - 1.0, dtype=np.float32)
 
 
+def _aspect_scale(height: int, width: int) -> float:
+    return float(np.clip(width / (1.5 * height), *_ASPECT_SCALE))
+
+
 def _network_odds(photo: UInt8Array) -> Float32Array:
     """Return log-odds (h', w') of a column's skyline in each pixel against no skyline."""
     height, width = photo.shape[:2]
-    wanted = _NETWORK_PIXELS * float(np.clip(width / (1.5 * height), *_ASPECT_SCALE))
+    wanted = _NETWORK_PIXELS * _aspect_scale(height, width)
     shrink = sqrt(min(wanted, max(height * width, _LEAST_PIXELS)) / (height * width))
     h, w = (max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX for side in (height, width))
     small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
