@@ -12,7 +12,11 @@ agrees with it: programs that crop note the size anew.
 """
 
 import re
+from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
 from itertools import combinations
 from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
 
@@ -20,8 +24,13 @@ from PIL.ExifTags import Base
 
 from skyline.photo.exif import Tags, positive, text_of
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
-from skyline.photo.sensors import FULL_FRAME_MM, Sensor, known_sensor
 
+FULL_FRAME_MM = hypot(36.0, 24.0)
+"""Diagonal of 35 mm film."""
+_SEVERAL_SENSORS = re.compile("apple|honor|huawei|lg|microsoft|nokia|samsung sm-", re.IGNORECASE)
+"""Phones, whose models do not say which of their cameras took a photo."""
+_ONE_SENSOR_RATIO = 1.05
+"""Largest ratio of two sensors of one camera, beyond which it has several."""
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 _ASPECT_TOLERANCE = 0.02
@@ -58,6 +67,54 @@ _KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 possible: it is taken to lie evenly between half and all of that."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 """Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The sensor of a camera: the camera's name and the sensor's diagonal."""
+
+    camera: str
+    diagonal_mm: float
+
+    @property
+    def shape(self) -> float:
+        """Width over height: 3:2 for full frame, APS and 1 inch, 4:3 for all others."""
+        is_3_to_2 = 24.0 < self.diagonal_mm < 46.0 or 15.0 < self.diagonal_mm < 17.0
+        return 3 / 2 if is_3_to_2 else 4 / 3
+
+    def kept_mm(self, frame: tuple[float, float]) -> float:
+        """Return the diagonal of the largest part that has the shape of a frame."""
+        kept = max(frame) / min(frame)
+        height_mm = self.diagonal_mm / hypot(self.shape, 1.0) * min(self.shape / kept, 1.0)
+        return height_mm * hypot(kept, 1.0)
+
+
+def known_sensor(model: str) -> Sensor | None:
+    """Return the sensor of a camera by the model that its EXIF notes; None if it is not known."""
+    return _sensors_by_model().get(_model_key(model))
+
+
+@cache
+def _sensors_by_model() -> dict[str, Sensor]:
+    """Return the cameras of one known sensor by the keys of their models."""
+    found = defaultdict(list)
+    with suppress(ImportError):  # There are no wheels for some machines.
+        for one in import_module("lensfunpy").Database().cameras:
+            if not _SEVERAL_SENSORS.match(f"{one.maker} {one.model}"):
+                found[_model_key(one.model)].append(
+                    Sensor(one.model, FULL_FRAME_MM / one.crop_factor)
+                )
+    return {
+        key: sensors[0]
+        for key, sensors in found.items()
+        if max(one.diagonal_mm for one in sensors)
+        < _ONE_SENSOR_RATIO * min(one.diagonal_mm for one in sensors)
+    }
+
+
+def _model_key(model: str) -> str:
+    """Return a model without case and spaces, in which makers' notes differ."""
+    return "".join(model.split()).upper()
 
 
 @dataclass(frozen=True, slots=True)
