@@ -196,7 +196,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
         return Lens(fov_deg, sd_deg, None, "; ".join([focal.source, *against]))
-    reason = f"{focal.source}, but the photo was cropped: at most {fov_deg:.1f} degrees"
+    reason = f"{focal.source}, but the photo was cropped from {fov_deg:.1f} degrees"
     most_deg = _KEPT_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
     return Lens(
         _KEPT_MEAN * fov_deg,
@@ -273,7 +273,7 @@ def _panorama_lens(
         max(sqrt(least_deg * fov_deg), MIN_FOV_DEG),
         (fov_deg - least_deg) / sqrt(12.0),
         min(_KEPT_MOST * fov_deg, MAX_PANORAMA_DEG),
-        f"XMP notes a panorama, but the photo was cropped since: at most {fov_deg:.1f} degrees",
+        f"XMP notes a panorama of {fov_deg:.1f} degrees, but the photo was cropped since",
     )
 
 

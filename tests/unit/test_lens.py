@@ -134,7 +134,7 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
     agreed = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM}, (1600, 800))
     assert agreed.most_deg == pytest.approx(1.05 * 90.0)
     assert agreed.sd_deg < found.sd_deg
-    assert "cropped: at most 90.0 degrees" in found.reason
+    assert "cropped from 90.0 degrees" in found.reason
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
     _, lens = panorama_of_xmp(gpano(**WHOLE), size)
     low, high = searched(lens, is_panorama=True)
     assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
-    assert f"cropped since: at most {most_deg:.1f} degrees" in lens.reason
+    assert f"a panorama of {most_deg:.1f} degrees, but the photo was cropped" in lens.reason
 
 
 @pytest.mark.parametrize(
