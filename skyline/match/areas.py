@@ -49,7 +49,7 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
 
-Say = Callable[[str], None]
+PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
 Bar = Callable[[str], AbstractContextManager[Progress | None]]
 """Shows the progress of a step that it is given by name."""
@@ -121,7 +121,7 @@ def prepare_area(
     area: Area,
     dem: Sequence[str | Path] = (),
     source: str | None = None,
-    say: Say = lambda _: None,
+    print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> ReadyArea:
     """Return the store of an area from the cache, where it is built if it is not there.
@@ -149,26 +149,26 @@ def prepare_area(
     with _explained():
         serving = _serving(home, area.needed)
         if serving is not None:
-            say(f"{serving.store.parent}: the area is there already")
+            print_note(f"{serving.store.parent}: the area is there already")
             return serving
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder, say):
+        with _locked(folder, print_note):
             if ready := _ready(folder):
                 return ready
             _check_room(folder, bounds, with_tiles=not files)
-            say(f"{folder} keeps what is made for this area")
+            print_note(f"{folder} keeps what is made for this area")
             if not files:
-                files = _fetch(folder, bounds, source, say, bar)
+                files = _fetch(folder, bounds, source, print_note, bar)
             with bar("reading the elevation model"):
                 terrain = read_dem(files)
             _check_terrain(terrain, area, dem)
             save_field(terrain, folder / _TERRAIN)
-            say(f"building the store of {_km2(bounds):.0f} km2")
+            print_note(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
                 built = build_places(terrain, folder / _STORE, bounds_deg=bounds, progress=progress)
-            say(f"{built.rows} places are built, in {built.seconds:.0f} s")
+            print_note(f"{built.rows} places are built, in {built.seconds:.0f} s")
             return ReadyArea(folder / _STORE, folder / _TERRAIN)
 
 
@@ -210,14 +210,14 @@ def cached_files() -> set[Path]:
     return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
 
 
-def clear_cache(say: Say = lambda _: None) -> int:
+def clear_cache(print_note: PrintNote = lambda _: None) -> int:
     """Remove all areas but those that another process is making; return their number."""
     cleared = 0
     with _explained():
         for area in cached_areas():
             with _locked(area.folder) as is_alone:
                 if not is_alone:
-                    say(f"{area.folder} is being made by another skyline, and stays")
+                    print_note(f"{area.folder} is being made by another skyline, and stays")
                     continue
                 shutil.rmtree(area.folder)
                 cleared += 1
@@ -338,11 +338,15 @@ def _serving(home: Path, needed: Bounds) -> ReadyArea | None:
     return min(found)[2] if found else None
 
 
-def _fetch(folder: Path, bounds: Bounds, source: str, say: Say, bar: Bar) -> tuple[str, ...]:
+def _fetch(
+    folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
+) -> tuple[str, ...]:
     """Fetch the tiles of all terrain that is seen from an area; return their files."""
     seen = _grown(bounds, SEEN_KM)
     where = ",".join(f"{side:.2f}" for side in seen)
-    say(f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}")
+    print_note(
+        f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}"
+    )
     earlier = [one / "tiles" for one in folder.parent.iterdir() if one != folder]
     try:
         with bar("fetching tiles") as progress:
@@ -350,7 +354,7 @@ def _fetch(folder: Path, bounds: Bounds, source: str, say: Say, bar: Bar) -> tup
     except FetchError as error:
         raise FetchError(f"{error}; or give elevation files with --dem") from error
     if done.missing:
-        say(f"the source has no tile (usually sea) for {', '.join(done.missing)}")
+        print_note(f"the source has no tile (usually sea) for {', '.join(done.missing)}")
     return tuple(str(path) for path in done.files)
 
 
@@ -411,16 +415,19 @@ def _explained() -> Iterator[None]:
 
 
 @contextmanager
-def _locked(folder: Path, say: Say | None = None) -> Iterator[bool]:
-    """Hold the lock of an area; yields whether it is held, and waits for it if ``say`` is given."""
+def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
+    """Hold the lock of an area; yields whether it is held.
+
+    The lock is waited for if ``print_note`` is given.
+    """
     with (folder / "lock").open("w") as file:
         is_alone = True
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            is_alone = say is not None
-            if say is not None:
-                say(f"waiting for another skyline, which is making {folder}")
+            is_alone = print_note is not None
+            if print_note is not None:
+                print_note(f"waiting for another skyline, which is making {folder}")
                 fcntl.flock(file, fcntl.LOCK_EX)
         except OSError:
             pass  # Some network folders have no locks.

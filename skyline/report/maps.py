@@ -44,7 +44,7 @@ _EDGE_POINTS = 65
 
 
 @dataclass(frozen=True, slots=True)
-class Area:
+class MapArea:
     """A rectangle of a map, in metres of its frame."""
 
     west_m: float
@@ -53,7 +53,7 @@ class Area:
     north_m: float
 
     @classmethod
-    def around(cls, easting_m: ArrayLike, northing_m: ArrayLike, least_m: float) -> "Area":
+    def around(cls, easting_m: ArrayLike, northing_m: ArrayLike, least_m: float) -> "MapArea":
         """Return the square around places, at least ``least_m`` wide, with a margin all round."""
         easting, northing = np.asarray(easting_m), np.asarray(northing_m)
         widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
@@ -62,12 +62,12 @@ class Area:
         north = float(northing.min() + northing.max()) / 2.0
         return cls(east - half, north - half, east + half, north + half)
 
-    def within(self, terrain: HeightField | None) -> "Area":
+    def within(self, terrain: HeightField | None) -> "MapArea":
         """Return the part of the area that a height field covers; all of it if there is none."""
         if terrain is None:
             return self
         west, south, east, north = terrain.bounds_m
-        part = Area(
+        part = MapArea(
             max(west, self.west_m),
             max(south, self.south_m),
             min(east, self.east_m),
@@ -83,12 +83,12 @@ class Area:
 
     @property
     def width_m(self) -> float:
-        """Extent from west to east."""
+        """MapArea from west to east."""
         return self.east_m - self.west_m
 
     @property
     def height_m(self) -> float:
-        """Extent from south to north."""
+        """MapArea from south to north."""
         return self.north_m - self.south_m
 
     @property
@@ -100,23 +100,23 @@ class Area:
         }
 
 
-def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> Area:
+def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> MapArea:
     """Return the area around places, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
-    return Area.around(easting, northing, 2.0 * _LEAST_SIDE_M).within(terrain)
+    return MapArea.around(easting, northing, 2.0 * _LEAST_SIDE_M).within(terrain)
 
 
-def detail_area(candidate: Candidate, terrain: HeightField | None) -> Area:
+def detail_area(candidate: Candidate, terrain: HeightField | None) -> MapArea:
     """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    return Area.around([candidate.easting_m], [candidate.northing_m], side_m).within(terrain)
+    return MapArea.around([candidate.easting_m], [candidate.northing_m], side_m).within(terrain)
 
 
 def draw_match_map(
     candidates: Sequence[Candidate],
-    area: Area,
+    area: MapArea,
     frame: Frame,
     viewpoints: Viewpoints,
     terrain: HeightField | None,
@@ -156,7 +156,7 @@ def draw_match_map(
     return figure
 
 
-def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
+def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: MapArea) -> int:
     """Draw the locations of the store within an area; return their number."""
     easting, northing = np.unique(
         np.stack([viewpoints.easting_m, viewpoints.northing_m]), axis=1
@@ -193,7 +193,7 @@ def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: f
     )
 
 
-def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Area) -> None:
+def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: MapArea) -> None:
     for peak in peaks:
         across = (peak.easting_m - area.west_m) / area.width_m
         near_west, near_east = across < _NEAR_BORDER, across > 1.0 - _NEAR_BORDER
@@ -222,7 +222,7 @@ def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
     """
     spacing_m = 2.0 * places.tolerance_m
     easting_m, northing_m = places.easting_m, places.northing_m
-    area = Area(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
+    area = MapArea(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
     height_in = _PLACES_WIDTH_IN * max(area.height_m, 1.0) / max(area.width_m, 1.0)
     figure = Figure(figsize=(_PLACES_WIDTH_IN + 1.0, height_in + 0.7), layout="constrained")
     axis = figure.subplots()
@@ -247,7 +247,7 @@ def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
     save_figure(figure, path)
 
 
-def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
+def draw_relief(axis: Axes, terrain: HeightField | None, area: MapArea) -> None:
     """Draw the terrain of an area, lit from the north-west and tinted by height.
 
     Without terrain the map stays plain, with a note.
@@ -265,7 +265,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
 
 
 def _crop(
-    terrain: HeightField, area: Area
+    terrain: HeightField, area: MapArea
 ) -> tuple[Float32Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, their extent (west, east, south, north) and their step."""
     top, left = (
@@ -288,14 +288,14 @@ def _crop(
     return heights, (float(west_m), float(east_m), float(south_m), float(north_m)), step
 
 
-def draw_bearings(axis: Axes, frame: Frame, area: Area) -> None:
+def draw_bearings(axis: Axes, frame: Frame, area: MapArea) -> None:
     """Draw degrees along the borders and across the map, a scale bar and true north."""
     _draw_degrees(axis, frame, area)
     _draw_scale(axis, frame, area)
     _draw_north(axis, frame, area)
 
 
-def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
+def _draw_degrees(axis: Axes, frame: Frame, area: MapArea) -> None:
     along = np.linspace(0.0, 1.0, _EDGE_POINTS)
     easting = area.west_m + along * area.width_m
     northing = area.south_m + along * area.height_m
@@ -318,7 +318,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
         label.set_verticalalignment("center")
 
 
-def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
+def _draw_scale(axis: Axes, frame: Frame, area: MapArea) -> None:
     """Draw a scale bar in the lower left; its label gives the length on the ground."""
     scale = float(frame.scale(**area.centre))
     length_m = _nice_length(0.28 * area.width_m / scale)
@@ -341,7 +341,7 @@ def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
     )
 
 
-def _draw_north(axis: Axes, frame: Frame, area: Area) -> None:
+def _draw_north(axis: Axes, frame: Frame, area: MapArea) -> None:
     """Draw an arrow to true north in the upper left."""
     turn = -math.radians(float(frame.convergence_deg(**area.centre)))
     length = 0.075 * min(area.width_m, area.height_m)

@@ -17,7 +17,7 @@ from skyline.files import write_whole
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.figures import save_figure
-from skyline.report.maps import Area, draw_bearings, draw_relief
+from skyline.report.maps import MapArea, draw_bearings, draw_relief
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -95,7 +95,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     # Each candidate stands in the middle of its cell; one row or column has the others' spacing.
     known_m = [abs(float(axis[1] - axis[0])) for axis in (columns_m, rows_m) if len(axis) > 1]
     east_m, north_m = known_m[0], known_m[-1]
-    area = Area(
+    area = MapArea(
         float(columns_m[0]) - east_m / 2.0,
         float(rows_m[-1]) - north_m / 2.0,
         float(columns_m[-1]) + east_m / 2.0,

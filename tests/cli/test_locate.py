@@ -267,7 +267,7 @@ def test_one_process_waits_for_another_and_clear_leaves_its_area(cache, server):
     kept = store.rename(cache / "kept.h5")
     notes, ended = [], threading.Event()
 
-    def say(note):
+    def print_note(note):
         notes.append(note)
         if "waiting" in note:
             ended.set()
@@ -275,7 +275,7 @@ def test_one_process_waits_for_another_and_clear_leaves_its_area(cache, server):
     with areas._locked(folder) as is_alone:
         assert is_alone
         assert areas.clear_cache() == 0
-        waiting = threading.Thread(target=lambda: prepare_area(area, say=say))
+        waiting = threading.Thread(target=lambda: prepare_area(area, print_note=print_note))
         waiting.start()
         assert ended.wait(20.0)
         kept.rename(store)
