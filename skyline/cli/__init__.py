@@ -10,8 +10,8 @@ from skyline.cli.console import command_line, run_app, with_quiet
 
 COMMANDS = {
     "Photos": {
-        "locate.locate": "Find where photos were taken: fetches the elevation of the area and "
-        "builds its store.",
+        "locate.locate": "Find where photos were taken, fetching the elevation of the area and "
+        "building its store.",
         "match.match": "Find where photos were taken and in which direction the camera looked.",
         "orient.orient": "Find how cameras were held at a known place: heading, pitch, roll and "
         "field of view.",
@@ -39,8 +39,8 @@ COMMANDS = {
     "Data": {
         "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
         "info.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "info.explain": "Show which terrain a skyline depends on, what is left out, and the "
-        "error of that.",
+        "info.explain": "Show which terrain a skyline depends on, which is left out, and the "
+        "resulting error.",
         "fetch.dem": "Elevation data for an area.",
         "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },

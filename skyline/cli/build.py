@@ -45,7 +45,7 @@ def build(
     places: Annotated[
         int | None,
         Option(
-            help="About so many places: dense where skylines are near, sparse where they are far. "
+            help="About this many places: dense where skylines are near, else sparse. "
             "A thousand take a quarter of a second on two cores without a GPU, and 0.7 MB.",
             show_default="100,000; fewer for small areas, more for large ones",
         ),

@@ -79,7 +79,7 @@ Surfaces = Annotated[
     ),
 ]
 RefractionK = Annotated[float, _terrain("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Take the Earth as flat.")]
+NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Assume a flat Earth.")]
 Crs = Annotated[str | None, _terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
 Reproject = Annotated[bool, _terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")]
 Width = Annotated[int, _terrain(help="Columns of a 90 degree view.")]
@@ -129,7 +129,7 @@ def _quiet_parameters() -> Any:
             Option(
                 "--quiet",
                 "-q",
-                help="Print no progress, notes and warnings; errors stay.",
+                help="Print results and errors only: no progress, notes or warnings.",
                 callback=_be_quiet,
                 expose_value=False,
             ),

@@ -47,7 +47,7 @@ def info(
     path: Annotated[
         list[str] | None, Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store.")
     ] = None,
-    gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used and why.")] = False,
+    gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used, and why.")] = False,
     as_json: AsJson = False,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -77,7 +77,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show which terrain a skyline depends on, what is left out, and the error of that."""
+    """Show which terrain a skyline depends on, which is left out, and the resulting error."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     wanted = "LON,LAT in degrees, or easting and northing in metres"
@@ -147,7 +147,7 @@ def _describe_terrain(field: HeightField) -> Facts:
 
 
 def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) -> Facts:
-    """Return the terrain that is modelled for one viewpoint and left out, and the error of that."""
+    """Return the terrain modelled for one viewpoint, the terrain left out, and the error."""
     # Only a skyline rendered without a tolerance shows the error that the tolerance makes.
     exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
     given = render_views(terrain, eye, config)

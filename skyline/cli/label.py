@@ -65,7 +65,9 @@ def label(
     ],
     output: Annotated[
         Path,
-        Option("--output", "-o", metavar="FILE", help=f"By its suffix: {', '.join(_LABEL_FILES)}."),
+        Option(
+            "--output", "-o", metavar="FILE", help=f"The file to write: {', '.join(_LABEL_FILES)}."
+        ),
     ],
     at: CameraPlace = None,
     pose: Annotated[Path | None, _POSE] = None,
@@ -125,10 +127,10 @@ def pixels(
     output: Annotated[
         Path,
         Option(
-            "--output", "-o", metavar="FILE", help=f"By its suffix: {' or '.join(PIXEL_FILES)}."
+            "--output", "-o", metavar="FILE", help=f"The file to write: {' or '.join(PIXEL_FILES)}."
         ),
     ],
-    step: Annotated[int, Option(min=1, help="Of so many rows and columns take one.")] = 1,
+    step: Annotated[int, Option(min=1, help="Take every Nth row and column.")] = 1,
     projection: PhotoProjection = None,
     crs: Crs = None,
     reproject: Reproject = False,

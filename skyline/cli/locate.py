@@ -29,8 +29,8 @@ def locate(
         str | None,
         Option(
             metavar="LON,LAT,KM|W,S,E,N|NAME[,KM]",
-            help="Search within so many km of a point, in a box in degrees, or round a place that "
-            "the file of --peaks names.",
+            help="Search within KM of a point, in a box in degrees, or round a place named in the "
+            "file of --peaks.",
             show_default="10 km round the photo's own GPS position",
         ),
     ] = None,
@@ -50,7 +50,7 @@ def locate(
         str | None,
         Option(
             metavar="NAME|URL",
-            help=f"Source of tiles, as of `dem fetch`: {', '.join(SOURCES)}, or an address.",
+            help=f"Source of tiles, as for `dem fetch`: {', '.join(SOURCES)}, or an address.",
             show_default="$SKYLINE_DEM_SOURCE, else copernicus",
         ),
     ] = None,
@@ -64,7 +64,7 @@ def locate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find where photos were taken: fetches the elevation of the area and builds its store.
+    """Find where photos were taken, fetching the elevation of the area and building its store.
 
     Both are kept for the next photo of the area; `skyline cache` lists them.
     """

@@ -59,7 +59,7 @@ def match(
         Argument(
             metavar="QUERY...",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. Stores "
-            "named before them are searched as one with the first: areas of one DEM.",
+            "named before them are searched together with STORE; all must be of one DEM.",
         ),
     ],
     fov_deg: FieldOfView = None,
@@ -67,7 +67,7 @@ def match(
         str | None,
         Option(
             metavar="LON,LAT,KM|W,S,E,N",
-            help="Search only within so many km of a point, or in a box, in degrees.",
+            help="Search only within KM of a point, or in a box in degrees.",
         ),
     ] = None,
     dem: StoreDem = None,
@@ -82,7 +82,7 @@ def match(
     projection: PhotoProjection = None,
     same_place: Annotated[
         bool,
-        _known("--same-place", help="All photos were taken at one place: find it from all."),
+        _known("--same-place", help="All photos were taken at one place; find that place."),
     ] = False,
     use_gps: Annotated[
         bool,
@@ -100,7 +100,7 @@ def match(
         list[Path] | None,
         _files(
             metavar="FILE",
-            help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
+            help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated.",
         ),
     ] = None,
     peaks: Annotated[

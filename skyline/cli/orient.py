@@ -56,7 +56,8 @@ def orient(
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
     csv_file: Annotated[
-        Path | None, Option("--csv", metavar="FILE", help="Write a row for each photo.")
+        Path | None,
+        Option("--csv", metavar="FILE", help="Write a table with a row for each photo."),
     ] = None,
     as_json: AsJson = False,
     crs: Crs = None,

@@ -54,7 +54,8 @@ def extract(
 def serve(
     store: StoreFile,
     photos: Annotated[
-        list[Path] | None, Argument(metavar="[PHOTO...]", help="Photos that the page begins with.")
+        list[Path] | None,
+        Argument(metavar="[PHOTO...]", help="Photos that are open on the page at first."),
     ] = None,
     dem: StoreDem = None,
     peaks: Annotated[
@@ -62,10 +63,10 @@ def serve(
         Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m]."),
     ] = None,
     port: Annotated[
-        int, Option(min=0, max=65535, help="Port of the page; 0 takes any that is free.")
+        int, Option(min=0, max=65535, help="Port of the page; 0 takes any free port.")
     ] = 8765,
     host: Annotated[
-        str, Option(help="Address to listen on; another lets other machines in.")
+        str, Option(help="Address to listen on; any but the default lets other machines in.")
     ] = "127.0.0.1",
 ) -> None:
     """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""

@@ -81,7 +81,7 @@ def render(
         float | None,
         _of_planners(
             "--threshold-px",
-            help="A location is covered if a rendered skyline differs by at most so many pixels.",
+            help="A location is covered if a rendered skyline differs by at most this many pixels.",
             show_default=f"{_PLANNED.threshold_px:g}",
         ),
     ] = None,

@@ -59,8 +59,8 @@ SummitWithin = Annotated[
     Option(
         "--summit-within",
         metavar="M",
-        help="Stand on the highest point within so many metres. By default an eye stays where it "
-        "is and, beside a summit of the model, stands as high as it; 0 leaves it on the slope.",
+        help="Stand on the highest point within M metres. By default an eye keeps its place and, "
+        "beside a summit of the model, stands as high as the summit; 0 leaves it on the slope.",
     ),
 ]
 EyeHeight = Annotated[float, Option("--eye-height", metavar="M", help="Metres above ground.")]
@@ -146,7 +146,8 @@ def panorama(
     dem: Dems,
     at: Annotated[str, Option(metavar="LON,LAT", help="The place, degrees (WGS 84).")],
     output: Annotated[
-        Path, Option("--output", "-o", metavar="FILE", help="PNG, SVG or PDF, by its suffix.")
+        Path,
+        Option("--output", "-o", metavar="FILE", help="The file to write: .png, .svg or .pdf."),
     ],
     peaks: Annotated[
         Path | None,
@@ -156,10 +157,10 @@ def panorama(
         ),
     ] = None,
     heading: Annotated[
-        float, Option(metavar="DEG", help="The picture's middle, from true north.")
+        float, Option(metavar="DEG", help="Azimuth of the picture's middle, from true north.")
     ] = _PANORAMA.heading_deg,
     fov_deg: Annotated[
-        float, Option("--fov-deg", help="The picture's angle, 5 to 360.")
+        float, Option("--fov-deg", help="The picture's width in degrees, 5 to 360.")
     ] = _PANORAMA.fov_deg,
     eye_height: EyeHeight = _PANORAMA.eye_height_m,
     summit_within: SummitWithin = None,
