@@ -1,8 +1,8 @@
-"""How cameras stood at known places: photographs, made photos, a webcam, and what they show.
+"""Poses at known places: of photographs, made photos and a webcam, and the summits they show.
 
-Made photos see the elevation model with errors of 10 m rms added, and the place that is given is
-50 m beside the true one: as much as a phone and a model are off. Strangers are photos of other
-terrain, given any place.
+Made photos see the elevation model with errors of 10 m rms added, and the given place is 50 m
+beside the true one: models and phones are off by as much. Strangers are photos of other terrain,
+with any place given.
 """
 
 import math

@@ -1,9 +1,9 @@
 """The paper's tables: its simulation (Table 1), and its predictors compared with renderings.
 
 The simulation (section 5.1) compares the strategies by (A), the viewpoints rendered, corners
-included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. A
-strategy needs at least as many viewpoints as there are locations to cover over the mean area of its
-views; ``bound`` is that number.
+included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. The
+least number of viewpoints of a strategy, ``bound``, is the number of locations to cover divided by
+the mean area of its views.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Names of summits and places of pixels in made photos, against the terrain that the photos show.
 
 A summit is a sample that is the highest for 500 m around. It is visible if no terrain stands before
-it, up to 150 m from it: nearer ground is the summit's own. What hides a summit is found in steps of
-1 m along the line of sight, and where a pixel's ray meets the ground in steps of 5 m.
+it, up to 150 m from it: nearer ground is the summit's own. Lines of sight to summits are followed
+in steps of 1 m, and the rays of pixels in steps of 5 m.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
-"""Speed: every way to a skyline against its error, and very large DEMs.
+"""Speed: the time and the error of each program that computes skylines, and very large DEMs.
 
-Times are medians after a warm-up, taken in turns, all cores for everyone. They wander on shared
-machines: compare what was timed in one run.
+Times are medians after a warm-up; the programs take turns, and each has all cores. Times vary on
+shared machines, so compare only times of one run.
 """
 
 import logging

@@ -1,4 +1,4 @@
-"""How what Skyline has learned is made: its sky model, and its confidence.
+"""Training of the sky model and of the confidence.
 
 `python -m skyline_training` lists the commands. Drawn photographs (`landscapes`, `plain_photos`,
 `photos`) train the network of the sky model (`network`); matched queries train the confidence

@@ -18,7 +18,9 @@ from skyline_training.photos import draw_training_photos
 _QUICK_PLACES = 2_000
 """Places of each store of a quick run."""
 
-app = command_line("skyline_training", "Train what Skyline has learned. Times are of 2 cores.")
+app = command_line(
+    "skyline_training", "Train the sky model and the confidence. Times are of 2 cores."
+)
 
 
 @app.command("sky-model", short_help="The network that finds skylines in photos (an hour).")

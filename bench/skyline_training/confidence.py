@@ -1,12 +1,12 @@
-"""Learning how far a match can be believed, and showing that it can.
+"""Learning the confidence of a match, and testing its reliability.
 
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
 and Everest: skylines with errors and things in front, of the store's own model and of others; made
 photographs, whose skylines are extracted; photos that note where they were taken, rightly or
 wrongly. For each query the figures of the best pose (`skyline.match.confidence`) and its error are
 an example. A pose is right if it lies near the truth and looks the same way. A logistic model is
-fitted to the examples with a small ridge, and its reliability is shown on Davos. From examples
-that were kept another model is learned in seconds.
+fitted to the examples with a small ridge, and its reliability is shown on Davos. From kept
+examples, another model is learned in seconds.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Landscapes with known skylines: a fractal height field seen in perspective, lit, and veiled.
 
-Columns of the picture march over the height field together, nearest first; what rises above all
-that is nearer is seen. Everything that differs between photographs is drawn at random.
+Columns of the picture march over the height field together, nearest first; a point is seen if it
+rises above all nearer points. Everything that differs between photographs is drawn at random.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ SKY, GROUND, COVER, UNKNOWN = 0, 1, 2, 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingPhoto:
-    """A photograph and what is true of it."""
+    """A photograph, with the true label of each pixel and the true skyline."""
 
     image: UInt8Array  # (H, W, 3)
     label: UInt8Array  # (H, W)
-    row_px: Float32Array  # (W,); the skyline, in rows; NaN where none is to be seen
+    row_px: Float32Array  # (W,); the skyline, in rows; NaN where none is seen
 
 
 @dataclass(slots=True, eq=False)

@@ -1,8 +1,8 @@
 """Train the network that finds each column's skyline, and write it as Skyline reads it.
 
-An encoder down to a thirty-second of the size and a decoder back up to half of it. Of each of
-these pixels it gives four numbers: the log-odds that the column's skyline runs there, against the
-column showing none (0); and scores of sky, ground and cover, which only training asks for.
+An encoder goes down to a thirty-second of the size, and a decoder back up to half of it. Each of
+these pixels gets four numbers: the log-odds that the column's skyline runs there, relative to a
+column without a skyline (0), and scores of sky, ground and cover, which only training uses.
 """
 
 import gzip

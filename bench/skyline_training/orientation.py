@@ -1,7 +1,7 @@
-"""Learning how far a heading at a known place can be believed.
+"""Learning the confidence of a heading at a known place.
 
-Synthetic queries are oriented from places beside the true ones, as far off as they are said to be;
-strangers, photos of other terrain, from any place. For each the figures of the best pose
+Synthetic queries are oriented from places that are off by their stated error; strangers, photos of
+other terrain, from any place. The figures of a best pose
 (`skyline.match.confidence.oriented_figures`) and the error of its heading are an example.
 """
 

@@ -1,4 +1,4 @@
-"""Panoramas as phones make them, of a real elevation model: what `skyline-bench photos` measures.
+"""Panoramas as phones make them, of a real elevation model, for `skyline-bench photos`.
 
 Two thirds of a turn, 8240 x 1941 px, with haze, clouds behind the ridges, a horizon that sags and
 the seams of stitching. Nothing is trained on them.
@@ -26,7 +26,7 @@ from skyline_training.photos import developed, stitch
 
 FOV_DEG = 239.0
 _DRAWN_PX, _TIMES = (2060, 485), 4
-"""Size at which panoramas are drawn, and how many times larger they are written."""
+"""Size at which panoramas are drawn, and the factor by which they are enlarged."""
 _RENDERED_PX = 2048
 _WITHIN_M = 4_500.0
 """Of the area's middle: eyes this near to one another are searched in one area."""

@@ -1,7 +1,7 @@
-"""Training photographs: landscapes with what stands in front and what the camera made of them.
+"""Training photographs: landscapes with things in front, as a camera records them.
 
-Some are views of made terrain, as demos and tests draw them: their sky is the query maker's,
-smooth, with clouds that gather about the ridge.
+Some are views of made terrain, as demos and tests draw them: their sky is smooth, with clouds that
+gather about the ridge.
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
-"""Drawn mountain photos, hard ones, whose skyline is known: an extractor learns from them.
+"""Drawn mountain photos, hard ones, with known skylines, from which an extractor learns.
 
-No terrain and no renderer: fractal ridges in front of one another, shaded rock, snow, haze, skies
-and clouds, what stands in front of them, and what the camera and the file did afterwards. A
-`Recipe` says how much of each; `CONDITIONS` names the recipes.
+They use no terrain and no renderer, but fractal ridges in front of one another, shaded rock, snow,
+haze, skies and clouds, things in front, and the effects of camera and file. A `Recipe` says how
+much of each; `CONDITIONS` names the recipes.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """Work in as many processes as there are cores.
 
-Each has one thread, so that what is computed does not depend on how many cores there are.
+Each process has one thread, so that results do not depend on the number of cores.
 """
 
 import multiprocessing

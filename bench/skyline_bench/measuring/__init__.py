@@ -1,1 +1,1 @@
-"""Machine, clocks, memory, processes and records: how anything is measured."""
+"""Measuring: the machine, times, memory, processes and records."""

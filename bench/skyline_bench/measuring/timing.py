@@ -1,4 +1,4 @@
-"""Fair times and what memory they took: all cores for everyone, warmed up, taken in turns."""
+"""Times and memory of rival programs: each has all cores and a warm-up, and they take turns."""
 
 import os
 import re
@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 class Timing:
     """Medians over the repeats of one piece of work."""
 
-    seconds: float  # By the clock on the wall
+    seconds: float  # Wall-clock time
     cpu_seconds: float  # Processor time of the whole process, all its threads
 
 

@@ -1,6 +1,6 @@
 """A peer to be measured against: skylines from Embree's rays, a bisection in every column.
 
-The scene is the exact surface, so that every renderer answers for the same physics.
+The scene is the exact surface, so that all renderers share one physics.
 Curvature depends on the eye and a ray tracer's scene does not, so the samples are dropped around
 the DEM's middle c instead. That drop and the one around an eye e differ at p by a constant and
 2 k (p - e).(e - c), k being the drop per square metre: a shear. It keeps straight edges straight

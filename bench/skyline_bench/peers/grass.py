@@ -1,8 +1,8 @@
 """A peer to be measured against: GRASS' r.horizon, place by place (`grass` on the path).
 
-It stands on the ground of the nearest sample, knows no curvature in metric frames, counts its
-azimuths from true north and has no angle below zero. So the height field is its map, and what
-it is compared with stands there too, on a flat Earth, and is cut off at zero.
+r.horizon puts the eye on the ground of the nearest sample, knows no curvature in metric frames,
+counts its azimuths from true north and has no angle below zero. So its map is the height field, and
+it is compared with skylines from that sample, on a flat Earth, cut off at zero.
 """
 
 import re

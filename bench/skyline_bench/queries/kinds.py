@@ -1,6 +1,6 @@
-"""Kinds of synthetic queries: what a camera sees, how well, and of which elevation model.
+"""Kinds of synthetic queries, by the camera's view, its errors and its elevation model.
 
-A query is the photos that were taken at one place: one, or several that are matched together.
+A query is one photo, or several photos of one place that are matched together.
 """
 
 import itertools
@@ -27,7 +27,7 @@ Query = tuple[SyntheticQuery, ...]
 PHOTOS = 3
 """Photos of one place, where there are several."""
 _HALF_SIDE_M = 4_000.0
-"""Of the square in strange terrain that queries come from."""
+"""Half the side of the square in strange terrain that queries come from."""
 
 
 OTHER_DEM, STRANGERS = "other-dem", "strangers"

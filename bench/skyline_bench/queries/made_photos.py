@@ -1,7 +1,7 @@
 """Made photographs: a pin-hole camera's view of the terrain, with a known pose.
 
-Demos and benchmarks match them. The terrain is looked up in depth images, shaded
-by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
+Demos and benchmarks match them. The terrain is looked up in depth images, shaded by its slope,
+veiled by haze and put under a sky. The file does not contain the pose.
 """
 
 from dataclasses import dataclass

@@ -19,11 +19,11 @@ _BLACK = 128
 
 @dataclass(frozen=True, slots=True)
 class Photograph:
-    """One line of a manifest; what is None is not known."""
+    """One line of a manifest; None stands for an unknown value."""
 
     photo: Path  # A photo, or a trace that is matched as if it were one
     # ``locate``: its place is to be found. ``refuse``: no answer is right. ``extract``: only its
-    # skyline is looked at.
+    # skyline counts.
     kind: str
     # Where it was taken; of one to refuse, where the store is.
     lon: float | None = None

@@ -13,7 +13,7 @@ _MIN_FORWARD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pin-hole camera with square pixels; angles as in `matching.query.level`."""
+    """A pin-hole camera with square pixels; angles as in `skyline.match.query_rays`."""
 
     heading_deg: float  # Grid azimuth of the optical axis
     pitch_deg: float = 0.0  # Optical axis above the horizon

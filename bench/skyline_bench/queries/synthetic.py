@@ -1,9 +1,9 @@
-"""The query maker: what photos taken at random places would show, and where they were taken.
+"""Synthetic queries: the skylines of photos taken at random places, and their true poses.
 
-A synthetic query is what a matcher is given for a photo: the skyline's row in each column of an
-image, with the errors of an extraction, and a field of view that is nearly right. All is drawn
-from a seed, each query by itself: query k of a seed is the same whatever the number of queries,
-and its place and pose are the same whatever the noise, the occluders or the elevation model.
+A synthetic query holds what a matcher gets for a photo: the skyline's row in each column of an
+image, with the errors of an extraction, and a field of view that is nearly right. Each query is
+drawn from a seed by itself: query k of a seed is the same whatever the number of queries, and its
+place and pose are the same whatever the noise, the occluders or the elevation model.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Stores x queries: what is built, what is looked for, and how what is found is counted."""
+"""Comparisons of stores x queries: stores to build, trials, and summaries of the answers."""

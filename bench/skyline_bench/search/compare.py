@@ -1,4 +1,4 @@
-"""The comparison: every store is searched by every matcher that can, for the same queries."""
+"""The comparison: every matcher searches every store that it can read, for the same queries."""
 
 import logging
 import math

@@ -24,7 +24,7 @@ _LEAST_M = 1e-3
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
     """Return the numbers of queries by the distance of their skylines; all of them come last.
 
-    Queries are split at 150 and 400 m, or into thirds of one size to a query, as the paper does.
+    Queries are split at 150 and 400 m, or into thirds of equal size, as in the paper.
     """
     every = list(range(len(distance_m)))
     if not by_thirds:

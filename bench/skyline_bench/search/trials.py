@@ -1,4 +1,4 @@
-"""Trials: a store is searched by a matcher for queries; a trial is how far off the matcher is."""
+"""Trials: the error of a matcher that searches a store for a query."""
 
 import math
 import time
@@ -25,7 +25,7 @@ from skyline_bench.queries.synthetic import QueryConfig, Truth
 
 PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
 MATCHERS = (PAPER, CORRELATION, RETRIEVED, FULL)
-"""The matchers of Skyline, and the full one without its refinement: retrieved."""
+"""The matchers of Skyline, and ``retrieved``, the full one without its refinement."""
 
 STAGES = ("screened", "retrieved", "refined")
 """Stages of the full matcher: the places most alike, the short list of poses, the candidates."""
@@ -35,7 +35,7 @@ MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
 _TOP = 5
 _TURN_DEG = 10.0
 _SAMPLE = 100_000
-"""Places that their median spacing is taken from."""
+"""Number of places from which the median spacing is taken."""
 
 
 def searched_by(matcher: str) -> str:

@@ -1,4 +1,4 @@
-"""How far rendered skylines may be from the oracle's, and how far they are.
+"""Errors of rendered skylines against the oracle's, and the bounds on these errors.
 
 A path's error must stay within a bound derived from how it computes, column by column. The bound
 of the horizon path is that of 32-bit floats; the bound of the depth path is its quantization.

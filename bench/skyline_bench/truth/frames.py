@@ -1,6 +1,6 @@
 """Hard cases of map frames: degrees in, through `read_dem`, true azimuths out.
 
-The truth knows no map: from the eye, geodesics of WGS 84 leave at each column's true azimuth over
+The truth uses no map: from the eye, geodesics of WGS 84 leave at each column's true azimuth over
 terrain that is a function of place on the ellipsoid.
 """
 

@@ -1,10 +1,10 @@
-"""The float64 skyline of the exact surface: slow, plain, the truth for all else.
+"""The float64 skyline of the exact surface: slow and plain, the reference for all others.
 
 The vertical half-plane of a column meets the surface's edges where its ground ray crosses the
 three families of grid lines: the columns of samples, the rows, and the north-west to south-east
 diagonals. Between two samples of an edge the height is linear, and v is monotonic along the
-half-plane inside a triangle, so the greatest v over all crossings is the skyline. Every edge in
-front of the eye is looked at; nothing is culled.
+half-plane inside a triangle, so the greatest v over all crossings is the skyline. No edge in
+front of the eye is left out.
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""Hard cases: where the eye stands, what is steep or close, and the map as a whole."""
+"""Hard cases: of the eye's place, of steep or close terrain, and of the map as a whole."""
 
 from dataclasses import replace
 from functools import partial
