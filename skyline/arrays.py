@@ -17,7 +17,7 @@ UInt8Array = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
 Progress = Callable[[int, int], None]
-"""Called with the number of pieces of work that are done, and the number of all."""
+"""Called with the number of finished pieces of work, and the number of all pieces."""
 
 Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 

@@ -1,6 +1,6 @@
 """Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
 
-Jobs are few and long. The cluster runs each of them on any worker, tries it again where the worker
+Jobs are few and long. The cluster runs each of them on any worker, tries it again if the worker
 died or the job failed, and returns its result or its error.
 """
 
@@ -25,7 +25,7 @@ another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as 
 
 _CONNECT_S = 10
 
-# A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
+# A terminal sends Ctrl-C to workers as well, but only the main process answers it and stops them.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 _LOG = "from skyline.errors import start_logging; start_logging()"
 

@@ -27,9 +27,9 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
-"""A plan has about so many places, which two cores without a GPU render in half a minute.
-It has fewer in an area so small that they would lose a smaller share of the views than the first,
-and more in one so large that they would lose more than the second."""
+"""Default number of places, which two cores without a GPU render in half a minute, and bounds on
+the share of views that a plan loses: a small area gets fewer places, so that it loses the first
+share, and a large area more, so that it loses no more than the second."""
 
 _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024

@@ -2,9 +2,9 @@
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
 skyline shows whether more places there would pay, that is, save more views than the same number in
-other squares. Where they would, the next lattice, twice as dense, is filled in; a place that has
-been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned each on
-its own, and the result depends neither on the process that plans a block nor on the order.
+other squares. Where they would, the next lattice, twice as dense, is filled in. Every rendered
+place is kept. Each block of the map is planned on its own, and the result depends neither on the
+process that plans a block nor on the order.
 
 Between places a view's skyline differs from theirs by an angle of about the spacing over the
 skyline's distance. The odds that a whole search, refinement included, then fails grow with a power

@@ -23,7 +23,7 @@ _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "
 """Keys of a candidate that differ between photos of one place."""
 
 _BEYOND_SHARE = 0.1
-"""From this share of a skyline on, terrain beyond the elevation model is warned of."""
+"""Share of a skyline from which a line warns of terrain beyond the elevation model."""
 _FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
 """The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
 than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
@@ -35,12 +35,12 @@ _MIN_VISIBLE_DEG = 14.0
 """Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
 seven unknowns: below 14 degrees there are fewer rises than unknowns."""
 _NEAR_SLOPE_M = 150.0
-"""Skylines nearer than this, by their harmonic mean distance, tell too little in half of the
+"""Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
 photos: wrong slopes fit as well (docs/accuracy.md)."""
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
-"""A field of view counts as at an end of the range searched if it is nearer to it than this share
-of the range: fits that are held to a bound miss it by rounding."""
+"""A field of view counts as at an end of the searched range if its distance from the end is less
+than this share of the range: fits that are held to a bound miss it by rounding."""
 
 
 @dataclass(frozen=True, slots=True)

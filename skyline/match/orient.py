@@ -3,11 +3,11 @@
 The place is known to some metres; the heading may be any. The skylines of the place and of a ring
 of places around it are rendered, and a pose is fitted to each of them from every heading, as
 retrieval fits poses to the places of a store. The best poses are then refined by rendering, with
-the known place as a prior, so the eye moves where the skyline asks for it.
+the known place as a prior, so the eye may move.
 
 An orientation is trusted where the skylines fit, no other heading fits nearly as well, and the
-fit leaves little doubt about the heading. How much each of these counts was learned as the
-confidence of a match was (`skyline.match.confidence`).
+fit leaves little doubt about the heading. Their weights were learned like the confidence of
+a match (`skyline.match.confidence`).
 """
 
 import math

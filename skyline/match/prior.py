@@ -2,7 +2,7 @@ r"""Prior knowledge of a pose: the user's narrowing, the photo's EXIF, and the h
 
 A compass is little more than a hint. A position from EXIF has a long-tailed error: it is usually
 near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is
-that of another photo, or the phone's last fix before it was carried away. The density of the true
+that of another photo or an old fix of the phone. The density of the true
 place at distance d from a noted position is therefore
 
 .. math::
@@ -25,9 +25,9 @@ from skyline.photo.exif import NotedPlace
 from skyline.store.places import Places
 
 _WRONG_SHARE = 0.05
-"""w. Of 20 photos with a position that were looked at, one lay 6 km off."""
+"""w. Of 20 photos examined, one had a position 6 km off."""
 _ANYWHERE_M2 = 1e9
-"""A: within 18 km, as in a search without a noted position."""
+"""A, a circle of 18 km: the area of a search without a noted position."""
 _COMPASS_WRONG_SHARE = 0.2
 """Share of photos whose compass was disturbed, as by a car, a railing or a case."""
 _REACH_M, _REACH_SD = 1000.0, 3.0

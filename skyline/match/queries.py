@@ -1,8 +1,8 @@
 """Queries: photos, masks and traces, each with its camera and narrowing; lists; matching many.
 
-On workers, each of which opens the store once, a store of many places is screened in parts, so that
-one query keeps many workers busy. The places of all parts are joined, and one worker fits and
-refines the best. The answers are those of one process, to the bit.
+Each worker opens the store once. A store of many places is screened in parts, so that one query
+keeps many workers busy. The places of all parts are joined, and one worker fits and refines the
+best. The answers are those of one process, to the bit.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""The terrain of a store: how it is found, and how refinement and reports render it."""
+"""The terrain of a store: finding it, and rendering it for refinement and reports."""
 
 import logging
 from collections.abc import Callable

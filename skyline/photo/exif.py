@@ -1,8 +1,7 @@
 """The place and the heading that a photo's EXIF notes.
 
-Tags mean what the standard defines (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the meaning
-of a number is missing, the number is not guessed but left aside, with a sentence that gives the
-reason.
+Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
+meaning of a number is missing, the number is left aside, with a sentence that gives the reason.
 """
 
 import re

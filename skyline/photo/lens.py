@@ -1,4 +1,4 @@
-"""The field of view that a photo's EXIF and XMP note, by the witnesses in them that agree.
+"""The field of view that a photo's EXIF and XMP note, from the values in them that agree.
 
 EXIF notes a lens in up to three ways: the 35 mm equivalent (CIPA DCG-001 compares diagonals), the
 focal length with the resolution of the focal plane, and the focal length with the camera's model,
@@ -7,8 +7,8 @@ cameras or in edited files, so one alone is a hint, and only two that agree are 
 
 All describe the frame whose size the camera noted; a panorama notes its own frame in XMP. A file of
 the frame's shape was at most resized, which changes nothing. A file of another shape was cropped,
-and shows at most the frame. So was a file of a shape that no camera takes, even if the noted size
-agrees with it: programs that crop note the size anew.
+and shows at most the frame. A file of a shape that no camera takes was cropped too, even if the
+noted size agrees with it: programs that crop note the new size.
 """
 
 import re

@@ -1,7 +1,8 @@
 """The OpenGL context without a display, one per process, and a thread that renders for all others.
 
-OpenGL 4.3 is required, for its compute shaders. The order is EGL on a GPU, EGL on Mesa's software
-rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of them alone.
+OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU,
+EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
+them alone.
 
 Threads: the context belongs to the thread that first acquired it, and `acquire` refuses any other
 thread. Processes: drivers keep threads of their own, which a fork does not copy, so a child forked

@@ -1,8 +1,8 @@
 """The terrain and the named summits that one eye sees in a panorama.
 
 Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; a point is
-seen if it stands higher than all nearer points. Blocks of terrain that nearer terrain hides are
-never read.
+seen if its elevation angle is greater than those of all nearer points. Blocks of terrain that
+nearer terrain hides are never read.
 """
 
 import itertools

@@ -1,7 +1,7 @@
 """A copy of a photo with the place and the heading of a pose in its EXIF (2.32, 4.6.6).
 
-A JPEG keeps its pixels bit for bit. In its EXIF all but the GPS directory keeps its position, since
-makers' notes hold offsets and previews lie there. Any other photo is written as a JPEG of the
+A JPEG keeps its pixels bit for bit. All of its EXIF but the GPS directory keeps its position, since
+maker's notes and previews depend on offsets. Any other photo is written as a JPEG of the
 upright picture. XMP tags of the camera's place and attitude are removed.
 """
 

@@ -1,8 +1,8 @@
 """Rows of a store as an `xarray.Dataset`: angles in degrees, places in degrees and metres.
 
-Skylines are rendered by grid azimuth, and the grid turns from true north by another angle at every
-place. So the grid azimuths of places are a dimension, which all places share, and the azimuths from
-true north are a coordinate of two dimensions.
+Skylines are rendered by grid azimuth, and the angle from true north to grid north differs from
+place to place. So the grid azimuths of places are a dimension, which all places share, and the
+azimuths from true north are a coordinate of two dimensions.
 """
 
 from typing import Any

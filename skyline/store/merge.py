@@ -3,8 +3,8 @@
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
 are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
 nor on how they were cut. Stores of several boxes of one DEM may overlap. The lattices on which
-places are planned are nested, so that the denser plan has all places of the other; of a place that
-both have, the one that represents less ground is kept, as the denser plan has it.
+places are planned are nested, so the denser plan has all places of the other. If both plans have
+a place, the row that represents less ground is kept, which is that of the denser plan.
 
 A file whose structures were forged together with their checksums may hang or crash HDF5 itself.
 `check_store` therefore reads in a process of its own, which may die.

@@ -20,7 +20,7 @@ _NEWTON_STEPS = 4
 _MET_RAD = 1e-6
 """Angle between a ray and the terrain below which they have met."""
 _REACH_SAMPLES = 2.0
-"""Farthest that the distance of a ray's own azimuth is sought from that of the azimuth near it."""
+"""Greatest change, in samples, from the distance at a nearby azimuth to that at a ray's own."""
 
 
 def edge_crossings_m(

@@ -1,7 +1,7 @@
 """Tiles of one elevation model: their grids, whether they fit together, and their common mosaic.
 
 A tile is one raster of heights that is described but not yet read. `skyline.terrain.rasters` makes
-tiles of files, open datasets and arrays; here they are all treated alike.
+tiles of files, open datasets and arrays; this module treats all of them alike.
 """
 
 import logging

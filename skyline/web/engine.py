@@ -23,7 +23,7 @@ from skyline import (
 T = TypeVar("T")
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
-"""Number of threads for each kind of work, so that no kind waits for another."""
+"""Number of threads of each kind of work; no kind waits for another."""
 _NAME_LENGTH = 100
 
 

@@ -1,4 +1,4 @@
-"""The HTTP server of the page and the guard that answers its own page only.
+"""The HTTP server of the page, and the guard that refuses requests of other pages.
 
 A web page from anywhere can make a browser send requests to this machine. Such a request names
 another origin or, if a domain name was made to resolve to this machine, another host.
