@@ -6,8 +6,8 @@ retrieval fits poses to the places of a store. The best poses are then refined b
 the known place as a prior, so the eye may move.
 
 An orientation is trusted where the skylines fit, no other heading fits nearly as well, and the
-fit leaves little doubt about the heading. Their weights were learned like the confidence of
-a match (`skyline.match.confidence`).
+fit leaves little doubt about the heading. The weights of these three were learned like the
+confidence of a match (`skyline.match.confidence`).
 """
 
 import math

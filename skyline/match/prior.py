@@ -2,8 +2,8 @@ r"""Prior knowledge of a pose: the user's narrowing, the photo's EXIF, and the h
 
 A compass is little more than a hint. A position from EXIF has a long-tailed error: it is usually
 near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is
-that of another photo or an old fix of the phone. The density of the true
-place at distance d from a noted position is therefore
+that of another photo or an old fix of the phone. The density of the true place at distance d from
+a noted position is therefore
 
 .. math::
 

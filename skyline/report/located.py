@@ -1,8 +1,8 @@
 """A copy of a photo with the place and the heading of a pose in its EXIF (2.32, 4.6.6).
 
 A JPEG keeps its pixels bit for bit. All of its EXIF but the GPS directory keeps its position, since
-maker's notes and previews depend on offsets. Any other photo is written as a JPEG of the
-upright picture. XMP tags of the camera's place and attitude are removed.
+maker's notes and previews depend on offsets. Any other photo is written as a JPEG of the upright
+picture. XMP tags of the camera's place and attitude are removed.
 """
 
 import io
