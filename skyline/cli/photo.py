@@ -60,7 +60,7 @@ def serve(
     dem: StoreDem = None,
     peaks: Annotated[
         Path | None,
-        Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m]."),
+        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m]."),
     ] = None,
     port: Annotated[
         int, Option(min=0, max=65535, help="Port of the page; 0 takes any free port.")
