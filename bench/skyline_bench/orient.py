@@ -90,7 +90,8 @@ def orient(
 ) -> None:
     """How cameras stood at known places: photographs, or made photos, labels, pixels and a webcam.
 
-    docs/howto/comparing-grids.md has the columns of a manifest. Places are given to 50 m.
+    docs/howto/comparing-grids.md has the columns of a manifest. Places are given
+    to 50 m.
 
     An existing record keeps its rows of other DEMs and manifests.
     """

@@ -101,7 +101,8 @@ def photos(
 
     docs/howto/comparing-grids.md has the columns of a manifest.
 
-    An area of 22 km takes minutes to build, a photograph 10 s, one that is lost a minute.
+    An area of 22 km takes minutes to build, a photograph 10 s, one that is lost a
+    minute.
 
     --quick searches areas of 4 km, and three photographs of each kind.
     """
@@ -399,8 +400,8 @@ def sky_masks(
 ) -> None:
     """Skylines extracted from real photographs, against masks drawn by people.
 
-    Names are split in two by their hash: one half to develop on, and one that is only ever
-    measured. Columns whose mask has no edge are left out.
+    Names are split in two by their hash: one half to develop on, and one that is
+    only ever measured. Columns whose mask has no edge are left out.
     """
     masks = sorted(
         folder.glob("*.mask.png"),

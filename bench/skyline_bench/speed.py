@@ -69,10 +69,11 @@ def speed_error(
 ) -> None:
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
 
-    Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the columns that neither
-    side flags, in px of W = 640 whatever the width; of skylines all the way round, as places have
-    them, they are of elevation angles. Embree needs embreex (extra peers), GRASS `grass` on the
-    path: a peer that is not installed is left out.
+    Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the
+    columns that neither side flags, in px of W = 640 whatever the width; of
+    skylines all the way round, as places have them, they are of elevation angles.
+    Embree needs embreex (extra peers), GRASS `grass` on the path: a peer that is
+    not installed is left out.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:

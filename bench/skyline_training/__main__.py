@@ -37,8 +37,8 @@ def sky_model(
 ) -> None:
     """Train the network that finds skylines in photos on drawn photographs, and write it.
 
-    Skyline's own was trained for 4,500 steps on 6,000 photographs drawn as of 2026, then for 1,500
-    on 1,024 more, with --start.
+    Skyline's own was trained for 4,500 steps on 6,000 photographs drawn as of
+    2026, then for 1,500 on 1,024 more, with --start.
     """
     try:
         from skyline_training import network  # noqa: PLC0415  (torch is an extra)

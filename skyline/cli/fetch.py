@@ -43,8 +43,8 @@ def fetch(
 ) -> None:
     """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
 
-    The box must contain the area to build and all terrain that is seen from it. After a stop or a
-    failure, the same command continues.
+    The box must contain the area to build and all terrain that is seen from it.
+    After a stop or a failure, the same command continues.
     """
     bounds = parse_bounds(bbox)
     on_interrupt(

@@ -81,8 +81,8 @@ def label(
 ) -> None:
     """Write the names and distances of the summits that a photo shows on it.
 
-    The camera is oriented by the skyline at its place, unless its pose is given. Summits that
-    terrain hides are left out.
+    The camera is oriented by the skyline at its place, unless its pose is given.
+    Summits that terrain hides are left out.
     """
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import fill
 from types import MappingProxyType
 from typing import Annotated
 
@@ -43,6 +44,8 @@ class Search:
 
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
 """Of the paper's planner: from few renderings to many."""
+_HELP_COLUMNS = 78
+"""Help keeps the lines of later paragraphs, and terminals have 80 columns."""
 
 
 def _grids(holds: str = PLACES, spacings_m: Sequence[float] = _GRIDS_M) -> list[StoreSpec]:
@@ -240,9 +243,12 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         write_record(json_file, name, rows, summary)
 
     command.__name__ = name
-    command.__doc__ = (
-        f"{search.about}\n\n    Stores that are named (--spacing, --places, --threshold-px, "
-        "--store) are searched instead\n    of the usual ones. A query without any candidate "
-        "counts as wrong by half of the area's diagonal."
+    about = (
+        f"{search.about}\n\nStores that are named (--spacing, --places, --threshold-px, --store) "
+        "are searched instead of the usual ones. A query without any candidate counts as wrong by "
+        "half of the area's diagonal."
+    )
+    command.__doc__ = "\n\n".join(
+        fill(" ".join(one.split()), _HELP_COLUMNS) for one in about.split("\n\n")
     )
     return command
