@@ -39,7 +39,7 @@ from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.measuring.record import Row, write_record
 from skyline_bench.search.specs import middle_deg
 
-_SIDE_M = 5000.0
+_SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
 """Of the area that is built again and again."""
 _PLACES_A_PART, _VIEWPOINTS_A_PART = 256, 16
 """Parts of a fraction of a second, so that builds are killed between many of them."""
@@ -75,12 +75,12 @@ def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkPr
     return process
 
 
-def _kills(dem: Path, builds: int, folder: Path) -> Iterator[Row]:
+def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]:
     """Kill builds at random instants, and let the same command finish them."""
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
     terrain, generator = read_dem([dem]), np.random.default_rng(0)
     plans._PLACES_A_PART, plans._VIEWPOINTS_A_PART = _PLACES_A_PART, _VIEWPOINTS_A_PART
-    kinds = _plans(terrain, middle_deg(terrain, (_SIDE_M, _SIDE_M)))
+    kinds = _plans(terrain, middle_deg(terrain, (side_m, side_m)))
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
         started = time.perf_counter()
@@ -120,10 +120,10 @@ def _parts(path: Path) -> dict[str, bytes]:
     return {part.name: part.read_bytes() for part in parts_folder(path).glob("*-of-*.h5")}
 
 
-def _damage(dem: Path, flips: int, cases: int, folder: Path) -> Iterator[Row]:
+def _damage(dem: Path, flips: int, cases: int, side_m: float, folder: Path) -> Iterator[Row]:
     """Flip bits of stores, and mutate their files."""
     terrain = read_dem([dem])
-    kinds = _plans(terrain, middle_deg(terrain, (_SIDE_M, _SIDE_M)))
+    kinds = _plans(terrain, middle_deg(terrain, (side_m, side_m)))
     for name in ("places of a grid", "renderings"):
         whole = folder / f"{name}.h5"
         _start(terrain, whole, kinds[name][0], 0).join()
@@ -344,10 +344,11 @@ def store_durability(
     quick: options.Quick = False,
 ) -> None:
     """Builds killed at random instants, with workers too; bits flipped; files mutated."""
+    side_m = _SIDE_M
     if quick:
-        builds, flips, cases = min(builds, 4), min(flips, 5), min(cases, 10)
+        builds, flips, cases, side_m = min(builds, 4), min(flips, 5), min(cases, 10), _QUICK_SIDE_M
     rows: list[Row] = []
-    for test in (partial(_kills, dem, builds), partial(_damage, dem, flips, cases)):
+    for test in (partial(_kills, dem, builds, side_m), partial(_damage, dem, flips, cases, side_m)):
         with tempfile.TemporaryDirectory() as folder:
             for row in test(Path(folder)):
                 rows.append(row)
