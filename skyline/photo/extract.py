@@ -70,8 +70,8 @@ _LEAST_PIXELS = 110_000
 _MULTIPLE_PX = 32
 """The sides of the network's input are multiples of this."""
 _WORK_PIXELS = 400_000
-"""Working size, to which photos are reduced for their edges and for the path along them;
-panoramas to one larger by the same factor."""
+"""Working size of photos, at which their edges and the path along them are found. It grows with the
+aspect of panoramas as the network's input does."""
 
 _LEVELS = (1.0, 99.0)
 """Percentiles of a channel that become its darkest and its brightest value."""

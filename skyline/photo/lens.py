@@ -25,7 +25,7 @@ from PIL.ExifTags import Base
 from skyline.photo.exif import Tags, positive, text_of
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 
-FULL_FRAME_MM = hypot(36.0, 24.0)
+_FULL_FRAME_MM = hypot(36.0, 24.0)
 """Diagonal of 35 mm film."""
 _SEVERAL_SENSORS = re.compile("apple|honor|huawei|lg|microsoft|nokia|samsung sm-", re.IGNORECASE)
 """Phones, whose models do not say which of their cameras took a photo."""
@@ -102,7 +102,7 @@ def _sensors_by_model() -> dict[str, Sensor]:
         for one in import_module("lensfunpy").Database().cameras:
             if not _SEVERAL_SENSORS.match(f"{one.maker} {one.model}"):
                 found[_model_key(one.model)].append(
-                    Sensor(one.model, FULL_FRAME_MM / one.crop_factor)
+                    Sensor(one.model, _FULL_FRAME_MM / one.crop_factor)
                 )
     return {
         key: sensors[0]
@@ -290,7 +290,7 @@ def _witnesses(
     film = known = None
     against = []
     if equivalent_mm is not None:
-        film = _Witness("35 mm equivalent", equivalent_mm / FULL_FRAME_MM)
+        film = _Witness("35 mm equivalent", equivalent_mm / _FULL_FRAME_MM)
         if not _is_lens(film.diagonals, focal_mm):
             against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm is no lens's")
             film = None
