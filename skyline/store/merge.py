@@ -134,24 +134,25 @@ def merged_rows(
 
     The rows wait in a nameless file in ``folder``, unpacked. Raises as `merge_stores`.
     """
-    stores = []
+    counted, headers = [], []
     for path in paths:
-        # Each store is closed at once: there may be more stores than files can be open.
+        # Each store is closed at once, and not kept: there may be more stores than files can be
+        # open, and h5py looks through all of its objects, closed ones too, whenever it closes one.
         with open_store(path) as store:
-            stores.append(store)
-    for store in stores[1:]:
-        one, other = stores[0].path, store.path
+            counted.append((store.path, len(store)))
+            headers.append(store.header)
+    one, header = counted[0][0], headers[0]
+    for (other, _), differing in zip(counted[1:], headers[1:], strict=True):
         refuse_mismatch(
-            (stores[0].header.anywhere, f"in {one.name}"),
-            (store.header.anywhere, f"in {other.name}"),
+            (header.anywhere, f"in {one.name}"),
+            (differing.anywhere, f"in {other.name}"),
             f"stores {one} and {other} cannot be joined",
             "build both with the same settings from one DEM of both areas: skylines show terrain "
             "far around them",
         )
-    headers = [store.header for store in stores]
     # The header must not depend on the order of the stores.
     header = replace(
-        headers[0],
+        header,
         config=_joint_config(headers),
         dem_files=min(header.dem_files for header in headers),
         renderer="; ".join(
@@ -159,7 +160,6 @@ def merged_rows(
         ),
         package_version=max(header.package_version for header in headers),
     )
-    counted = [(store.path, len(store)) for store in stores]
     with _gathered(counted, header, folder) as columns:
         yield header, columns, sorted_once(header, columns)
 
