@@ -29,10 +29,9 @@ from skyline.errors import FetchError, InputError, MissingFileError, SkylineErro
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
-from skyline.terrain.dem import read_dem
+from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.rasters import absolute_name
-from skyline.terrain.saved import SUFFIX, save_field
 
 SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline

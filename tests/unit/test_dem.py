@@ -11,8 +11,7 @@ from scenes import at_m
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.saved import save_field
+from skyline.terrain.dem import DemOptions, read_dem, save_field
 from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import Warp, local_maxima
 
