@@ -1,4 +1,4 @@
-"""The OpenGL context without a display, one per process, and a thread that renders for all others.
+"""The OpenGL context without a display, its programs, and a thread that renders for all others.
 
 OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU,
 EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
@@ -18,12 +18,13 @@ import os
 import queue
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from ctypes import POINTER, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import moderngl
@@ -53,6 +54,8 @@ _OSMESA_PROFILE = 0x33
 _OSMESA_CORE_PROFILE = 0x34
 _OSMESA_CONTEXT_MAJOR_VERSION = 0x36
 _OSMESA_CONTEXT_MINOR_VERSION = 0x37
+
+_SHADERS = Path(__file__).parent / "shaders"
 
 _URGENT, _USUAL, _LAST = 0, 1, 2
 """Ranks of a render thread's tasks; the last one ends it."""
@@ -350,6 +353,29 @@ def _bind(function: Any, result: Any, *arguments: Any) -> Any:
     function.restype = result
     function.argtypes = arguments
     return function
+
+
+def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:
+    """Compile a compute shader, or link a vertex and a fragment shader, from their files.
+
+    ``defines`` are macros of all shaders. Raises `ContextError` with the driver's words if the
+    driver refuses a shader.
+    """
+    macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    texts = []
+    for name in names:
+        notes, version, rest = (_SHADERS / name).read_text("utf-8").partition("#version")
+        number, _, code = rest.partition("\n")
+        # The driver counts lines as in the file.
+        line = f"#line {notes.count(chr(10)) + 2}\n"
+        texts.append(f"{notes}{version}{number}\n{macros}{line}{code}")
+    try:
+        if len(texts) == 1:
+            return ctx.compute_shader(texts[0])
+        return ctx.program(vertex_shader=texts[0], fragment_shader=texts[1])
+    except moderngl.Error as error:
+        log = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+        raise ContextError(f"the driver refuses {' + '.join(names)}: {log}") from error
 
 
 class RenderThread:

@@ -19,9 +19,8 @@ from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.render.context import acquire_context
+from skyline.render.context import acquire_context, compile_shaders
 from skyline.render.eyes import in_four_views
-from skyline.render.shaders import compile_program
 from skyline.skylines import FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -64,10 +63,10 @@ class DepthRenderer:
                 f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
             )
         holes = {"HOLES": "", "HOLE_HEIGHT_M": f"{_HOLE_HEIGHT_M:.1e}"} if field.has_holes else {}
-        self._terrain = compile_program(
-            ctx, "terrain.vert", "depth.frag", {"TILE": str(TILE_CELLS), **holes}
+        self._terrain = compile_shaders(
+            ctx, "terrain.vert", "depth.frag", defines={"TILE": str(TILE_CELLS), **holes}
         )
-        self._skyline = compile_program(ctx, "fullscreen.vert", "depth_skyline.frag")
+        self._skyline = compile_shaders(ctx, "fullscreen.vert", "depth_skyline.frag", defines={})
         heights = np.nan_to_num(field.heights_m.astype(np.float32), nan=_HOLE_HEIGHT_M)
         self._heights = ctx.texture((field.cols, field.rows), 1, heights, dtype="f4")
         self._heights.filter = (moderngl.NEAREST, moderngl.NEAREST)

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from skyline.arrays import Float32Array, Float64Array, Rows
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
-from skyline.render.context import acquire_context
+from skyline.render.context import acquire_context, compile_shaders
 from skyline.render.eyes import Eyes, split_float
-from skyline.render.shaders import compile_compute
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA
 from skyline.terrain.heightfield import HeightField
@@ -270,7 +269,7 @@ class ColumnRenderer:
         key = frozenset(defines.items())
         if key not in self._programs:
             defines["LANES"] = str(self._lanes)
-            self._programs[key] = compile_compute(self._ctx, "horizon.comp", defines)
+            self._programs[key] = compile_shaders(self._ctx, "horizon.comp", defines=defines)
         return self._programs[key]
 
     def _slack_m(self, window: WindowTextures, eyes: NDArray[np.void]) -> float:

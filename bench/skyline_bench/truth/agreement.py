@@ -145,7 +145,7 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
     A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
     f the fraction along the edge crossed, z the depth. With e = 2^-24, D the greatest height
     difference along an edge and its sag, s the finer spacing, r the ratio of the spacings, and
-    roundings counted as `shaders/horizon.comp` makes them:
+    roundings counted as `horizon.comp` makes them:
 
     - the weighted heights: 3 roundings each, and (1 - f) |h0| + f |h1| is at most |y| + drop +
       D / 2; the three sums after: 3 of |y| + drop; the drop itself: 6; 1 - f costs D once more;
