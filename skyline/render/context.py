@@ -4,11 +4,9 @@ OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this orde
 EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
 them alone.
 
-Threads: the context belongs to the thread that first acquired it, and `acquire` refuses any other
-thread. Processes: drivers keep threads of their own, which a fork does not copy, so a child forked
-after the context was made is refused as well (measured: Mesa hangs there). Start workers with
-multiprocessing's "spawn" method, or fork before anything is rendered. A program of many threads
-gives all its rendering to a `RenderThread`.
+The context belongs to the thread that first acquired it. A child that is forked afterwards cannot
+use it: a fork does not copy the threads of a driver (measured: Mesa hangs there). A program of many
+threads gives all its rendering to a `RenderThread`.
 """
 
 import atexit
@@ -34,10 +32,9 @@ from skyline.errors import ContextError, InputError
 T = TypeVar("T")
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
-BACKENDS = ("egl", "osmesa")
-"""The backends in the order of attempts."""
+BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+"""The backends in the order of attempts, and Debian's packages for each."""
 
-_DEBIAN_PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 _VERSION_CODE = 430
 _EGL_LIBRARY = "libEGL.so.1"
 _OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6")
@@ -110,11 +107,10 @@ class _SharedContext:
     def acquire(self) -> GlContext:
         """Return the process's OpenGL context, current in this thread; make it on first use.
 
-        Calling again is cheap, and makes the context current again where other code has put its
-        own in place. Raises `ContextError` if no backend gives OpenGL 4.3 (the message names all
-        attempts and the packages to install), or if the context belongs to another thread or to
-        the process that this one was forked from, and `InputError` if ``SKYLINE_GL`` names no
-        backend.
+        Calling again is cheap: it makes the context current again where other code has put its own
+        in place, and frees what has no holder any more. Raises `ContextError` if no backend gives
+        OpenGL 4.3, or if the context belongs to another thread or to the process that this one was
+        forked from, and `InputError` if ``SKYLINE_GL`` names no backend.
         """
         # This comes before the lock, which another thread of the parent may have held during the
         # fork.
@@ -133,6 +129,7 @@ class _SharedContext:
                 raise self._refuse_thread()
             else:
                 self._context.native.__enter__()
+                self._context.ctx.gc()
             return self._context
 
     def _refuse_thread(self) -> ContextError:
@@ -150,7 +147,6 @@ class _SharedContext:
     def release(self) -> None:
         """Release the context, if there is one, and all that renderers made in it.
 
-        The exit of the process calls this too. A later `acquire_context` makes a new context.
         Raises `ContextError` where the context belongs to another thread that still lives.
         """
         # Only the process that made the context may release it.
@@ -178,10 +174,7 @@ def _release_at_exit() -> None:
 
 
 def describe_context() -> dict[str, str | bool | list[str]]:
-    """Return the facts of the context and the reason for its choice, for printing and for JSON.
-
-    Makes the context if there is none; raises the errors of `acquire_context`.
-    """
+    """Return the facts of the context, for JSON; raises as `acquire_context`."""
     context = acquire_context()
     return {
         "backend": context.backend,
@@ -203,14 +196,14 @@ def _choose_context() -> GlContext:
             f"{ENVIRONMENT_VARIABLE} is {forced!r}; expected {' or '.join(BACKENDS)}, or unset it "
             "to take the best there is"
         )
-    backends = (forced,) if forced else BACKENDS
+    backends = [forced] if forced else [*BACKENDS]
     attempts: list[str] = []
     # EGL's warnings about failing devices stay off stderr; the attempts hold the errors.
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     for backend in backends:
         if (found := _best_device(backend, attempts, bool(forced))) is not None:
             return found
-    packages = " ".join(_DEBIAN_PACKAGES[backend] for backend in backends)
+    packages = " ".join(BACKENDS[backend] for backend in backends)
     raise ContextError(
         f"no OpenGL context of version 4.3 or newer; tried {'; '.join(attempts)}; on Debian or "
         f"Ubuntu: sudo apt-get install {packages}"
@@ -280,6 +273,8 @@ def _wrap(native: Any, backend: str, device: str, attempts: list[str], forced: b
         native.__exit__(None, None, None)
         native.release()
         raise ContextError(f"moderngl refuses it: {error}") from error
+    # Objects without a holder are freed by `gc`, in the context's own thread.
+    ctx.gc_mode = "context_gc"
     vendor, renderer, version = (ctx.info[f"GL_{key}"] for key in ("VENDOR", "RENDERER", "VERSION"))
     return GlContext(ctx, native, backend, device, vendor, renderer, version, attempts, forced)
 
@@ -378,10 +373,32 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
         raise ContextError(f"the driver refuses {' + '.join(names)}: {log}") from error
 
 
+class Renderer:
+    """Holds objects of the OpenGL context, which are freed when nothing holds them any more."""
+
+    def __init__(self) -> None:
+        self._context = acquire_context()
+
+    def release(self) -> None:
+        """Free this renderer's buffers, textures and programs; the context stays for others."""
+        ctx = self._context.ctx
+        # A framebuffer must not be bound after its release.
+        ctx.detect_framebuffer(0).use()
+        for name, held in list(vars(self).items()):
+            if hasattr(held, "mglo"):
+                delattr(self, name)
+        ctx.gc()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
 class RenderThread:
     """Runs tasks one after another on one thread, the urgent ones first.
 
-    Long work is given piece by piece, so that an urgent task waits for one piece at most.
     Renderers that are made in tasks are used and released in tasks alone.
     """
 

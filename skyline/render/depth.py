@@ -8,7 +8,6 @@ empty, so only columns without a skyline inside the image are flagged.
 
 import math
 from collections.abc import Iterator
-from typing import Self
 
 import moderngl
 import numpy as np
@@ -19,7 +18,7 @@ from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.render.context import acquire_context, compile_shaders
+from skyline.render.context import Renderer, compile_shaders
 from skyline.render.eyes import in_four_views
 from skyline.skylines import FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
@@ -37,7 +36,7 @@ QUANTIZATION_PX = 0.5 + 2.0 / 256.0
 """Bound on the skyline's error: half a pixel, and the 1/256 px grid that vertices snap to."""
 
 
-class DepthRenderer:
+class DepthRenderer(Renderer):
     """Renders depth images and skylines of one height field.
 
     ``width`` is the number W of columns and of rows of a depth image. Raises `InputError` if it is
@@ -51,10 +50,10 @@ class DepthRenderer:
         width: int = DEFAULT_WIDTH,
         curvature: Curvature | None = None,
     ) -> None:
+        super().__init__()
         self.field = field
         self.width = check_width(width)
         self.curvature = curvature or Curvature()
-        self._context = acquire_context()
         ctx = self._context.ctx
         largest = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(field.rows, field.cols, width) > largest:
@@ -106,20 +105,6 @@ class DepthRenderer:
             with np.errstate(divide="ignore"):
                 images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
         return images
-
-    def release(self) -> None:
-        """Free this renderer's buffers, textures and programs; the context stays for others."""
-        # A framebuffer must not be bound after its release.
-        self._context.ctx.detect_framebuffer(0).use()
-        for held in reversed(vars(self).values()):
-            if hasattr(held, "release"):
-                held.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def _render_batch(self, viewpoints: Viewpoints) -> Views:
         """Render the views of a few eyes: one image after another, one row of results each."""

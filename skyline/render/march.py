@@ -7,7 +7,7 @@ only v, depth and flags of W columns a view come back.
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float32Array, Float64Array, Rows
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
-from skyline.render.context import acquire_context, compile_shaders
+from skyline.render.context import Renderer, compile_shaders
 from skyline.render.eyes import Eyes, split_float
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA
@@ -48,7 +48,7 @@ class Results(Rows):
     flags: NDArray[np.uint8]
 
 
-class ColumnRenderer:
+class ColumnRenderer(Renderer):
     """Renders skylines of one height field in columns at any abscissas.
 
     Parameters
@@ -79,7 +79,7 @@ class ColumnRenderer:
                 f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
                 f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
             )
-        self._context = acquire_context()
+        super().__init__()
         self._ctx = self._context.ctx
         self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
         self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
@@ -91,22 +91,9 @@ class ColumnRenderer:
         self._windows = Window.all_of(field)
         self._resident: dict[Window, WindowTextures] = {}
 
-    def release(self) -> None:
-        """Free this renderer's buffers, textures and programs; the context stays for others."""
-        for buffer in self._results:
-            buffer.release()
-        self._aims.release()
-        for program in self._programs.values():
-            program.release()
-        for window in self._resident.values():
-            window.release()
+    def release(self) -> None:  # noqa: D102  (as of the base)
         self._results, self._programs, self._resident = (), {}, {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
+        super().release()
 
     def _skylines(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
@@ -145,9 +132,8 @@ class ColumnRenderer:
 
     def _reserve(self, rows: int) -> None:
         """Make room for ``rows`` rows of results; the first march of a row writes all of it."""
-        for buffer in self._results:
-            buffer.release()
         self._results = ()
+        self._ctx.gc()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
         size = max(4 * rows * self.width, 4)
         try:
@@ -179,8 +165,8 @@ class ColumnRenderer:
         if window not in self._resident:
             samples = sum(held.rows * held.cols for held in self._resident)
             if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
-                while self._resident:
-                    self._resident.pop(next(iter(self._resident))).release()
+                self._resident.clear()
+                self._ctx.gc()
             self._resident[window] = WindowTextures.shared(self._ctx, self.field, window)
         return self._resident[window]
 
@@ -248,7 +234,6 @@ class ColumnRenderer:
             _set_uniforms(program, {"first_eye": first_eye})
             program.run(min(at_once, len(eyes) - first_eye) * groups)
         self._ctx.memory_barrier()
-        buffer.release()
 
     @property
     def _lanes(self) -> int:

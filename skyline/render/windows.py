@@ -114,20 +114,14 @@ class WindowTextures:
 
     @classmethod
     def shared(cls, ctx: moderngl.Context, field: HeightField, window: Window) -> "WindowTextures":
-        """Return the textures of a window, made unless another renderer of the context holds them.
-
-        Every holder releases them; the last release frees them.
-        """
+        """Return the textures of a window, which renderers of one context share."""
         key = id(ctx), id(field), window
-        textures = _shared.get(key)
-        if textures is None:
+        if (textures := _shared.get(key)) is None:
             textures = _shared[key] = cls(ctx, field, window)
-        textures._holders.append(key)
         return textures
 
     def __init__(self, ctx: moderngl.Context, field: HeightField, window: Window) -> None:
         self._ctx, self._field, self.window = ctx, field, window
-        self._holders: list[tuple[int, int, Window]] = []
         ratio = field.spacing_north_m / field.spacing_east_m
         self.slope_max = (ratio, 1.0 / ratio)
         self._levels = level_count(max(window.rows, window.cols) - 1)
@@ -150,17 +144,6 @@ class WindowTextures:
         self.heights = _upload(ctx, heights[..., np.newaxis], "f4")
         self.columns = tuple(_columns(ctx, seen) for seen in (inner, inner.T))
         self.slabs = self._trees_of_heights(inner)
-
-    def release(self) -> None:
-        """Free the textures, unless another renderer holds them."""
-        if self._holders:
-            key = self._holders.pop()
-            if self._holders:
-                return
-            _shared.pop(key, None)
-        trees = [self.slabs, self.rims] if self.rims else [self.slabs]
-        for texture in (self.heights, *self.columns, *(tree.texture for tree in trees)):
-            texture.release()
 
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
         """Build the bounds of heights (rows, cols); headings of one axis share a tree."""

@@ -1,5 +1,7 @@
 """Horizons against the oracle, in order of azimuth, by every way they can go."""
 
+import weakref
+
 import numpy as np
 import pytest
 from scenes import at_m, field_of, fractal, scattered
@@ -131,11 +133,11 @@ def test_renderers_of_one_field_share_its_textures_until_the_last_is_released():
     first, second = PanoramaRenderer(field, 96), HorizonRenderer(field, 64)
     alone = first.render(eyes)
     second.render(eyes[:1])
-    held, shared = (next(iter(one._resident.values())) for one in (first, second))
-    assert held is shared
+    held = weakref.ref(next(iter(first._resident.values())))
+    assert next(iter(second._resident.values())) is held()
     second.release()
     np.testing.assert_array_equal(first.render(eyes).elevation_tan, alone.elevation_tan)
     first.release()
+    assert held() is None
     with PanoramaRenderer(field, 96) as third:
         np.testing.assert_array_equal(third.render(eyes).elevation_tan, alone.elevation_tan)
-        assert next(iter(third._resident.values())) is not held
