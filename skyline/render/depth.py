@@ -19,10 +19,9 @@ from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
-from skyline.render.eyes import in_four_views
 from skyline.skylines import FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""

@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.geodesy import Curvature
-from skyline.render.eyes import in_four_views
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
 from skyline.skylines import Horizons, Views, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 DEFAULT_TOLERANCE_DEG = 0.01
 

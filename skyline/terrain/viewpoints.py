@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import BoolArray, Float64Array, Rows
+from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle
 from skyline.tables import read_table
@@ -41,6 +42,13 @@ class Viewpoints(Rows):
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
+
+
+def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, NDArray[np.uint8]]:
+    """Return each eye four times and the headings (4 N,) of its views, north to west."""
+    count = len(viewpoints)
+    heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
+    return viewpoints[np.repeat(np.arange(count), len(HEADINGS))], heading
 
 
 def stand_on(
