@@ -312,26 +312,42 @@ class HeightField:
                 "northing_m (metres of the frame), or lon and lat (degrees, WGS 84)"
             )
         row, col = np.broadcast_arrays(*self.to_grid(easting_m=easting_m, northing_m=northing_m))
+        inside, corners, south, east = self.triangles(row, col)
+        weights = 1.0 - np.maximum(east, south), np.abs(east - south), np.minimum(east, south)
+        # A corner of no weight may be a hole.
+        first, third, last = (
+            np.where(weight > 0.0, weight * corner, 0.0)
+            for weight, corner in zip(weights, corners, strict=True)
+        )
+        return np.where(inside, first + third + last, np.nan)
+
+    def triangles(
+        self, row: Float64Array, col: Float64Array
+    ) -> tuple[BoolArray, tuple[Float64Array, ...], Float64Array, Float64Array]:
+        """Return the triangles at fractional rows and columns.
+
+        Returns
+        -------
+        inside : bool
+            Whether a place is on the map; the others have the triangle at the first sample.
+        corners : three float64
+            Heights of the north-west corner, of the corner beside the diagonal, and of the
+            south-east corner.
+        south, east : float64
+            Samples from the north-west corner to the place.
+        """
         inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
         row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
         top = np.minimum(row.astype(np.int64), max(self.rows - 2, 0))
         left = np.minimum(col.astype(np.int64), max(self.cols - 2, 0))
-        south, east = row - top, col - left
-        north_east_half = east >= south
         bottom, right = np.minimum(top + 1, self.rows - 1), np.minimum(left + 1, self.cols - 1)
-        corner_row = np.where(north_east_half, top, bottom)
-        corner_col = np.where(north_east_half, right, left)
-        height = self._weighted(top, left, 1.0 - np.maximum(east, south))
-        height += self._weighted(corner_row, corner_col, np.abs(east - south))
-        height += self._weighted(bottom, right, np.minimum(east, south))
-        return np.where(inside, height, np.nan)
-
-    def _weighted(
-        self, row: NDArray[np.int64], col: NDArray[np.int64], weight: Float64Array
-    ) -> Float64Array:
-        """Return weight * height, 0 where the weight is 0 even if the sample is a hole."""
-        heights = self.heights_m[row, col].astype(np.float64)
-        return np.where(weight > 0.0, weight * heights, 0.0)
+        south, east = row - top, col - left
+        is_north_east = east >= south
+        beside = np.where(is_north_east, top, bottom), np.where(is_north_east, right, left)
+        corners = tuple(
+            self.heights_m[at].astype(np.float64) for at in ((top, left), beside, (bottom, right))
+        )
+        return inside, corners, south, east
 
 
 def ground_of(field: HeightField) -> Ground:

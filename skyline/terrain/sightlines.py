@@ -124,7 +124,11 @@ def _met(
     far_m = _JUST_INSIDE * _border_m(field, eye, azimuth_rad)
     crossing_m, _ = edge_crossings_m(field, eye, azimuth_rad, np.zeros_like(far_m), far_m)
     away_m = np.sort(np.column_stack([crossing_m, np.zeros_like(far_m), far_m]), axis=1)
-    up_m = _up_m(field, eye, curvature, azimuth_rad[:, np.newaxis], away_m)
+    ground_m = field.height_at(
+        easting_m=eye.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],
+        northing_m=eye.northing_m + away_m * np.cos(azimuth_rad)[:, np.newaxis],
+    )
+    up_m = ground_m - eye.eye_elevation_m - curvature.drop_m(away_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         tan = np.where((away_m > 0.0) & np.isfinite(up_m), up_m / away_m, -np.inf)
     highest = np.maximum.accumulate(tan, axis=1)
@@ -180,49 +184,16 @@ def _over(
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
     down = -np.cos(azimuth_rad) / field.spacing_north_m
     right = np.sin(azimuth_rad) / field.spacing_east_m
-    height_m, south, east = _planes(field, row + down * away_m, col + right * away_m)
+    row, col = row + down * away_m, col + right * away_m
+    inside, (first, third, last), south, east = field.triangles(row, col)
+    # Rises a sample southwards and eastwards.
+    rise_south = np.where(east >= south, last - third, third - first)
+    rise_east = np.where(east >= south, third - first, last - third)
+    height_m = np.where(inside, first + south * rise_south + east * rise_east, np.nan)
     up_m = height_m - eye.eye_elevation_m - curvature.drop_m(away_m)
     falls = 2.0 * curvature.drop_per_m2 * away_m
-    return up_m - elevation_tan * away_m, south * down + east * right - falls - elevation_tan
-
-
-def _planes(
-    field: HeightField, row: Float64Array, col: Float64Array
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return heights, and rises a sample southwards and eastwards, of the triangles at places.
-
-    NaN off the map and over holes.
-    """
-    with np.errstate(invalid="ignore"):
-        inside = (row >= 0.0) & (row <= field.rows - 1) & (col >= 0.0) & (col <= field.cols - 1)
-    row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
-    top = np.minimum(row.astype(np.int64), max(field.rows - 2, 0))
-    left = np.minimum(col.astype(np.int64), max(field.cols - 2, 0))
-    bottom, right = np.minimum(top + 1, field.rows - 1), np.minimum(left + 1, field.cols - 1)
-    down, across = row - top, col - left
-    is_north_east = across >= down
-    heights = field.heights_m
-    first = heights[top, left].astype(np.float64)
-    last = heights[bottom, right].astype(np.float64)
-    third = heights[np.where(is_north_east, top, bottom), np.where(is_north_east, right, left)]
-    south = np.where(is_north_east, last - third, third - first)
-    east = np.where(is_north_east, third - first, last - third)
-    return np.where(inside, first + down * south + across * east, np.nan), south, east
-
-
-def _up_m(
-    field: HeightField,
-    eye: Viewpoints,
-    curvature: Curvature,
-    azimuth_rad: Float64Array,
-    away_m: Float64Array,
-) -> Float64Array:
-    """Return how far the terrain is above the level of the eye; NaN without data."""
-    ground_m = field.height_at(
-        easting_m=eye.easting_m[0] + away_m * np.sin(azimuth_rad),
-        northing_m=eye.northing_m[0] + away_m * np.cos(azimuth_rad),
-    )
-    return np.asarray(ground_m - eye.eye_elevation_m[0] - curvature.drop_m(away_m))
+    slope = rise_south * down + rise_east * right - falls - elevation_tan
+    return up_m - elevation_tan * away_m, slope
 
 
 def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:
