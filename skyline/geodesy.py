@@ -69,8 +69,6 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
 
-_LonLat = tuple[Float64Array, Float64Array]
-
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""
 
@@ -114,10 +112,7 @@ def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude or latitude without a sign but with one of two letters such as EW.
-
-    A longitude past the antimeridian has the letter of the side on which it lies.
-    """
+    """Return a longitude or latitude without a sign but with one of two letters such as EW."""
     value = float(in_turn(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
@@ -157,8 +152,7 @@ def parse_crs(crs: object) -> CRS:
 def transformer(source: CRS, target: CRS) -> Transformer:
     """Return the transformation of x and y, in the order that raster files have, between two CRS.
 
-    Raises `InputError` where PROJ knows none: for the CRS of another planet, or a projection that
-    PROJ lacks.
+    Raises `InputError` where PROJ knows none, as for the CRS of another planet.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -170,10 +164,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return longitude and latitude (WGS 84) of a point in a CRS, and their accuracy in words.
-
-    Raises `InputError` where PROJ knows no transformation.
-    """
+    """Return longitude and latitude (WGS 84) of a point in a CRS, and their accuracy in words."""
     transformation = transformer(crs, CRS.from_epsg(4326))
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # where there is only one
@@ -188,10 +179,7 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return the degrees by which a place lies outside the area for which a CRS is made.
-
-    It is 0 inside the box of the area, and for a CRS without a known area.
-    """
+    """Return the degrees by which a place lies outside the area of a CRS, if that is known."""
     authority = crs.to_authority()
     area = CRS.from_authority(*authority).area_of_use if authority else None
     if area is None:
@@ -258,8 +246,7 @@ class Frame:
     def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
         """Return the box in degrees around the map rectangle around places.
 
-        West is above east where the box lies across the antimeridian. A rectangle that holds a
-        pole has all longitudes, -180 to 180.
+        A rectangle that holds a pole has all longitudes, -180 to 180.
         """
         west, south, east, north = self._to_lonlat.transform_bounds(
             np.min(easting_m),
@@ -277,10 +264,7 @@ class Frame:
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
     def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
-        """Return the rectangle around a box in degrees, which is a curved quadrangle on the map.
-
-        Raises `InputError` for bounds that are not numbers in order.
-        """
+        """Return the rectangle around a box in degrees; raises as `check_bounds`."""
         west, south, _, north = check_bounds(bounds_deg)
         rectangle: Rectangle = self._to_lonlat.transform_bounds(
             west,
@@ -314,24 +298,22 @@ class Frame:
     def _steps(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Complex128Array, Complex128Array]:
-        """Return the steps on the map for a metre of ground to the east, and one to the north.
+        """Return the steps, easting + i northing, for a metre of ground to the east and the north.
 
-        Each is easting + i northing, in metres. They are differences of places on WGS 84, so that
-        they hold for any datum, prime meridian and axes.
+        They are differences of places on WGS 84, and hold for any datum, prime meridian and axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
         lat = np.clip(lat, -_NORTHMOST_DEG, _NORTHMOST_DEG)
         lat_rad = np.radians(lat)
         lon_step = _STEP_DEG / np.cos(lat_rad)
 
-        def between(start: _LonLat, end: _LonLat) -> Complex128Array:
-            east, north = np.subtract(self.from_lonlat(*end), self.from_lonlat(*start))
-            step: Complex128Array = (east + 1j * north) / math.radians(2.0 * _STEP_DEG)
-            return step
+        def step(lon_deg: Float64Array | float, lat_deg: float) -> Complex128Array:
+            start = self.from_lonlat(lon - lon_deg, lat - lat_deg)
+            east, north = np.subtract(self.from_lonlat(lon + lon_deg, lat + lat_deg), start)
+            return np.asarray((east + 1j * north) / math.radians(2.0 * _STEP_DEG))
 
         with np.errstate(invalid="ignore"):  # off the map
-            eastward = between((lon - lon_step, lat), (lon + lon_step, lat))
-            northward = between((lon, lat - _STEP_DEG), (lon, lat + _STEP_DEG))
+            eastward, northward = step(lon_step, 0.0), step(0.0, _STEP_DEG)
         # The radii of curvature across the meridian and along it.
         root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
         across_m = _WGS84.a / np.sqrt(root)

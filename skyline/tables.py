@@ -108,19 +108,11 @@ def read_table(
 ) -> Table:
     """Read a CSV file, or standard input for ``-``.
 
-    Parameters
-    ----------
-    expected : str
-        The content that was expected, in an error: ``expected a header ...``.
-    other_names : mapping, optional
-        More names of columns that are read as others.
+    ``expected`` is the content that was expected, in errors: ``expected a header ...``.
+    ``other_names`` are more names of columns that are read as others.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        The file cannot be read, a column is there twice, or a row has more cells than the header.
+    Raises `MissingFileError` where there is no such file, and `InputError` where it cannot be read,
+    a column is there twice, or a row has more cells than the header.
     """
     content = read_bytes(path, expected)
     if b"\0" in content:

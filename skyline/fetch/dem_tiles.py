@@ -41,9 +41,6 @@ SOURCES = {
 }
 """Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
 
-MAX_BYTES = 4 << 30
-"""Greatest size of a fetch, unpacked."""
-
 _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
@@ -76,10 +73,6 @@ class _Cut:
     window: Window
     dtype: DTypeLike
 
-    @property
-    def size_bytes(self) -> int:
-        return int(self.window.width * self.window.height * np.dtype(self.dtype).itemsize)
-
 
 def fetch_dem(
     bounds_deg: Bounds,
@@ -107,12 +100,9 @@ def fetch_dem(
     folder : str or Path
         The folder, which is made if it does not exist. Files are named by their tile:
         ``N46E009.tif``.
-    retries : int
-        Greatest number of repetitions of a failed request.
-    timeout_s : int
-        Seconds without an answer after which a request has failed.
-    progress : callable, optional
-        Called with the number of tiles done and of all.
+    retries, timeout_s : int
+        Greatest number of repetitions of a failed request, and the seconds without an answer after
+        which it has failed.
     earlier : sequence of Path
         Folders of earlier fetches. Samples that they have from the same source are copied.
 
@@ -153,12 +143,6 @@ def fetch_dem(
             f"({shown(address(template, *corners[0]))}, for one, is not there); check the place, "
             "or the source's template"
         )
-    size_bytes = sum(cut.size_bytes for cut in cuts)
-    if size_bytes > MAX_BYTES:
-        raise InputError(
-            f"the bounds need {len(cuts)} tiles and {size_bytes / 1e9:.1f} GB, more than the "
-            f"{MAX_BYTES / 1e9:.1f} GB that are fetched at a time: choose smaller bounds"
-        )
     folder.mkdir(parents=True, exist_ok=True)
     for done, cut in enumerate(cuts):
         if progress:
@@ -195,8 +179,8 @@ def _check_template(template: str) -> None:
 def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     """Return latitude and longitude of the south-west corners of the tiles within bounds.
 
-    They are whole degrees, from the south-west, row by row. Raises `InputError` for bounds that
-    are not numbers in order, or that need more than `MAX_TILES`.
+    They are whole degrees, from the south-west, row by row. Raises `InputError` for more than
+    `MAX_TILES`, and as `check_bounds`.
     """
     west, south, east, north = check_bounds(bounds_deg)
     lats = range(math.floor(south), math.ceil(north))

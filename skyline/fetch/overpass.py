@@ -26,27 +26,13 @@ def fetch_peaks(
 ) -> int:
     """Write the named peaks and volcanoes of a box as GeoJSON; return their number.
 
-    `skyline.read_peaks` reads the file.
+    `skyline.read_peaks` reads the file, which is written whole or not at all. ``server`` is the
+    address of an Overpass interpreter. A failed request is repeated up to ``retries`` times; the
+    whole answer must arrive within ``timeout_s`` seconds.
 
-    Parameters
-    ----------
-    bounds_deg : (float, float, float, float)
-        West, south, east, north.
-    server : str
-        Address of an Overpass interpreter: ``https://host/api/interpreter``.
-    path : Path
-        Written whole or not at all.
-    retries : int
-        Greatest number of repetitions of a failed request.
-    timeout_s : int
-        Seconds within which the whole answer must arrive.
-
-    Raises
-    ------
-    InputError
-        The bounds are not in order, the server is no http address, or the file cannot be written.
-    FetchError
-        The server fails, is too slow, or its answer is not a list of peaks in the box.
+    Raises `InputError` where the bounds are not in order, the server is no http address, or the
+    file cannot be written, and `FetchError` where the server fails, is too slow, or its answer is
+    not a list of peaks in the box.
     """
     west, south, east, north = check_bounds(bounds_deg)
     if urlsplit(server).scheme not in ("http", "https") or not urlsplit(server).hostname:
@@ -105,7 +91,7 @@ def _elements(server: str, answer: bytes) -> list[Any]:
     """Return the elements of an answer; raises `FetchError` if it is not whole."""
     try:
         content = json.loads(answer)
-        elements, note = content["elements"], content.get("remark", "")
+        elements, note = [*content["elements"]], content.get("remark", "")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         begins = " ".join(answer[:60].decode("utf-8", "replace").split())
         raise FetchError(
@@ -117,8 +103,6 @@ def _elements(server: str, answer: bytes) -> list[Any]:
             f"{shown(server)}: the server gave up ({' '.join(str(note).split())[:120]}); choose "
             "smaller bounds, or raise --timeout"
         )
-    if not isinstance(elements, list):
-        raise FetchError(f"{shown(server)}: the answer has no list of elements; check the address")
     return elements
 
 

@@ -3,6 +3,7 @@
 import re
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import rasterio
@@ -33,23 +34,16 @@ class AbsentError(FetchError):
     """The server has no such file (HTTP 404)."""
 
 
+@dataclass(eq=False)
 class RequestError(Exception):
-    """A failed request.
+    """A failed request: the failure in words, and the next thing to try."""
 
-    Parameters
-    ----------
-    reason, advice : str
-        The failure, and the next thing to try.
-    may_pass : bool
-        Whether the same request may succeed later.
-    is_reached : bool
-        Whether the server was found.
-    """
-
-    def __init__(self, reason: str, advice: str, may_pass: bool, is_reached: bool = True) -> None:
-        super().__init__(reason)
-        self.reason, self.advice, self.may_pass = reason, advice, may_pass
-        self.is_reached = is_reached
+    reason: str
+    advice: str
+    may_pass: bool
+    """Whether the same request may succeed later."""
+    is_reached: bool = True
+    """Whether the server was found."""
 
 
 def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
@@ -74,14 +68,9 @@ def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
 def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: int) -> _T:
     """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
-    After a failure that may pass ``work`` is called again with the file opened anew.
-
-    Raises
-    ------
-    AbsentError
-        There is no such file (HTTP 404).
-    FetchError
-        The server fails, is too slow, breaks off, or sends something that is not a GeoTIFF.
+    After a failure that may pass ``work`` is called again with the file opened anew. Raises
+    `AbsentError`, or `FetchError` where the server fails, is too slow, breaks off, or sends
+    something that is not a GeoTIFF.
     """
     settings = {
         "GDAL_HTTP_MAX_RETRY": 0,
@@ -118,25 +107,21 @@ def _failure(url: str, error: RasterioError) -> Exception:
         cause = cause.__cause__
     text = "; ".join(messages).replace(f"/vsicurl/{url}", shown(url))
     again = "give the same command again: fetched tiles are kept"
+    check = "check the address and the source's template"
     if status := re.search(r"HTTP response code: (\d+)", text):
         code = int(status[1])
         if code == 404:
             return AbsentError(f"{shown(url)}: there is no such file (HTTP 404)")
-        advice = "check the address and the source's template"
-        if code in PASSING:
-            advice = again
-        elif code in (401, 403):
-            advice = (
-                "check that the source is open to you (some servers answer this for absent files)"
-            )
-        return RequestError(f"the server answers HTTP {code}", advice, code in PASSING)
+        if code in (401, 403):
+            check = "check that the source is open to you (or the file is absent)"
+        passes = code in PASSING
+        return RequestError(f"the server answers HTTP {code}", again if passes else check, passes)
     if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
         advice = f"check the address and the connection, then {again}"
         is_reached = _UNREACHABLE.search(curl[1]) is None
         return RequestError(f"no answer ({curl[1]})", advice, may_pass=True, is_reached=is_reached)
     if "not recognized as being in" in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
-        advice = "check the address and the source's template"
-        return RequestError(reason, advice, may_pass=False)
+        return RequestError(reason, check, may_pass=False)
     reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
     return RequestError(reason, again, may_pass=True)

@@ -2,8 +2,7 @@
 
 For each heading the height field is drawn as a grid of triangles into a W x W image of inverse
 depth. The skyline of a column is its first pixel from the top with a finite depth. It is quantized:
-within half a pixel of the exact skyline, about 0.3 px rms. An image does not show why a column is
-empty, so only columns without a skyline inside the image are flagged.
+within half a pixel of the exact skyline, about 0.3 px rms.
 """
 
 import math

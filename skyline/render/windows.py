@@ -90,26 +90,16 @@ _shared: WeakValueDictionary[tuple[int, int, Window], "WindowTextures"] = WeakVa
 class WindowTextures:
     """The textures of one window that `horizon.comp` reads.
 
-    Attributes
-    ----------
-    heights : moderngl.Texture
-        float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
-    columns : 2 moderngl.Texture
-        The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
-    lowest_m, highest_m : float
-        Lowest and highest sample; 0 where there are none.
-    code_step_m : float
-        Step of the 16-bit heights in ``slabs``: code c stands for ``lowest_m + c * code_step_m``.
-    slabs : Trees
-        Upper bounds of the heights, in this code.
-    rims : Trees or None
-        One bit per slab: whether the surface may begin again there, after a hole.
-    slope_max : (float, float)
-        Greatest slope of a ray, cells across per strip, for headings 0, 2 and for 1, 3.
-    top_level : int
-        Coarsest level of the trees.
-    dangling : bool
-        Whether there are edges without triangles.
+    - ``heights``: float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
+    - ``columns``: the samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along
+      the axis.
+    - ``lowest_m``, ``highest_m``: lowest and highest sample; 0 where there are none.
+    - ``slabs``: upper bounds of the heights in 16 bits: code c stands for
+      ``lowest_m + c * code_step_m``.
+    - ``rims``: one bit per slab: whether the surface may begin again there, after a hole.
+    - ``slope_max``: greatest slope of a ray, cells across per strip, for headings 0, 2 and 1, 3.
+    - ``top_level``: coarsest level of the trees.
+    - ``dangling``: whether there are edges without triangles.
     """
 
     @classmethod

@@ -1,18 +1,16 @@
 """Voids, fill and spikes: repair of a DEM's samples before anything is rendered from them.
 
 A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place on
-heights (rows, cols), float32 and C-contiguous. They work strip by strip, so that a field of
-hundreds of millions of samples costs little more than itself; only for fill, which is rare, its
-places are labelled over the whole field. ``spacing_m`` is the coarser of the two sample spacings,
-metres on the ground.
+heights (rows, cols), float32 and C-contiguous, and strip by strip, so that a field of hundreds of
+millions of samples costs little more than itself. ``spacing_m`` is the coarser of the two sample
+spacings, metres on the ground.
 
 While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
 declare, and +inf a sample that no file covers, which is never a neighbour and never filled.
 
-Fill is an undeclared constant in place of heights that were never measured. A footprint that was
-turned or cut is often padded with zeros, for example. Left in, they are a plain at sea level below
-walls of 2,000 m, over which an eye seems to see far. They differ from lakes and the sea by their
-rim: terrain does not rise over water by `STEEPEST` along half of a shore.
+Fill is an undeclared constant in place of heights that were never measured, such as the zeros round
+a footprint that was turned. It would be a plain over which an eye sees far. It differs from water
+by its rim: terrain does not rise by `STEEPEST` along half of a shore.
 """
 
 import logging
@@ -69,10 +67,7 @@ _log = logging.getLogger(__name__)
 
 
 def strips(grid: Any) -> Iterator[slice]:
-    """Yield slices of rows that together cover a grid, a few million samples each.
-
-    ``grid`` is anything with a shape (rows, cols): an array or an open dataset.
-    """
+    """Yield slices of rows, a few million samples each, that cover an array or open dataset."""
     rows, cols = grid.shape
     step = max(_STRIP_SAMPLES // cols, 1)
     for top in range(0, rows, step):
@@ -80,19 +75,11 @@ def strips(grid: Any) -> Iterator[slice]:
 
 
 def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, int, int, int]:
-    """Void fill, remove spikes and fill small voids, in place, as `skyline.read_dem` does.
+    """Void fill, remove spikes and fill small voids; afterwards NaN marks every hole.
 
-    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
-
-    Returns
-    -------
-    filled, hollow, despiked, undeclared : int
-        Samples, as `skyline.Provenance` counts them.
-
-    Raises
-    ------
-    InputError
-        There is no height at all.
+    ``source`` is the name of the DEM in errors and warnings. Returns the numbers of filled, hollow,
+    despiked and undeclared samples, as `skyline.Provenance` has them. Raises `InputError` where
+    there is no height at all.
     """
     if not any(np.isfinite(heights_m[rows]).any() for rows in strips(heights_m)):
         raise InputError(
@@ -216,13 +203,11 @@ def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
         top = max(rows.start - 1, 0)
         block = heights_m[top : rows.stop + 1]
         beside = np.zeros(block.shape, dtype=np.bool_)
-        with np.errstate(invalid="ignore"):
-            jump = np.abs(np.diff(block, axis=0)) > threshold_m
-            beside[1:] |= jump
-            beside[:-1] |= jump
-            jump = np.abs(np.diff(block, axis=1)) > threshold_m
-            beside[:, 1:] |= jump
-            beside[:, :-1] |= jump
+        for lines_m, marks in ((block, beside), (block.T, beside.T)):
+            with np.errstate(invalid="ignore"):
+                jump = np.abs(np.diff(lines_m, axis=0)) > threshold_m
+            marks[1:] |= jump
+            marks[:-1] |= jump
         beside &= np.isfinite(block)
         inner = beside[rows.start - top : rows.stop - top]
         found.append(np.flatnonzero(inner) + rows.start * heights_m.shape[1])

@@ -87,10 +87,9 @@ class Vertical:
 
 
 def metres_per(unit: str) -> float | None:
-    """Return the metres in a unit of length; None for an unknown name.
+    """Return the metres in a unit of length of PROJ or EPSG, however GDAL, ESRI or CF spell it.
 
-    Names are those of PROJ and EPSG, however GDAL, ESRI or CF spell them: ``US survey foot``,
-    ``Foot_US``, ``us-ft``, ``ftUS``, ``Meters``, ``m a.s.l.``.
+    None for an unknown name.
     """
     for name in (unit, _DATUM.split(unit.casefold())[0]):
         metres = _units().get(_key(name))
@@ -119,26 +118,13 @@ def _key(name: str) -> frozenset[str]:
 
 
 def vertical_of(source: str, crs: CRS, band_unit: str, positive: str = "up") -> Vertical:
-    """Return the conventions of a raster's heights.
+    """Return the conventions of a raster's heights, in a CRS with its vertical part.
 
-    The unit is the band's, else that of the CRS's vertical axis, else the metre.
+    The unit is the band's, else that of the CRS's vertical axis, else the metre; the band's may be
+    empty. ``positive`` is ``"down"`` for depths, as CF writes it; an axis that points down has the
+    same effect. ``source`` is the raster's name in errors.
 
-    Parameters
-    ----------
-    source : str
-        The name of the raster in errors.
-    crs : CRS
-        The CRS with its vertical part.
-    band_unit : str
-        Unit of the band; may be empty.
-    positive : str
-        ``"down"`` for depths, as CF writes it. A vertical axis that points down has the same
-        effect.
-
-    Raises
-    ------
-    InputError
-        The unit of the band is not a known unit of length.
+    Raises `InputError` where the unit of the band is not a known unit of length.
     """
     axis = next((axis for axis in crs.axis_info if axis.direction in ("up", "down")), None)
     notes = []
@@ -208,9 +194,8 @@ def merged(conventions: Sequence[Mapping[str, str]]) -> dict[str, str]:
 
 
 def model_of(files: Sequence[str]) -> str:
-    """Return whether a DEM models the surface or the bare ground, as far as its files show.
+    """Return `SURFACE` or `GROUND` and the product, as far as a DEM's files show by name and tags.
 
-    That is `SURFACE` or `GROUND` by their names and tags, with the product where that is known;
     `UNKNOWN` too where files differ.
     """
     models = {_model_of_file(file) for file in files}

@@ -305,25 +305,16 @@ def _read_saved(path: Path) -> HeightField:
 def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
 
-    Parameters
-    ----------
-    paths : path, paths or HeightField
-        A surface model, whose heights have the terrain's datum, or a canopy model, whose heights
-        are above the ground: a model that lies far below the ground is taken for a canopy model.
-        Any grid and CRS; files that name none have the CRS that was given for the terrain's.
-    terrain : HeightField
-        The bare ground.
+    The heights of a surface model have the terrain's datum, those of a canopy model are above the
+    ground: a model that lies far below the ground is taken for a canopy model. Its grid and CRS may
+    be others; files that name none have the CRS that was given for the terrain's.
 
-    Returns
-    -------
-    HeightField
-        On the terrain's samples, nowhere lower: the ground, plus the model's greatest height above
-        it within a sample's distance, or plus `UNKNOWN_M` where the model has no height.
+    The field returned is on the terrain's samples, nowhere lower: the ground, plus the model's
+    greatest height above it within a sample's distance, or plus `UNKNOWN_M` where the model has no
+    height.
 
-    Raises
-    ------
-    InputError
-        The model does not cover the terrain, its heights have another datum, or as `read_dem`.
+    Raises `InputError` where the model does not cover the terrain or its heights have another
+    datum, and as `read_dem`.
     """
     if not isinstance(paths, HeightField):
         crs = DemOptions.from_json(terrain.provenance.options).crs

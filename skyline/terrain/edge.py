@@ -25,19 +25,12 @@ class DataEdge:
     """The rectangle that a DEM covers, and how high the terrain beyond may be.
 
     Holes within the rectangle are ignored.
-
-    Attributes
-    ----------
-    bounds_m : (float, float, float, float)
-        West, south, east, north.
-    highest_m : (4, P) float32
-        Greatest height of terrain past each of P equal parts of these four sides. The parts run
-        from south to north and from west to east.
-    curvature : Curvature
     """
 
     bounds_m: Rectangle
     highest_m: Float32Array
+    """(4, P) float32. Greatest height of terrain past each of P equal parts of the sides: west,
+    south, east, north. The parts run from south to north and from west to east."""
     curvature: Curvature
 
     @classmethod

@@ -143,16 +143,11 @@ def level_count(strips: int) -> int:
 
 
 def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
-    """Build the tree of a field seen along its first axis, finest level first.
+    """Build the tree of values (lines, columns) seen along the first axis, finest level first.
 
-    Parameters
-    ----------
-    values : (lines, columns) float32 or uint8
-        Heights, `EMPTY` for holes; or marks, 0 for none. Strips lie between lines.
-    slopes : (bins + 1,) float64
-        Increasing bounds of the bins of rays' slopes, columns per line.
-    levels : int
-        `level_count` of the longer axis.
+    Values are heights, `EMPTY` for holes, or marks, 0 for none; strips lie between lines.
+    ``slopes`` (bins + 1,) are increasing bounds of the bins of rays' slopes, columns per line.
+    ``levels`` is `level_count` of the longer axis.
     """
     slabs = max(-(-(len(values) - 1) // LEAF_STRIPS), 1)
     lines = _padded(values, 0, slabs * LEAF_STRIPS + 1)

@@ -84,10 +84,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
     The geotransform and CRS that rioxarray notes are used, so that a file opened with it gives the
-    same heights as the file itself. Neither xarray nor rioxarray is imported.
-
-    Raises `InputError` for more than one band, dimensions that are not understood, coordinates that
-    are missing or not even, no (understood) CRS, numbers that are not real.
+    same heights as the file itself. Raises `InputError` as `skyline.HeightField.from_xarray`.
     """
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
     y, x = _dims_of(source, array)
@@ -121,12 +118,8 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
 def absolute_name(path: str | Path) -> str:
     """Return an absolute path, or a name of GDAL's with the path in it made absolute.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file, and it is no address or name of GDAL's.
-    InputError
-        The path is a folder, or not UTF-8.
+    Raises `MissingFileError` where there is no such file and it is no address or name of GDAL's,
+    and `InputError` for a folder or a name that is not UTF-8.
     """
     text = str(path)
     if is_file(text):
@@ -207,8 +200,6 @@ def _tile_of(
                 f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
                 "(gdal_translate -b 1)"
             )
-        if dataset.dtypes[0].startswith("complex"):
-            raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         grid, north_up = _grid_of(source, dataset.transform, dataset.shape)
         positive = dataset.tags(1).get("positive", "up")

@@ -32,18 +32,8 @@ def edge_crossings_m(
 ) -> tuple[Float64Array, BoolArray]:
     """Return the distances at which K level rays of one eye cross edges of the surface, unordered.
 
-    The surface is a plane between two of them.
-
-    Parameters
-    ----------
-    azimuth_rad, near_m, far_m : (K,) float64
-        Grid azimuth of each ray, and the distances between which it is followed.
-
-    Returns
-    -------
-    distance_m : (K, C) float64
-        ``near_m`` where ``is_between`` is False.
-    is_between : (K, C) bool
+    Rays are followed from ``near_m`` to ``far_m`` (K,). The surface is a plane between two
+    crossings. Returns distances (K, C), and which of them are crossings; the others are ``near_m``.
     """
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
     down = -np.cos(azimuth_rad) / field.spacing_north_m
@@ -75,21 +65,9 @@ def first_hits_m(
     the profile nearest to it. From there the distance is carried over to the ray's own azimuth,
     where the surface allows it: beside a ridge's edge, that azimuth may see other terrain.
 
-    Parameters
-    ----------
-    eye : Viewpoints
-        A single eye on the map, at the surface or above it.
-    azimuth_rad, elevation_tan : (N,) float64
-        Grid azimuths and directions up of the rays.
-    step_rad : float
-        Step of azimuth.
-    progress : callable, optional
-        Called with the number of rays that are done and N.
-
-    Returns
-    -------
-    (N,) float64
-        Exact for a ray within ``step_rad / 2`` of the true one in azimuth; NaN for sky.
+    Rays have grid azimuths and tangents of elevation (N,). The distances (N,) are exact for a ray
+    within ``step_rad / 2`` of the true one in azimuth, and NaN for sky. ``progress`` is called with
+    the number of rays that are done, and N.
     """
     distance_m = np.full(len(azimuth_rad), np.nan)
     steps = np.rint(azimuth_rad / step_rad).astype(np.int64)

@@ -31,14 +31,10 @@ def highest_within(
 ) -> tuple[float, float]:
     """Return easting and northing of the highest point in a disc; of equals the nearest.
 
-    On each triangle the height is linear. The highest point in the disc is therefore at a sample,
-    where an edge leaves the disc, or where the triangle's steepest way up from the disc's middle
-    does. Where the disc has no surface, its middle is returned.
-
-    Parameters
-    ----------
-    within_m : float
-        The disc's radius.
+    ``within_m`` is the disc's radius. On each triangle the height is linear. The highest point in
+    the disc is therefore at a sample, where an edge leaves the disc, or where the triangle's
+    steepest way up from the disc's middle does. Where the disc has no surface, its middle is
+    returned.
     """
     row, col = (float(at) for at in field.to_grid(easting_m=easting_m, northing_m=northing_m))
     south_m, east_m = field.spacing_north_m, field.spacing_east_m

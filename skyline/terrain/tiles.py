@@ -1,7 +1,6 @@
 """Tiles of one elevation model: their grids, whether they fit together, and their common mosaic.
 
-A tile is one raster of heights that is described but not yet read. `skyline.terrain.rasters` makes
-tiles of files, open datasets and arrays; this module treats all of them alike.
+`skyline.terrain.rasters` makes tiles of files, open datasets and arrays.
 """
 
 import logging
@@ -72,51 +71,33 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One raster of heights, described but not yet read.
-
-    Attributes
-    ----------
-    source : str
-        The name of the raster in messages.
-    crs : CRS
-        Geographic or projected; the vertical part of the raster's CRS is in ``vertical``.
-    grid : Grid
-        North-up, whichever way the raster's rows and columns run.
-    north_up : (slice, slice)
-        Index that turns an array in the raster's order into the grid's order, and back.
-    vertical : Vertical
-    conventions : mapping
-        Conventions of the raster by name, in words.
-    read : callable
-        Yields slices of the raster's rows, which together cover it, and their heights: float32
-        metres, NaN for voids, -inf for voids that the raster does not declare.
-    files : tuple of str
-        Names from which `skyline.read_dem` reads the same heights again; empty if there are none.
-    """
+    """One raster of heights, described but not yet read."""
 
     source: str
+    """The name of the raster in messages."""
     crs: CRS
+    """Geographic or projected, without a vertical part."""
     grid: Grid
+    """North-up, whichever way the raster's rows and columns run."""
     north_up: tuple[slice, slice]
+    """Index that turns an array in the raster's order into the grid's order, and back."""
     vertical: Vertical
     conventions: Mapping[str, str]
+    """Conventions of the raster by name, in words."""
     read: Callable[[], Iterator[tuple[slice, Float32Array]]]
+    """Yields slices of the raster's rows, which together cover it, and their heights: float32
+    metres, NaN for voids, -inf for voids that the raster does not declare."""
     files: tuple[str, ...] = ()
+    """Names from which `skyline.read_dem` reads the same heights again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mosaic:
-    """The heights of one or more tiles on one grid.
-
-    Attributes
-    ----------
-    heights_m : (rows, cols) float32
-        NaN marks voids, -inf voids that no file declares, +inf samples that no tile covers.
-    source, crs, grid, conventions, files
-        As in `Tile`.
-    """
+    """The heights of one or more tiles on one grid; other fields are as in `Tile`."""
 
     heights_m: Float32Array
+    """(rows, cols) float32. NaN marks voids, -inf voids that no file declares, +inf samples that no
+    tile covers."""
     source: str
     crs: CRS
     grid: Grid
@@ -132,11 +113,8 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     latitude alone, as Copernicus' do north and south of 50 degrees, are resampled to the finest
     spacing of longitude.
 
-    Raises
-    ------
-    InputError
-        Tiles differ in CRS or spacing, lie off the grid of the first or too far apart, or one has
-        heights above the geoid and another above the ellipsoid.
+    Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
+    far apart, or one has heights above the geoid and another above the ellipsoid.
     """
     _check_vertical(tiles)
     groups = _by_spacing(tiles)

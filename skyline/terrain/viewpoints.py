@@ -240,23 +240,13 @@ def read_viewpoints(
 ) -> tuple[Viewpoints, tuple[str, ...]]:
     """Read viewpoints, place their eyes on a height field, and return them with their labels.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
-        (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``,
-        which become labels; without either column there are none.
-    eye_height_m : float
-        Metres above ground, for files without a column of heights.
-    summit_within_m : float or None
-        As in `stand_on`, for files without a column of elevations.
+    The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
+    (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
+    become labels; without either column there are none. ``eye_height_m`` is for files without a
+    column of heights, ``summit_within_m`` (as in `stand_on`) for files without one of elevations.
 
-    Raises
-    ------
-    MissingFileError, InputError
-        The file does not exist or has no rows, the columns are wrong, or a value is not a number.
-    OffMapError
-        A viewpoint is off the map, on a hole, or has its eye below the ground.
+    Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
+    columns are wrong, or a value is not a number; otherwise as `stand_on`.
     """
     table = read_table(path, _EXPECTED)
     places = table.first_in(*_PLACES, expected=_EXPECTED)

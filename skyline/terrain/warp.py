@@ -1,10 +1,8 @@
 """Resampling from a grid in one CRS to a square metric grid in another, with all summits kept.
 
-GDAL's ``WarpedVRT`` with a tolerance of 0.001 samples places samples as well and as fast, but its
-cubic convolution overshoots: with `keep_summits` after it, 4 to 18 % of the summits of Davos,
-California and Everest came out more than 1 m too high, by up to 21 m. A part that is warped alone
-also differs from the whole, by up to 5 cm. In this module no sample is higher than the source's
-samples around it, and a block has the samples of the whole, bit for bit.
+GDAL's ``WarpedVRT`` overshoots: 4 to 18 % of the summits of Davos, California and Everest came out
+more than 1 m too high, and a part that is warped alone differs from the whole. Here no sample is
+higher than the source's samples around it, and a block has the samples of the whole, bit for bit.
 """
 
 import math
@@ -73,32 +71,13 @@ def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
 
 
 class Warp:
-    """Resamples heights to a frame by cubic convolution (Keys 1981, a = -1/2), with all summits.
+    """Resamples heights on a grid of a CRS to a frame, as `cubic` and `keep_summits` do.
 
-    No sample of the target is above or below the four samples of the source around it: a cubic
-    overshoots, for example between two samples of equal height. Then the sample nearest to each
-    local maximum of the source is lifted to it (`keep_summits`).
-
-    The target's samples have eastings and northings that are whole multiples of the spacing. It
-    covers the box around the source; its samples outside the source's outermost samples are NaN.
-    A target sample whose nearest source sample is a hole is a hole; one that has a hole among its
-    4 x 4 source samples but not nearest is interpolated bilinearly from those that are known.
+    The samples of ``target``, the grid in the frame, have eastings and northings that are whole
+    multiples of the spacing. It covers the box around the source; its samples outside the source's
+    outermost samples are NaN.
 
     Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
-
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32
-        On ``grid``, in the units of ``crs``; NaN marks holes.
-    crs : CRS
-        CRS of the source.
-    frame : Frame
-        Frame of the target.
-
-    Attributes
-    ----------
-    target : Grid
-        The target's grid, in metres of the frame.
     """
 
     def __init__(
@@ -202,8 +181,7 @@ def _windows(wanted: BoolArray) -> Iterator[_Window]:
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     """Return the grid of the target: whole multiples of the spacing around the source."""
-    bounds = grid.west, grid.south, grid.east, grid.north
-    west, south, east, north = to_frame.transform_bounds(*bounds, densify_pts=_EDGE_POINTS)
+    west, south, east, north = to_frame.transform_bounds(*grid.bounds, densify_pts=_EDGE_POINTS)
     if not np.isfinite([west, south, east, north]).all():
         raise InputError(
             f"the DEM reaches from {grid.west:.6g}, {grid.south:.6g} to {grid.east:.6g}, "
@@ -334,7 +312,7 @@ def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
         top = max(strip.start - 1, 0)
         block = heights_m[top : strip.stop + 1]
         own = block[1:-1, 1:-1]
-        # Four neighbours rule most samples out; only the others are compared with all eight.
+        # Four neighbours rule most samples out.
         likely = (own >= block[:-2, 1:-1]) & (own >= block[2:, 1:-1])
         likely &= (own >= block[1:-1, :-2]) & (own >= block[1:-1, 2:])
         row, col = np.nonzero(likely)
@@ -355,11 +333,9 @@ def keep_summits(
 ) -> None:
     """Lift, in place, the sample of a warped grid nearest to each local maximum to its height.
 
-    The nearest is looked for among the samples at the corners of the cell that the maximum lies
-    in, and holes stay holes. So every summit is as high as it was, at most 0.71 of the target's
-    spacing aside, and nothing is higher than some sample of the source. ``warped_m`` lies on
-    ``target``, the source's ``heights_m`` on ``grid``; ``to_target`` leads from the CRS of the
-    source to that of the target.
+    The nearest is looked for among the corners of the cell that the maximum lies in, and holes stay
+    holes. So every summit is as high as it was, at most 0.71 of the target's spacing aside.
+    ``to_target`` leads from the CRS of ``grid``, the source's, to that of ``target``.
     """
     row, col = local_maxima(heights_m)
     easting, northing = to_target.transform(
