@@ -50,13 +50,6 @@ class Views(Rows):
         """Number of columns W."""
         return int(self.elevation_tan.shape[1])
 
-    @classmethod
-    def empty(cls, width: int) -> "Views":
-        """Return zero views of the given width."""
-        none = np.zeros(0)
-        rows = np.zeros((0, width), dtype=np.float32)
-        return cls(none, none, none, none.astype(np.uint8), rows, rows, rows.astype(np.uint8))
-
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
 

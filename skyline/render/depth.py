@@ -28,8 +28,6 @@ TILE_CELLS = 64
 _HOLE_HEIGHT_M = -1e30
 """Height that marks a hole in the texture, since some drivers do not pass NaN to shaders."""
 
-_VIEWPOINTS_A_READ = 64
-
 QUANTIZATION_PX = 0.5 + 2.0 / 256.0
 """Bound on the skyline's error: half a pixel, and the 1/256 px grid that vertices snap to."""
 
@@ -63,22 +61,18 @@ class DepthRenderer(Renderer):
         self._terrain = compile_shaders(
             ctx, "terrain.vert", "depth.frag", defines={"TILE": str(TILE_CELLS), **holes}
         )
-        self._skyline = compile_shaders(ctx, "fullscreen.vert", "depth_skyline.frag", defines={})
         heights = np.nan_to_num(field.heights_m.astype(np.float32), nan=_HOLE_HEIGHT_M)
         self._heights = ctx.texture((field.cols, field.rows), 1, heights, dtype="f4")
         self._heights.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._depth = ctx.texture((width, width), 1, dtype="f4")
         self._depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._depth_target = ctx.framebuffer([self._depth])
-        self._rows = ctx.texture((width, len(HEADINGS) * _VIEWPOINTS_A_READ), 3, dtype="f4")
-        self._rows_target = ctx.framebuffer([self._rows])
         self._tiles = _tile_origins(field)
         self._tile_buffer = ctx.buffer(reserve=self._tiles.nbytes)
         self._indices = ctx.buffer(_tile_triangles())
         self._mesh = ctx.vertex_array(
             self._terrain, [(self._tile_buffer, "2i/i", "tile_origin")], self._indices
         )
-        self._scan = ctx.vertex_array(self._skyline, [])
 
     @property
     def description(self) -> str:
@@ -90,10 +84,23 @@ class DepthRenderer(Renderer):
 
         Of the flags only `FLAG_OUT_OF_IMAGE` is set.
         """
-        parts = [Views.empty(self.width)]
-        for start in range(0, len(viewpoints), _VIEWPOINTS_A_READ):
-            parts.append(self._render_batch(viewpoints[start : start + _VIEWPOINTS_A_READ]))
-        return Views.concatenate(parts)
+        eyes, headings = in_four_views(viewpoints)
+        tan, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
+        flags = np.zeros(tan.shape, dtype=np.uint8)
+        for index in range(len(viewpoints)):
+            images = self.depth_images(viewpoints, index)
+            # A pixel is covered when its centre is below the skyline, so the skyline lies between
+            # that centre and the next one up: the pixel's top edge is the unbiased ordinate.
+            top = np.isfinite(images).argmax(axis=1)
+            depth = np.take_along_axis(images, top[:, np.newaxis], axis=1)[:, 0]
+            is_seen = np.isfinite(depth)
+            views = slice(len(HEADINGS) * index, len(HEADINGS) * (index + 1))
+            ordinate = np.float32(2.0) * (self.width - top).astype(np.float32) / self.width - 1.0
+            tan[views] = np.where(is_seen, ordinate, np.nan)
+            depth_m[views] = np.where(is_seen, depth, np.nan)
+            flags[views] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
+        places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
+        return Views(*places, headings, tan, depth_m, flags)
 
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
         """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky."""
@@ -103,35 +110,6 @@ class DepthRenderer(Renderer):
             with np.errstate(divide="ignore"):
                 images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
         return images
-
-    def _render_batch(self, viewpoints: Viewpoints) -> Views:
-        """Render the views of a few eyes: one image after another, one row of results each."""
-        self._skyline["inverse_depth"] = 0
-        self._skyline["size"] = self.width
-        for index in range(len(viewpoints)):
-            for heading in self._drawn(viewpoints, index):
-                # The skyline of the image just drawn goes into one row of the result.
-                self._depth.use(0)
-                self._rows_target.use()
-                row = len(HEADINGS) * index + heading
-                self._context.ctx.viewport = (0, row, self.width, 1)
-                self._scan.render(moderngl.TRIANGLES, vertices=3)
-        count = len(HEADINGS) * len(viewpoints)
-        read = self._rows_target.read((0, 0, self.width, count), components=3, dtype="f4")
-        pixels = np.frombuffer(read, dtype=np.float32).reshape(count, self.width, 3)
-        covered_row = pixels[..., 2]
-        seen = covered_row >= 0.0
-        outside = ~seen | (covered_row == self.width - 1)
-        eyes, headings = in_four_views(viewpoints)
-        return Views(
-            eyes.easting_m,
-            eyes.northing_m,
-            eyes.eye_elevation_m,
-            headings,
-            np.where(seen, pixels[..., 0], np.float32(np.nan)),
-            np.where(seen, pixels[..., 1], np.float32(np.nan)),
-            np.where(outside, np.uint8(FLAG_OUT_OF_IMAGE), np.uint8(0)),
-        )
 
     def _drawn(self, viewpoints: Viewpoints, index: int) -> Iterator[int]:
         """Draw the depth images of an eye in turn into the inverse-depth texture; yield headings.
