@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -141,37 +140,27 @@ class LocalHorizons(Rows):
         ax.plot(azimuth, up, color="black", linewidth=1.0)
         if self.has_surface:
             ax.plot(azimuth, self.surface_deg[place], color="green", linewidth=1.0)
-        ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45), title=self._title(place))
+        title = f"{self.id[place]}: " if self.id[place] else ""
+        title += f"lon {self.lon[place]:.5f}, lat {self.lat[place]:.5f}, "
+        title += f"eye {self.eye_elevation_m[place]:.0f} m"
+        ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45), title=title)
         ax.set(xlabel="azimuth from true north (degrees)", ylabel="elevation (degrees)")
         return ax
-
-    def _title(self, place: int) -> str:
-        name = f"{self.id[place]}: " if self.id[place] else ""
-        return (
-            f"{name}lon {self.lon[place]:.5f}, lat {self.lat[place]:.5f}, eye "
-            f"{self.eye_elevation_m[place]:.0f} m"
-        )
 
     def __repr__(self) -> str:
         return f"LocalHorizons({len(self)} places, {self.azimuth_deg.shape[1]} azimuths)"
 
     def _repr_html_(self) -> str:
-        """Return the first places as pictures of 2 px a degree, for a notebook."""
-        shown = []
-        for place, up_deg in enumerate(self.elevation_deg[:_SHOWN]):
-            known = np.isfinite(up_deg)
-            top = max(5.0, float(np.max(up_deg, where=known, initial=0.0)))
-            points = " ".join(
-                f"{2.0 * at:.4g},{2.0 * (top - up):.4g}"
-                for at, up in zip(self.azimuth_deg[place][known], up_deg[known], strict=True)
-            )
-            shown.append(
-                f'<p>{escape(self._title(place))}<br><svg width="720" height="{2.0 * top:.0f}" '
-                f'style="border: 1px solid"><polyline points="{points}" fill="none" '
-                'stroke="currentColor"/></svg></p>'
-            )
-        more = len(self) - len(shown)
-        return "".join(shown) + (f"<p>and {more} more places</p>" if more > 0 else "")
+        """Return the plots of the first places, for a notebook."""
+        from matplotlib.figure import Figure  # noqa: PLC0415  (slow to load)
+
+        shown = io.StringIO()
+        for place in range(min(len(self), _SHOWN)):
+            figure = Figure(figsize=(9, 3), layout="constrained")
+            self.plot(place, figure.subplots())
+            figure.savefig(shown, format="svg")
+        more = len(self) - _SHOWN
+        return shown.getvalue() + (f"<p>and {more} more places</p>" if more > 0 else "")
 
     def to_series(self, place: int = 0) -> Any:
         """Return the horizon of one place in the form of pvlib's `get_pvgis_horizon`.
@@ -212,8 +201,6 @@ class LocalHorizons(Rows):
             "elevation_deg": ("elevation angle of the horizon", "degrees"),
             "distance_m": ("horizontal distance of the horizon", "m"),
         }
-        if not self.has_surface:
-            del described["surface_deg"]
         dims = ("point", "azimuth_deg")
         true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
         return xarray.Dataset(
@@ -221,6 +208,7 @@ class LocalHorizons(Rows):
                 **{
                     name: (dims, getattr(self, name), {"long_name": long_name, "units": unit})
                     for name, (long_name, unit) in described.items()
+                    if name != "surface_deg" or self.has_surface
                 },
                 "flags": (dims, self.flags, {"long_name": "1 border, 2 hole, 4 no data"}),
                 "sky_view_factor": ("point", self.sky_view_factor()),

@@ -79,10 +79,6 @@ class DemOptions:
     crs: str | None = None
     reproject: bool = False
 
-    def to_json(self) -> dict[str, object]:
-        """Return the options by name, as JSON can hold them."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, options: object) -> "DemOptions":
         """Return the options that a store holds; the defaults for None.
@@ -187,7 +183,7 @@ def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
     grid, frame, conventions = mosaic.grid, Frame.from_crs(mosaic.crs), _placed(mosaic)
     _warn_of_distortion(grid, frame)
     counts = clean(mosaic.heights_m, mosaic.source, max(grid.step_east, grid.step_north))
-    provenance = Provenance(mosaic.files, "none", *counts, options.to_json(), conventions)
+    provenance = Provenance(mosaic.files, "none", *counts, asdict(options), conventions)
     return _field(mosaic.heights_m, grid, frame, provenance)
 
 
@@ -209,7 +205,7 @@ def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]
         f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
         f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    provenance = Provenance(mosaic.files, resampling, *counts, options.to_json(), conventions)
+    provenance = Provenance(mosaic.files, resampling, *counts, asdict(options), conventions)
     return Warp(mosaic.heights_m, grid, crs, frame, spacing_m), frame, provenance
 
 

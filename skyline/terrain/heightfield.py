@@ -56,7 +56,7 @@ class Provenance:
     undeclared : int
         Number of the voids that the files do not declare (`skyline.terrain.cleaning`).
     options : mapping
-        `skyline.DemOptions.to_json` of the options of reading.
+        The fields of `skyline.DemOptions`.
     conventions : mapping
         Units, datums, axes and the prime meridian of the files by name, in words.
     """

@@ -167,6 +167,6 @@ def test_a_horizon_of_a_file_is_drawn_and_shown_in_a_notebook(tmp_path):
     np.testing.assert_array_equal(line.get_ydata(), found.elevation_deg[3])
     assert found.plot(4, ax=axes) is axes
     html = found._repr_html_()
-    assert html.count("<polyline") == 5
+    assert html.count("<svg ") == 5
     assert "and 2 more places" in html
     assert "7 places" in repr(found)
