@@ -2,6 +2,7 @@
 
 import fcntl
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TextIO
@@ -56,12 +57,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 def write_with_folders(path: Path, content: bytes | str) -> None:
     """Write a file at once, and make missing folders; otherwise as `write_whole`."""
-    try:
+    with suppress(OSError):  # Then the file cannot be written either.
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror}); name another path"
-        ) from error
     write_whole(path, content)
 
 

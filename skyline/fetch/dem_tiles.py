@@ -200,7 +200,9 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
     """Return the part of a remote tile to read; None where the file is there already."""
     tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
     if path.exists():
-        held = _tag_of(path)
+        held = None
+        with suppress(RasterioError), rasterio.open(path, driver="GTiff") as file:
+            held = file.tags().get(_TAG)
         if held == tag:
             return None
         if held is None:
@@ -213,15 +215,6 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
         return _Cut(url, path, tag, _window(url, file, bounds_deg), file.dtypes[0])
 
     return with_remote(url, look, retries, timeout_s)
-
-
-def _tag_of(path: Path) -> str | None:
-    try:
-        with rasterio.open(path, driver="GTiff") as file:
-            tag: str | None = file.tags().get(_TAG)
-            return tag
-    except RasterioError:
-        return None
 
 
 def _check_usable(url: str, file: Any) -> None:

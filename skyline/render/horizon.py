@@ -106,19 +106,11 @@ def render_views(
 
 
 class PanoramaRenderer(ColumnRenderer):
-    """Renders the horizons of eyes on one height field.
+    """Renders the horizons of eyes on one height field, in B bins of azimuth, a multiple of 8.
 
-    Parameters
-    ----------
-    bins : int
-        Steps B of azimuth to a turn, a multiple of 8; `skyline.skylines.bin_azimuths_rad`.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-    tolerance_deg : float
-        Greatest angle by which a skyline level with the eye may lie too low; above and below it
-        the angle is smaller. With 0 the skyline is exact to float32.
-
-    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
+    ``tolerance_deg`` is the greatest angle by which a skyline level with the eye may lie too low;
+    above and below it the angle is smaller. With 0 the skyline is exact to float32. Raises as
+    `HorizonRenderer`, and `InputError` if the bins are out of range.
     """
 
     def __init__(
@@ -130,8 +122,7 @@ class PanoramaRenderer(ColumnRenderer):
     ) -> None:
         self.bins = check_bins(bins)
         self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
-        azimuth = quadrant_azimuths_rad(bins)
-        self._azimuth_rad = azimuth
+        self._azimuth_rad = azimuth = quadrant_azimuths_rad(bins)
         super().__init__(
             field,
             np.tan(azimuth),
@@ -151,12 +142,9 @@ class PanoramaRenderer(ColumnRenderer):
     ) -> Horizons:
         """Render the horizons of N eyes, in order.
 
-        Parameters
-        ----------
-        first_azimuth_rad : (N,) array_like, optional
-            Grid azimuth of each eye's bin 0; the other bins follow clockwise: the negative of the
-            meridian convergence makes azimuths count from true north. By default that of
-            `skyline.skylines.bin_azimuths_rad`.
+        ``first_azimuth_rad`` (N,) is the grid azimuth of each eye's bin 0: the negative of the
+        meridian convergence makes azimuths count from true north. By default it is that of
+        `skyline.skylines.bin_azimuths_rad`.
         """
         count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
         first = np.full(count, 0.5 * step_rad)

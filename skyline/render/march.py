@@ -200,13 +200,9 @@ class Results(Rows):
 class ColumnRenderer(Renderer):
     """Renders skylines of one height field in columns at any abscissas.
 
-    Parameters
-    ----------
-    u, tolerance : (W,) float64
-        Each column's abscissa, of magnitude at most 1, and the greatest amount by which its v may
-        be too small; with 0 it is exact to float32.
-    near_error : float
-        Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
+    ``u`` and ``tolerance`` (W,) are each column's abscissa, of magnitude at most 1, and the
+    greatest amount by which its v may be too small; with 0 it is exact to float32. ``near_error``
+    is the largest rounding error of v near the eye; float64 is used where float32 exceeds it.
 
     Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
     context can be made.
@@ -418,7 +414,7 @@ class ColumnRenderer(Renderer):
 
 def check_tolerance(tolerance: float, unit: str) -> float:
     """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
-    if not (np.isfinite(tolerance) and tolerance >= 0.0):
+    if not 0.0 <= tolerance < np.inf:
         raise InputError(
             f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
         )

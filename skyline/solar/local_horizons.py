@@ -410,17 +410,11 @@ def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Flo
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     """Write horizons to a file in the format of its suffix.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
-        elevation angles clockwise from north, one per line, none below 0) holds one.
+    ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS: elevation
+    angles clockwise from north, one per line, none below 0) holds one.
 
-    Raises
-    ------
-    InputError
-        The suffix is unknown, the file cannot be written, or a ``.txt`` would hold several places,
-        a surface, or an unknown value.
+    Raises `InputError` where the suffix is unknown, the file cannot be written, or a ``.txt`` would
+    hold several places, a surface, or an unknown value.
     """
     write_whole(path, named("the suffix", path.suffix.lower(), _KINDS)(horizons))
 

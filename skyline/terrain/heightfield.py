@@ -212,8 +212,7 @@ class HeightField:
     def height_sd_m(self) -> float:
         """Expected standard deviation of the heights from the true ones, from the spacing.
 
-        It grows as the root of the spacing. Measured against finer models of the same ground it is
-        6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
+        Measured against finer models it is 6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
         """
         return _HEIGHT_SD_PER_ROOT_M * math.sqrt(self.spacing_m)
 
@@ -326,15 +325,9 @@ class HeightField:
     ) -> tuple[BoolArray, tuple[Float64Array, ...], Float64Array, Float64Array]:
         """Return the triangles at fractional rows and columns.
 
-        Returns
-        -------
-        inside : bool
-            Whether a place is on the map; the others have the triangle at the first sample.
-        corners : three float64
-            Heights of the north-west corner, of the corner beside the diagonal, and of the
-            south-east corner.
-        south, east : float64
-            Samples from the north-west corner to the place.
+        These are a mask of places on the map, the heights of the triangles' north-west corners,
+        corners beside the diagonal and south-east corners, and the samples from the north-west
+        corners southwards and eastwards to the places.
         """
         inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
         row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
@@ -359,9 +352,8 @@ def ground_of(field: HeightField) -> Ground:
 class TerrainBlocks:
     """R x C blocks of a height field, made only where an eye may see them.
 
-    An eye sees little of a wide DEM: terrain behind a ridge need not be warped. Whether an eye may
-    see a block follows from the block's place and a bound on its heights. Neighbouring blocks share
-    the samples of their common edge.
+    Terrain behind a ridge need not be warped. Neighbouring blocks share the samples of their common
+    edge.
     """
 
     frame: Frame

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import BoolArray, Float64Array, Rows
+from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle
@@ -91,7 +91,9 @@ def stand_on(
         ]
         easting, northing = np.array(highest).reshape(-1, 2).T.copy()
     ground = field.height_at(easting_m=easting, northing_m=northing)
-    _check_ground(field, *asked, ground)
+    missing = np.flatnonzero(np.isnan(ground))
+    if missing.size:
+        raise _no_ground(field, missing, *asked)
     if summit_within_m is None:
         ground = np.fmax(ground, summit_heights_m(field, easting, northing))
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=ground + eye_height)
@@ -124,8 +126,7 @@ def place_on(
 ) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
 
-    Raises `OffMapError` for a place off the map, with a hint where longitude and latitude seem to
-    be swapped.
+    Raises `OffMapError` for a place off the map.
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = frame.from_lonlat(lon, lat)
@@ -134,14 +135,14 @@ def place_on(
         first = outside[0]
         west, south, east, north = bounds_m
         box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        is_swapped = _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
         which, remedy = f"viewpoint {first} ({outside.size} such)", "move it or remove it"
         if len(lon) == 1:
             which, remedy = "the place", "give another place, or a DEM that covers it"
+        if _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first])):
+            remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{which} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off the map; the DEM covers "
-            f"lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to {box[3]:.4f}: "
-            + (swapped_in_words(lon[first], lat[first]) if is_swapped else remedy)
+            f"lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to {box[3]:.4f}: {remedy}"
         )
     return easting, northing
 
@@ -178,13 +179,10 @@ def at_elevation(
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_elevation)
 
 
-def _check_ground(
-    field: HeightField, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array
-) -> None:
-    """Raise `OffMapError` where there is no ground to stand on."""
-    missing = np.flatnonzero(np.isnan(ground_m))
-    if not missing.size:
-        return
+def _no_ground(
+    field: HeightField, missing: Int64Array, easting_m: Float64Array, northing_m: Float64Array
+) -> OffMapError:
+    """Return the error for viewpoints without ground to stand on."""
     first = missing[0]
     easting, northing = easting_m[first], northing_m[first]
     lon, lat = field.frame.to_lonlat(easting, northing)
@@ -193,17 +191,14 @@ def _check_ground(
         f"{northing:.2f}; {missing.size} such) is"
     )
     if _is_inside(field.bounds_m, easting, northing):
-        raise OffMapError(f"{place} on a hole of the DEM: move it or remove it")
+        return OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
-    is_swapped = _is_inside(field.bounds_m, northing, easting)
-    raise OffMapError(
+    remedy = "move it or remove it"
+    if _is_inside(field.bounds_m, northing, easting):
+        remedy = swapped_in_words(easting, northing, names="easting and northing")
+    return OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
-        f"{south:.1f} to {north:.1f}: "
-        + (
-            swapped_in_words(easting, northing, names="easting and northing")
-            if is_swapped
-            else "move it or remove it"
-        )
+        f"{south:.1f} to {north:.1f}: {remedy}"
     )
 
 
