@@ -54,7 +54,7 @@ _OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
 _SHADERS = Path(__file__).parent / "shaders"
 
-_URGENT, _USUAL, _LAST = 0, 1, 2
+_URGENT, _USUAL, _LAST = range(3)
 """Ranks of a render thread's tasks; the last one ends it."""
 
 
@@ -287,10 +287,7 @@ def _destroy(context: GlContext) -> None:
 
 
 class _OsMesaContext:
-    """OpenGL by Mesa's off-screen library: a native context for moderngl, current once made.
-
-    Raises `ContextError` where the library cannot be loaded, or has no core profile of OpenGL 4.3.
-    """
+    """OpenGL by Mesa's off-screen library: a native context for moderngl, current once made."""
 
     def __init__(self) -> None:
         library = _osmesa()
@@ -414,11 +411,7 @@ class RenderThread:
         self._thread.start()
 
     def run(self, task: Callable[[], T], urgent: bool = False) -> T:
-        """Run a task on the thread and return its result; raises the task's errors.
-
-        An urgent task is run before all that are not urgent. Raises `ContextError` if the thread
-        was closed.
-        """
+        """Run a task and return its result; raises its errors, or `ContextError` once closed."""
         if threading.current_thread() is self._thread:
             return task()
         future: Future[T] = Future()

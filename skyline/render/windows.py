@@ -141,7 +141,7 @@ class WindowTextures:
         def built(seen: Float32Array, steepest: float) -> _Tree:
             slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
             tree = slab_levels(np.ascontiguousarray(seen), slopes, self._levels)
-            return [(self._coded(level.maxima), level.first_block) for level in tree]
+            return [(self._coded(maxima), first_block) for maxima, first_block in tree]
 
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
             axes = list(pool.map(built, (heights_m, heights_m.T), self.slope_max))
@@ -169,10 +169,9 @@ class WindowTextures:
                 slopes = np.linspace(*bounds, SLOPE_BINS // 2 + 1)
                 halves.append(slab_levels(seen, slopes, self._levels))
             tree = []
-            for lower, upper in zip(*halves, strict=True):
-                marks = np.concatenate([lower.maxima, upper.maxima])
-                texels = np.packbits(marks, axis=-1, bitorder="little")
-                tree.append((texels, lower.first_block))
+            for (lower, first_block), (upper, _) in zip(*halves, strict=True):
+                marks = np.concatenate([lower, upper])
+                tree.append((np.packbits(marks, axis=-1, bitorder="little"), first_block))
             return tree
 
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:

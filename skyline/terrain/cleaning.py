@@ -222,7 +222,12 @@ def _are_spikes(heights_m: Float32Array, candidates: Int64Array, threshold_m: fl
     joined = np.abs(around_m - own_m[:, np.newaxis]) <= threshold_m
     slot, is_candidate = _find(candidates, around)
     row, side = np.nonzero(joined & is_candidate)
-    clump = _connected(row, slot[row, side], candidates.size)
+    from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    shape = candidates.size, candidates.size
+    graph = coo_array((np.ones(row.size, dtype=np.int8), (row, slot[row, side])), shape=shape)
+    clump = connected_components(graph, directed=False)[1]
     # A gentle step to a sample that is no candidate anchors the whole clump.
     anchored = np.bincount(clump, weights=(joined & ~is_candidate).any(axis=1)) > 0.0
     suspect = ((np.bincount(clump) <= MAX_SPIKE_SAMPLES) & ~anchored)[clump]
@@ -267,15 +272,6 @@ def _small_voids(heights_m: Float32Array) -> Int64Array:
         wanted[0] = False
         found.append(np.flatnonzero(wanted[void[inner]]) + rows.start * heights_m.shape[1])
     return np.concatenate(found)
-
-
-def _connected(one: Int64Array, other: Int64Array, count: int) -> Int64Array:
-    """Return the number of the connected part of a graph to which each of its nodes belongs."""
-    from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-    graph = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) -> Int64Array:

@@ -4,8 +4,7 @@ The tree bounds the terrain from above for rays that march over it. Seen along o
 is cut across into strips (rows of cells) and these into slabs of 2, 16, 128, 1024 strips. A ray
 drifts sideways by its slope, in cells per strip, so it meets only part of a slab. For each range
 (bin) of slopes and each block of columns in which a ray crosses the first line of a band of eight
-slabs, the tree holds the greatest height among the samples that such a ray can come near in each
-of the eight: the tightest bound that a single fetch can give.
+slabs, the tree holds the greatest height that such a ray can come near in each of the eight.
 """
 
 import itertools
@@ -20,6 +19,10 @@ from skyline.arrays import BoolArray, Float64Array, Int64Array
 
 Samples = NDArray[Any]
 """float32 heights or uint8 marks."""
+
+SlabLevel = tuple[Samples, int]
+"""One level of the tree: the greatest values (bins, bands, blocks, SLABS), `EMPTY` (0 of marks)
+where a ray meets no sample; and the number of blocks left of the block that begins at column 0."""
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""
@@ -123,17 +126,6 @@ class Triangles:
         return np.concatenate(rows), np.concatenate(cols)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SlabLevel:
-    """One level of the tree."""
-
-    maxima: Samples
-    """(bins, bands, blocks, SLABS). Greatest value; `EMPTY` (0 of marks) where a ray meets no
-    sample."""
-    first_block: int
-    """Number of blocks left of the block that begins at column 0."""
-
-
 def level_count(strips: int) -> int:
     """Return the number of levels for a field with this number of strips along its longer axis."""
     levels = 1
@@ -200,7 +192,7 @@ def _bin_level(
             maxima[index, :, :, child] = _sliding_max(
                 values[:, child], first - first_block * ratio, ratio, blocks, past - first
             )
-    return SlabLevel(maxima, first_block)
+    return maxima, first_block
 
 
 def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int) -> Samples:
@@ -210,14 +202,10 @@ def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int
     first, stop = max(start, 0), min(start + need, values.shape[1])
     if stop > first:
         held[:, first - start : stop - start] = values[:, first:stop]
-    # Doubling: maxima of 1, 2, 4, ... neighbours, and two of those for the whole span.
-    reach = 1
-    while 2 * reach <= span:
-        np.maximum(held[:, :-reach], held[:, reach:], out=held[:, :-reach])
-        reach *= 2
     stop = (count - 1) * stride + 1
-    rest = span - reach
-    greatest: Samples = np.maximum(held[:, :stop:stride], held[:, rest : rest + stop : stride])
+    greatest = held[:, :stop:stride].copy()
+    for shift in range(1, span):
+        np.maximum(greatest, held[:, shift : shift + stop : stride], out=greatest)
     return greatest
 
 

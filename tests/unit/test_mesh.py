@@ -37,16 +37,16 @@ def test_no_ray_meets_more_than_its_bound(seed, lines, columns, steepest, place,
     index = min(int((turn + 1.0) / 2.0 * 8), 7)
     start = place * columns
     slab = LEAF_STRIPS
-    for level in slab_levels(heights, slopes, level_count(max(lines, columns) - 1)):
-        for band in range(level.maxima.shape[1]):
+    for maxima, first_block in slab_levels(heights, slopes, level_count(max(lines, columns) - 1)):
+        for band in range(maxima.shape[1]):
             origin = band * SLABS * slab
-            block = int(np.floor((start + slope * origin) / slab)) + level.first_block
+            block = int(np.floor((start + slope * origin) / slab)) + first_block
             for child in range(SLABS):
                 first = origin + child * slab
                 last = min(first + slab, lines - 1)
                 met = vertices_met(heights, start, slope, first, last)
                 if met > EMPTY:
-                    assert level.maxima[index, band, block, child] >= met
+                    assert maxima[index, band, block, child] >= met
         slab *= SLABS
 
 
@@ -56,10 +56,10 @@ def test_a_ray_that_enters_at_the_end_of_a_band_is_bounded(slope):
     heights = np.zeros((129, 65), dtype=np.float32)
     heights[:, [0, -1]] = 50.0, 70.0
     slab = LEAF_STRIPS
-    for level in slab_levels(heights, np.array([-1.0, 0.0, 1.0]), level_count(128)):
+    for maxima, first_block in slab_levels(heights, np.array([-1.0, 0.0, 1.0]), level_count(128)):
         strips = SLABS * slab
         start = 0.25 - strips if slope > 0.0 else 63.75 + strips
-        block = int(np.floor(start / slab)) + level.first_block
-        assert 0 <= block < level.maxima.shape[2]
-        assert level.maxima[int(slope > 0.0), 0, block, -1] >= (50.0 if slope > 0.0 else 70.0)
+        block = int(np.floor(start / slab)) + first_block
+        assert 0 <= block < maxima.shape[2]
+        assert maxima[int(slope > 0.0), 0, block, -1] >= (50.0 if slope > 0.0 else 70.0)
         slab = strips
