@@ -88,31 +88,16 @@ def fetch_dem(
     A tile is written whole or not at all, and one that is there from the same source and bounds is
     not fetched again, so that the same call continues a fetch that failed.
 
-    Parameters
-    ----------
-    bounds_deg : tuple
-        W, S, E, N in degrees. A skyline needs the terrain around its viewpoints: give the area to
-        build and all terrain around it that can be seen from there.
-    source : str
-        A name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand for the
-        whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
-        hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``.
-    folder : str or Path
-        The folder, which is made if it does not exist. Files are named by their tile:
-        ``N46E009.tif``.
-    retries, timeout_s : int
-        Greatest number of repetitions of a failed request, and the seconds without an answer after
-        which it has failed.
-    earlier : sequence of Path
-        Folders of earlier fetches. Samples that they have from the same source are copied.
+    ``source`` is a name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand
+    for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
+    hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
+    it does not exist. Files are named by their tile: ``N46E009.tif``. A request that fails, or has
+    no answer in ``timeout_s`` seconds, is repeated up to ``retries`` times. Samples that folders of
+    earlier fetches have from the same source are copied.
 
-    Raises
-    ------
-    InputError
-        The bounds or the source are not usable, the area is too large, there is no tile, or a file
-        is in the way or cannot be written.
-    FetchError
-        A server still fails after the retries. Nothing of its tile is written.
+    Raises `InputError` where the bounds or the source are not usable, the area is too large, there
+    is no tile, or a file is in the way or cannot be written, and `FetchError` where a server still
+    fails after the retries.
     """
     template = SOURCES.get(source, source)
     _check_template(template)

@@ -373,8 +373,10 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
 class Renderer:
     """Holds objects of the OpenGL context, which are freed when nothing holds them any more."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         self._context = acquire_context()
+        self.description = f"{name}; {self._context.renderer}"
+        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
 
     def release(self) -> None:
         """Free this renderer's buffers, textures and programs; the context stays for others."""

@@ -46,9 +46,8 @@ class DepthRenderer(Renderer):
         width: int = DEFAULT_WIDTH,
         curvature: Curvature | None = None,
     ) -> None:
-        super().__init__()
-        self.field = field
-        self.width = check_width(width)
+        super().__init__(f"depth {width} px")
+        self.field, self.width = field, check_width(width)
         self.curvature = curvature or Curvature()
         ctx = self._context.ctx
         largest = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
@@ -73,11 +72,6 @@ class DepthRenderer(Renderer):
         self._mesh = ctx.vertex_array(
             self._terrain, [(self._tile_buffer, "2i/i", "tile_origin")], self._indices
         )
-
-    @property
-    def description(self) -> str:
-        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
-        return f"depth {self.width} px; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints) -> Views:
         """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn.

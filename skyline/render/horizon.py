@@ -54,25 +54,15 @@ class HorizonRenderer(ColumnRenderer):
         tolerance_px: float = 0.0,
     ) -> None:
         pixel = pixel_size(check_width(width))
-        self.tolerance_px = check_tolerance(tolerance_px, "px")
-        super().__init__(
-            field,
-            columns_u(width),
-            np.full(width, self.tolerance_px * pixel),
-            NEAR_ERROR_PX * pixel,
-            curvature or Curvature(),
-        )
+        tolerance = np.full(width, check_tolerance(tolerance_px, "px") * pixel)
+        name = f"horizon {width} columns"
+        name += f", tolerance {tolerance_px:g} px" if tolerance_px else ""
+        super().__init__(name, field, columns_u(width), tolerance, NEAR_ERROR_PX * pixel, curvature)
 
     @classmethod
     def of(cls, field: HeightField, config: RenderConfig) -> Self:
         """Return a renderer with the settings of a configuration; raises as the class does."""
         return cls(field, config.width, config.curvature, config.tolerance_px)
-
-    @property
-    def description(self) -> str:
-        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
-        tolerance = f", tolerance {self.tolerance_px:g} px" if self.tolerance_px else ""
-        return f"horizon {self.width} columns{tolerance}; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
         """Render the skylines of N eyes, in order.
@@ -121,21 +111,12 @@ class PanoramaRenderer(ColumnRenderer):
         tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
     ) -> None:
         self.bins = check_bins(bins)
-        self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
         self._azimuth_rad = azimuth = quadrant_azimuths_rad(bins)
-        super().__init__(
-            field,
-            np.tan(azimuth),
-            np.radians(self.tolerance_deg) / np.cos(azimuth),
-            NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH),
-            curvature or Curvature(),
-        )
-
-    @property
-    def description(self) -> str:
-        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
-        tolerance = f", tolerance {self.tolerance_deg:g} degrees" if self.tolerance_deg else ""
-        return f"horizon {self.bins} azimuths{tolerance}; {self._context.renderer}"
+        tolerance = np.radians(check_tolerance(tolerance_deg, "degrees")) / np.cos(azimuth)
+        near_error = NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH)
+        name = f"horizon {bins} azimuths"
+        name += f", tolerance {tolerance_deg:g} degrees" if tolerance_deg else ""
+        super().__init__(name, field, np.tan(azimuth), tolerance, near_error, curvature)
 
     def render(
         self, viewpoints: Viewpoints, first_azimuth_rad: ArrayLike | None = None

@@ -210,13 +210,15 @@ class ColumnRenderer(Renderer):
 
     def __init__(
         self,
+        name: str,
         field: HeightField,
         u: Float64Array,
         tolerance: Float64Array,
         near_error: float,
-        curvature: Curvature,
+        curvature: Curvature | None,
     ) -> None:
-        self.field, self.width, self.curvature = field, len(u), curvature
+        super().__init__(name)
+        self.field, self.width, self.curvature = field, len(u), curvature or Curvature()
         self._near_error = near_error
         self._spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
         if max(east, north) > MAX_SPACING_RATIO * min(east, north):
@@ -224,7 +226,6 @@ class ColumnRenderer(Renderer):
                 f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
                 f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
             )
-        super().__init__()
         self._ctx = self._context.ctx
         self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
         self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
