@@ -52,7 +52,11 @@ _OSMESA_CORE_PROFILE = 0x34
 _OSMESA_CONTEXT_MAJOR_VERSION = 0x36
 _OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
-_SHADERS = Path(__file__).parent / "shaders"
+_PACKAGE = Path(__file__).parents[1]
+_SHADERS = next(
+    folder for folder in (_PACKAGE / "shaders", _PACKAGE.parent / "shaders") if folder.is_dir()
+)
+"""The folder of shaders in the wheel, or the one in the repository."""
 
 _URGENT, _USUAL, _LAST = range(3)
 """Ranks of a render thread's tasks; the last one ends it."""

@@ -15,7 +15,7 @@ DOCUMENTS = (
 
 _NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 _REFERENCE = re.compile(
-    r"`((?:skyline|bench|tests|examples)/[\w./-]+)`(?:: ((?:`[\w.]+`(?:, )?)+))?"
+    r"`((?:skyline|shaders|bench|tests|examples)/[\w./-]+)`(?:: ((?:`[\w.]+`(?:, )?)+))?"
 )
 _SHOWN_NAME = re.compile(r"^::: skyline\.(\w+)$", re.MULTILINE)
 _LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")

@@ -24,7 +24,7 @@ def test_it_installs_one_whole_way_to_opengl():
 def test_it_copies_what_the_package_is_built_from():
     wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
     project = PROJECT["project"]
-    built_from = {*wheel["packages"], project["readme"]}
+    built_from = {*wheel["packages"], *wheel["force-include"], project["readme"]}
     assert built_from | {"pyproject.toml", project["license"]["file"]} == COPIED
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
     assert {line[1:] for line in ignored if line.startswith("!")} == COPIED
