@@ -37,12 +37,12 @@ COMMANDS = {
         "views.panorama": "Draw the view from a place, with the names of the peaks in sight.",
     },
     "Data": {
-        "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
-        "info.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "info.explain": "Show which terrain a skyline depends on, which is left out, and the "
+        "data.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
+        "data.info": "Describe a DEM, a store, or the OpenGL in use.",
+        "data.explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
-        "fetch.dem": "Elevation data for an area.",
-        "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "data.dem": "Elevation data for an area.",
+        "data.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }
 """Commands by subject: module and name of each, and the first line of its own help."""

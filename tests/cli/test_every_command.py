@@ -206,8 +206,8 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread, name):
-    monkeypatch.setattr("skyline.cli.fetch.fetch_dem", lambda *_: FetchResult((), 0, ()))
-    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", lambda *_: 0)
+    monkeypatch.setattr("skyline.cli.data.fetch_dem", lambda *_: FetchResult((), 0, ()))
+    monkeypatch.setattr("skyline.cli.data.fetch_peaks", lambda *_: 0)
     arguments = command(name)
     unread()
     done = run(*arguments)

@@ -5,7 +5,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.camera import pixel_size
-from skyline.cli.info import curvature_bound_px, share_beyond, sight_range_m
+from skyline.cli.data import curvature_bound_px, share_beyond, sight_range_m
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle

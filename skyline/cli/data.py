@@ -1,11 +1,13 @@
-"""``skyline info`` and ``skyline explain``: facts of a DEM or a store, and of one skyline."""
+"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache``: elevation, peaks, their facts."""
 
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import typer
 from numpy.typing import ArrayLike
 from typer import Argument, Option
 
@@ -19,28 +21,123 @@ from skyline.cli.console import (
     Reproject,
     Tolerance,
     Width,
+    on_interrupt,
+    parse_bounds,
     parse_numbers,
     print_line,
+    print_note,
+    print_written,
+    progress_bar,
     read_terrain,
 )
 from skyline.errors import InputError, printable
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.remote import RETRIES, TIMEOUT_S
 from skyline.geodesy import Curvature, Frame
+from skyline.match.areas import cache_folder, cached_areas, clear_cache
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
 from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import (
-    DEFAULT_EYE_HEIGHT_M,
-    Viewpoints,
-    place_on,
-    stand_on,
-)
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, place_on, stand_on
 
 _DEFAULTS = RenderConfig()
 
 Facts = dict[str, object]
+Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
+Retries = Annotated[int, Option(min=0, max=100, help="How often to repeat a failed request.")]
+
+dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+
+
+@dem.callback()
+def _group() -> None:
+    """Do nothing: with this callback, `fetch` stays a subcommand although it is the only one."""
+
+
+@dem.command()
+def fetch(
+    bbox: Box,
+    folder: Annotated[
+        Path, Option("--output", "-o", metavar="DIR", help="The folder for the tiles.")
+    ],
+    source: Annotated[
+        str,
+        Option(
+            metavar="NAME|URL",
+            help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
+            "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
+        ),
+    ] = "copernicus",
+    retries: Retries = RETRIES,
+    timeout: Annotated[
+        int, Option(metavar="SECONDS", min=1, max=3600, help="How long to wait for an answer.")
+    ] = TIMEOUT_S,
+) -> None:
+    """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
+
+    The box must contain the area to build and all terrain that is seen from it.
+    After a stop or a failure, the same command continues.
+    """
+    bounds = parse_bounds(bbox)
+    on_interrupt(
+        "the tiles that were fetched are kept, and the same command continues with the others",
+        lambda: any(folder.glob("*.tif")),
+    )
+    with progress_bar("fetching tiles") as progress:
+        done = fetch_dem(bounds, source, folder, retries, timeout, progress)
+    held = sum(path.stat().st_size for path in done.files)
+    print_line(
+        f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
+    )
+    if done.missing:
+        print_line(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
+
+
+def peaks(
+    bbox: Box,
+    server: Annotated[
+        str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
+    ],
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE", help="The GeoJSON to write.")],
+    retries: Retries = RETRIES,
+    timeout: Annotated[
+        int,
+        Option(metavar="SECONDS", min=1, max=3600, help="How long to wait for the whole answer."),
+    ] = TIMEOUT_S,
+) -> None:
+    """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
+    count = fetch_peaks(parse_bounds(bbox), server, output, retries, timeout)
+    print_written(output, f"{count} peaks (OpenStreetMap contributors, ODbL)")
+
+
+def cache(
+    clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List what `locate` keeps: elevation tiles and stores of areas."""
+    areas = cached_areas()
+    total = sum(one.tile_bytes + one.store_bytes for one in areas)
+    if clear:
+        count = clear_cache(print_note)
+        left = sum(one.tile_bytes + one.store_bytes for one in cached_areas())
+        print_line(f"{cache_folder()}: {count} areas removed, {(total - left) / 1e6:.1f} MB")
+        return
+    if as_json:
+        about = {"folder": str(cache_folder()), "areas": [one.to_dict() for one in areas]}
+        print_line(json.dumps(about | {"bytes": total}))
+        return
+    for one in areas:
+        store = f"store {one.store_bytes / 1e6:.1f} MB" + (
+            "" if one.is_finished else ", unfinished"
+        )
+        tiles = f"{one.tiles} tiles {one.tile_bytes / 1e6:.1f} MB, " if one.tiles else ""
+        box = ",".join(f"{side:g}" for side in one.bounds_deg)
+        print_line(f"{one.origin} {box}: {tiles}{store}, {one.changed:%Y-%m-%d %H:%M}")
+    print_line(f"{cache_folder()}: {len(areas)} areas, {total / 1e6:.1f} MB")
 
 
 def info(
