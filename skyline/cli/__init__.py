@@ -15,8 +15,8 @@ COMMANDS = {
         "match.match": "Find where photos were taken and in which direction the camera looked.",
         "orient.orient": "Find how cameras were held at a known place: heading, pitch, roll and "
         "field of view.",
-        "label.label": "Write the names and distances of the summits that a photo shows on it.",
-        "label.pixels": "Give the place on the terrain that each pixel of a photo shows.",
+        "orient.label": "Write the names and distances of the summits that a photo shows on it.",
+        "orient.pixels": "Give the place on the terrain that each pixel of a photo shows.",
         "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",
         "photo.serve": "Open a page in the browser: drop photos, mend skylines, find places, "

@@ -82,6 +82,7 @@ RefractionK = Annotated[float, _terrain("--k", help="Refraction coefficient.")]
 NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Assume a flat Earth.")]
 Crs = Annotated[str | None, _terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
 Reproject = Annotated[bool, _terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")]
+PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")
 Width = Annotated[int, _terrain(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
     float, _terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact.")

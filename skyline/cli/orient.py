@@ -1,31 +1,61 @@
-"""``skyline orient``: how cameras were held at a known place."""
+"""``skyline orient``, ``label`` and ``pixels``: cameras at known places, and what they see."""
 
 import csv
 import io
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from typer import Argument, Option
 
 from skyline.cli.console import (
+    PEAKS,
     AsJson,
     Crs,
     Reproject,
     are_degrees,
+    note_if_slow,
     parse_numbers,
     print_error,
     print_line,
+    print_note,
+    progress_bar,
     read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, printable
-from skyline.files import STANDARD, write_whole
+from skyline.errors import InputError, SkylineError, named, printable
+from skyline.files import STANDARD, read_bytes, write_whole
+from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
+from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
+from skyline.photo.read import read_photo, read_query
+from skyline.report.gazetteer import read_peaks
+from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
+from skyline.report.viewer import Viewer
 
+_LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
+_NAMED = 5
+"""Summits that are not seen of which the names are printed."""
+_NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
+_ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
+_EXPECTED = (
+    "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
+    f"with {', '.join(_NEEDED)}"
+)
+
+_POSE = Option(
+    metavar="FILE.json",
+    help="The camera's place and direction, as `match --json` and `orient --json` print them.",
+)
+Dem = Annotated[
+    list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
+]
 CameraPlace = Annotated[
     str | None,
     Option(
@@ -41,9 +71,7 @@ def orient(
         list[Path],
         Argument(metavar="PHOTO...", help="Photos, folders of them, sky masks or CSV traces."),
     ],
-    dem: Annotated[
-        list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
-    ],
+    dem: Dem,
     at: CameraPlace = None,
     within: Annotated[
         float | None,
@@ -77,7 +105,7 @@ def orient(
             label = {"id": printable(one.label)} if one.label else {}
             try:
                 skyline = one.read()
-                lon, lat, elevation_m, usual_m = place or place_noted(skyline, one.path)
+                lon, lat, elevation_m, usual_m = place or noted_place(skyline, one.path)
                 there = lon, lat, elevation_m, usual_m if within is None else within
                 result = orienter_at(there).orient(skyline, name=one.path)
             except SkylineError as error:
@@ -116,12 +144,6 @@ def camera_place(at: str | None) -> Place | None:
     return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
 
 
-def place_noted(query: QuerySkyline, name: str) -> Place:
-    """Return the place that a photo's GPS notes; raises `InputError` where it notes none."""
-    lon, lat, within_m = noted_place(query, name)
-    return lon, lat, None, within_m
-
-
 def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
     names = dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row)
@@ -129,3 +151,179 @@ def _csv(rows: list[dict[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
+
+
+def label(
+    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    dem: Dem,
+    peaks: Annotated[Path, PEAKS],
+    output: Annotated[
+        Path,
+        Option(
+            "--output", "-o", metavar="FILE", help=f"The file to write: {', '.join(_LABEL_FILES)}."
+        ),
+    ],
+    at: CameraPlace = None,
+    pose: Annotated[Path | None, _POSE] = None,
+    fov_deg: FieldOfView = None,
+    ridges: Annotated[
+        bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
+    ] = False,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Write the names and distances of the summits that a photo shows on it.
+
+    The camera is oriented by the skyline at its place, unless its pose is given.
+    Summits that terrain hides are left out.
+    """
+    from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
+
+    kind = named("--output's suffix", output.suffix.lower(), _LABEL_FILES)
+    if pose is not None and (at is not None or fov_deg is not None):
+        raise InputError("--pose has the place and the field of view; leave --at and --fov-deg out")
+    check_outputs([output], [photo, *filter(None, [pose]), peaks])
+    place = camera_place(at)
+    picture = read_photo(photo, fov_deg, projection=projection)
+    query = picture.blank
+    known: dict[str, float] | Place
+    if pose is not None:
+        known = _read_pose(pose, photo, query.projection)
+    else:
+        query = read_query(photo, fov_deg, projection=projection)
+        known = place or noted_place(query, str(photo))
+    terrain = read_terrain(dem, crs, reproject)
+    gazetteer = read_peaks(peaks, terrain.frame)
+    with Viewer(terrain, gazetteer) as viewer:
+        with note_if_slow("orienting the camera"):
+            if isinstance(known, dict):
+                camera = _camera(known, viewer)
+            else:
+                camera = _oriented(photo, query, known, viewer)
+        with note_if_slow("looking for summits"):
+            seen = viewer.summits(camera, query)
+            sight = viewer.look(camera, query) if ridges and kind != "json" else None
+    unnamed = 0
+    if kind == "json":
+        names = ("name", "column_px", "row_px", "distance_m", "elevation_m")
+        records = [{name: getattr(one, name) for name in names} for one in seen]
+        written: str | bytes = json.dumps(records, indent=1) + "\n"
+    else:
+        written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
+    write_whole(output, written)
+    without = f", {unnamed} of them without a name for want of room" if unnamed else ""
+    missing = sorted(set(gazetteer.names) - {one.name for one in seen})
+    if missing:
+        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+        without += f"; hidden or outside the photo: {', '.join(missing[:_NAMED])}{more}"
+    print_line(f"{output}: {len(seen)} of {len(gazetteer)} peaks are seen{without}")
+
+
+def pixels(
+    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    pose: Annotated[Path, _POSE],
+    dem: Dem,
+    output: Annotated[
+        Path,
+        Option(
+            "--output", "-o", metavar="FILE", help=f"The file to write: {' or '.join(PIXEL_FILES)}."
+        ),
+    ],
+    step: Annotated[int, Option(min=1, help="Take every Nth row and column.")] = 1,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Give the place on the terrain that each pixel of a photo shows.
+
+    Distance, longitude, latitude and elevation are NaN for sky.
+    """
+    check_pixel_file(output)
+    check_outputs([output], [photo, pose])
+    query = read_photo(photo, projection=projection).blank
+    record = _read_pose(pose, photo, query.projection)
+    terrain = read_terrain(dem, crs, reproject)
+    with progress_bar("following rays") as progress:
+        viewer = Viewer(terrain)
+        camera = _camera(record, viewer)
+        places = viewer.places(camera, query, step, progress)
+    places.save(output, camera)
+    ground = 100.0 * float(np.isfinite(places.distance_m).mean())
+    height, width = places.distance_m.shape
+    print_line(f"{output}: {width} x {height} pixels, {ground:.0f} % of them on terrain")
+
+
+def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, float]:
+    """Return the numbers of a photo's pose in a file; raises `InputError` unless all are there.
+
+    A file of several photos has the pose in the line that names the photo.
+    """
+    try:
+        text = read_bytes(path, _EXPECTED).decode("utf-8-sig")
+        try:
+            records = [json.loads(text)]
+        except ValueError:
+            records = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"pose {path} cannot be read ({error}); {_EXPECTED}") from None
+    if len(records) > 1:
+        records = [one for one in records if _is_of(one, photo)]
+        if len(records) != 1:
+            raise InputError(
+                f"pose {path} has {len(records)} lines whose `query` is {photo}; expected one: "
+                "give a file of this photo alone"
+            )
+    record = records[0] if records else None
+    if isinstance(record, dict) and "candidates" in record:
+        candidates = record["candidates"] or [None]
+        if record.get("answer") is None and candidates[0] is not None:
+            print_note(f"{path} has no answer, so the best candidate is taken")
+        record = record.get("answer") or candidates[0]
+    elif isinstance(record, dict) and record.get("refusal"):
+        print_note(f"the pose in {path} is not trusted: {printable(str(record['refusal']))}")
+    if not isinstance(record, dict) or any(record.get(name) is None for name in _NEEDED):
+        raise InputError(f"pose {path} has no pose; {_EXPECTED}")
+    names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
+    given = {name: record[name] for name in names if record.get(name) is not None}
+    for name, value in given.items():
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (is_number and math.isfinite(value)):
+            raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
+    if not are_degrees(given["lon"], given["lat"]):
+        raise InputError(
+            f"pose {path}: lon is {given['lon']:g} and lat {given['lat']:g}; expected degrees (WGS "
+            "84)"
+        )
+    projection.check_fov_deg(given["fov_deg"])
+    return {name: float(value) for name, value in given.items()}
+
+
+def _is_of(record: Any, photo: Path) -> bool:
+    """Return whether a line of a file of poses names a photo."""
+    return isinstance(record, dict) and record.get("query") == printable(photo)
+
+
+def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:
+    """Return the camera's pose at a known place; `InputError` where it cannot be trusted."""
+    with orienters(viewer.terrain) as orienter_at:
+        held = orienter_at(place).orient(query, name=str(photo))
+    if held.answer is None:
+        raise InputError(
+            f"{photo}: the camera's direction is not sure ({held.refusal}); give its pose with "
+            "--pose"
+        )
+    for line in held.to_text().splitlines():
+        print_note(line)
+    return held.answer
+
+
+def _camera(record: dict[str, float], viewer: Viewer) -> Candidate:
+    """Return the pose of a record; without an elevation the eye stands on the ground."""
+    angles = {name: record[name] for name in _ANGLES if name in record}
+    pose = viewer.pose(lon=record["lon"], lat=record["lat"], **angles)
+    return replace(
+        pose,
+        distortion=record.get("distortion", 0.0),
+        eye_elevation_m=record.get("eye_elevation_m", pose.eye_elevation_m),
+    )

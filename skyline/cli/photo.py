@@ -7,12 +7,7 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from skyline.cli.console import (
-    StoreDem,
-    StoreFile,
-    panel,
-    print_written,
-)
+from skyline.cli.console import PEAKS, StoreDem, StoreFile, panel, print_written
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.projection import Projection
 from skyline.photo.read import extract_photo, write_overlay
@@ -58,10 +53,7 @@ def serve(
         Argument(metavar="[PHOTO...]", help="Photos that are open on the page at first."),
     ] = None,
     dem: StoreDem = None,
-    peaks: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m]."),
-    ] = None,
+    peaks: Annotated[Path | None, PEAKS] = None,
     port: Annotated[
         int, Option(min=0, max=65535, help="Port of the page; 0 takes any free port.")
     ] = 8765,

@@ -10,6 +10,7 @@ import typer
 from typer import Option
 
 from skyline.cli.console import (
+    PEAKS,
     Crs,
     Dems,
     NoCurvature,
@@ -149,13 +150,7 @@ def panorama(
         Path,
         Option("--output", "-o", metavar="FILE", help="The file to write: .png, .svg or .pdf."),
     ],
-    peaks: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE",
-            help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].",
-        ),
-    ] = None,
+    peaks: Annotated[Path | None, PEAKS] = None,
     heading: Annotated[
         float, Option(metavar="DEG", help="Azimuth of the picture's middle, from true north.")
     ] = _PANORAMA.heading_deg,

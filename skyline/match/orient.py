@@ -411,15 +411,15 @@ def orient(
     """
     skyline = skyline_of(query, fov_deg)
     if lon is None or lat is None:
-        lon, lat, noted_m = noted_place(skyline, name_of(query))
+        lon, lat, _, noted_m = noted_place(skyline, name_of(query))
         within_m = noted_m if within_m is None else within_m
     within_m = DEFAULT_WITHIN_M if within_m is None else within_m
     with Orienter(dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m) as orienter:
         return orienter.orient(skyline, name=name_of(query))
 
 
-def noted_place(query: QuerySkyline, name: str) -> tuple[float, float, float]:
-    """Return the longitude, the latitude and the error, metres, that a photo notes of its place.
+def noted_place(query: QuerySkyline, name: str) -> Place:
+    """Return the place that a photo notes, without an elevation.
 
     Raises `InputError` for a photo without a position.
     """
@@ -429,4 +429,4 @@ def noted_place(query: QuerySkyline, name: str) -> tuple[float, float, float]:
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
     within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
-    return (*query.noted.lonlat_deg, min(within_m, _MOST_WITHIN_M))
+    return (*query.noted.lonlat_deg, None, min(within_m, _MOST_WITHIN_M))
