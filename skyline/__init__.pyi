@@ -42,13 +42,13 @@ from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
 from .render.horizon import render_views as render_views
 from .report.exports import export_matches as export_matches
-from .report.gazetteer import Peaks as Peaks
-from .report.gazetteer import read_peaks as read_peaks
 from .report.labelled_panorama import save_panorama as save_panorama
 from .report.landscape import PanoramaConfig as PanoramaConfig
 from .report.located import write_located as write_located
 from .report.match_report import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
+from .report.peaks import Peaks as Peaks
+from .report.peaks import read_peaks as read_peaks
 from .report.pixel_places import PixelPlaces as PixelPlaces
 from .report.relief_tiles import ReliefTiles as ReliefTiles
 from .report.viewer import SeenPeak as SeenPeak

@@ -18,7 +18,7 @@ from skyline.fetch.dem_tiles import SOURCES
 from skyline.match.areas import cached_files, prepare_area
 from skyline.match.locate import NOTED_KM, area_of
 from skyline.match.queries import Query, listed
-from skyline.report.gazetteer import find_place
+from skyline.report.peaks import find_place
 
 
 def locate(

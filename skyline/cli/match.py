@@ -38,7 +38,7 @@ from skyline.match.queries import Query, listed, match_here, match_many, written
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.gazetteer import read_peaks
+from skyline.report.peaks import read_peaks
 from skyline.store import is_store
 from skyline.terrain.rasters import absolute_name
 

@@ -35,7 +35,7 @@ from skyline.match.queries import Query, listed
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo, read_query
-from skyline.report.gazetteer import read_peaks
+from skyline.report.peaks import read_peaks
 from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
 from skyline.report.viewer import Viewer
 

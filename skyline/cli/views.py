@@ -27,8 +27,8 @@ from skyline.cli.console import (
 from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.geodesy import Curvature
-from skyline.report.gazetteer import read_peaks
 from skyline.report.landscape import PanoramaConfig
+from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar.local_horizons import (
     DEFAULT_STEP_DEG,

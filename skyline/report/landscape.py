@@ -16,9 +16,9 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.report.gazetteer import Peaks
 from skyline.report.peaks import (
     UNDERFOOT_SAMPLES,
+    Peaks,
     Sighting,
     elevation_deg,
     highest_between_deg,

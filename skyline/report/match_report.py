@@ -16,11 +16,10 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
 from skyline.report.figures import encode_figure, unnamed_in_words
-from skyline.report.gazetteer import Peaks
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import Sighting
+from skyline.report.peaks import Peaks, Sighting
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import package_version

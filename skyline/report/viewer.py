@@ -24,8 +24,7 @@ from skyline.photo.projection import distorted, undistorted
 from skyline.photo.query import QuerySkyline
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.report.gazetteer import Peaks
-from skyline.report.peaks import Sighting, most_prominent_first, visible_peaks
+from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.report.pixel_places import PixelPlaces
 from skyline.skylines import Views
 from skyline.terrain.dem import Dem, read_dem

@@ -20,10 +20,9 @@ from skyline.build.plans import uniform_grid
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels
-from skyline.report.gazetteer import Peaks
 from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import Sighting
+from skyline.report.peaks import Peaks, Sighting
 from skyline.report.viewer import SeenPeak, Viewer, peaks_in_picture, pixels_of, sight_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle

@@ -11,8 +11,7 @@ from scipy import ndimage
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
-from skyline.report.gazetteer import Peaks, read_peaks
-from skyline.report.peaks import SUMMIT_RADIUS_M, visible_peaks
+from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks, read_peaks, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.pinhole import Camera
