@@ -49,8 +49,8 @@ from .report.match_report import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.peaks import Peaks as Peaks
 from .report.peaks import read_peaks as read_peaks
-from .report.pixel_places import PixelPlaces as PixelPlaces
 from .report.relief_tiles import ReliefTiles as ReliefTiles
+from .report.viewer import PixelPlaces as PixelPlaces
 from .report.viewer import SeenPeak as SeenPeak
 from .report.viewer import Sight as Sight
 from .report.viewer import Viewer as Viewer

@@ -10,8 +10,9 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -90,6 +91,13 @@ def named(what: str, name: str, known: Mapping[str, T]) -> T:
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
+
+
+def suffix_of(path: str | Path, known: Iterable[str]) -> str:
+    """Return a path's suffix in small letters; raises `InputError` for one that is not known."""
+    suffix = Path(path).suffix.lower()
+    named(f"the suffix of {path}", suffix, dict.fromkeys(known))
+    return suffix
 
 
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:

@@ -29,7 +29,7 @@ from skyline.cli.console import (
     print_note,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, named, printable
+from skyline.errors import InputError, SkylineError, named, printable, suffix_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.matchers import FULL, MATCHERS, MatchConfig
@@ -37,7 +37,7 @@ from skyline.match.prior import Narrowing
 from skyline.match.queries import Query, listed, match_here, match_many, written_ns
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
-from skyline.report.exports import EXPORTS, check_export, export_matches
+from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.peaks import read_peaks
 from skyline.store import is_store
 from skyline.terrain.rasters import absolute_name
@@ -146,7 +146,7 @@ def match(
     queries = list(listed(query, common))
     check_outputs([*exports, results], [*stores, *query, *(Path(one.path) for one in queries)])
     for path in exports:
-        check_export(path)
+        suffix_of(path, EXPORTS)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     file = None
     if results is not None:

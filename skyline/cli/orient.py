@@ -27,7 +27,7 @@ from skyline.cli.console import (
     read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, named, printable
+from skyline.errors import InputError, SkylineError, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
@@ -36,8 +36,7 @@ from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
-from skyline.report.pixel_places import PIXEL_FILES, check_pixel_file
-from skyline.report.viewer import Viewer
+from skyline.report.viewer import PIXEL_FILES, Viewer
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NAMED = 5
@@ -180,7 +179,7 @@ def label(
     """
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 
-    kind = named("--output's suffix", output.suffix.lower(), _LABEL_FILES)
+    kind = _LABEL_FILES[suffix_of(output, _LABEL_FILES)]
     if pose is not None and (at is not None or fov_deg is not None):
         raise InputError("--pose has the place and the field of view; leave --at and --fov-deg out")
     check_outputs([output], [photo, *filter(None, [pose]), peaks])
@@ -239,7 +238,7 @@ def pixels(
 
     Distance, longitude, latitude and elevation are NaN for sky.
     """
-    check_pixel_file(output)
+    suffix_of(output, PIXEL_FILES)
     check_outputs([output], [photo, pose])
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)

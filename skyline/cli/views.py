@@ -24,7 +24,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.errors import InputError
+from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import Curvature
 from skyline.report.landscape import PanoramaConfig
@@ -96,10 +96,8 @@ def horizon(
     """Give the horizon around places: elevation angle and distance by azimuth from true north."""
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
-    if output not in {None, Path(STANDARD)} and output.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"--output is {output}; expected a name that ends in {', '.join(SUFFIXES)}"
-        )
+    if output not in {None, Path(STANDARD)}:
+        suffix_of(output, SUFFIXES)
     terrain = read_terrain(dem, crs, reproject)
     ids: tuple[str, ...] = ()
     if points is not None:

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.errors import InputError, named, printable
+from skyline.errors import printable, suffix_of
 from skyline.files import write_whole, write_with_folders
 from skyline.geodesy import Frame
 from skyline.match.answer import MatchResult
@@ -304,13 +304,6 @@ EXPORTS: Mapping[
 """The function that returns the content of a file of each suffix."""
 
 
-def check_export(path: str | Path) -> str:
-    """Return the suffix of a file to write; raises `InputError` for one not in `EXPORTS`."""
-    suffix = Path(path).suffix.lower()
-    named(f"the suffix of {path}", suffix, EXPORTS)
-    return suffix
-
-
 def export_matches(
     path: str | Path,
     results: Sequence[MatchResult],
@@ -337,7 +330,7 @@ def export_matches(
         The suffix is not known, a photo cannot be read, or the file cannot be written.
     """
     path = Path(path)
-    content = EXPORTS[check_export(path)](path, results, frame, photos)
+    content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frame, photos)
     write_with_folders(path, content)
 
 
@@ -359,8 +352,7 @@ def write_geopackage(store: Store, path: Path) -> int:
     StoreError
         The store's data are damaged.
     """
-    if path.suffix.lower() != ".gpkg":
-        raise InputError(f"--output is {path}; expected a name that ends in .gpkg")
+    suffix_of(path, [".gpkg"])
     table = store.to_geodataframe()
     # The file is made in memory: SQLite needs file locks, which some network folders lack.
     held = io.BytesIO()

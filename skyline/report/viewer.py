@@ -4,18 +4,25 @@ A pose is a `Candidate`; a picture has the size and the projection of a query. A
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
 """
 
+import io
+import json
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import MemoryFile
 
-from skyline.arrays import BoolArray, Float64Array, Progress
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, OffMapError
+from skyline.errors import InputError, OffMapError, suffix_of
+from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
@@ -25,7 +32,6 @@ from skyline.photo.query import QuerySkyline
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
-from skyline.report.pixel_places import PixelPlaces
 from skyline.skylines import Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
@@ -37,6 +43,8 @@ from skyline.terrain.viewpoints import (
     stand_on,
 )
 
+PIXEL_FILES = (".npz", ".tif")
+_BANDS = ("distance_m", "lon", "lat", "elevation_m")
 _AROUND = 0.52
 """Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
 widths: just beyond the picture."""
@@ -175,6 +183,65 @@ def peaks_in_picture(
         for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
         if 0.0 <= x < query.width_px and 0.0 <= y < query.height_px
     ]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PixelPlaces:
+    """The place on the terrain that each pixel of a photo shows; NaN for sky.
+
+    Attributes
+    ----------
+    distance_m : (H, W) float32
+        Horizontal distance from the camera.
+    lon, lat : (H, W) float64
+        Degrees, WGS 84.
+    elevation_m : (H, W) float32
+        Metres above the DEM's datum.
+    step : int
+        Row r and column c are pixel ``step * r`` and ``step * c`` of the photo.
+    """
+
+    distance_m: Float32Array
+    lon: Float64Array
+    lat: Float64Array
+    elevation_m: Float32Array
+    step: int = 1
+
+    def save(self, path: str | Path, pose: Candidate) -> None:
+        """Write the places, and the pose from which they are seen.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.npz`` holds the arrays by name and ``pose``, JSON as ``skyline match --json`` prints
+            a candidate. ``.tif`` holds four float64 bands by name, without a georeference; the pose
+            is its tag ``pose``.
+
+        Raises
+        ------
+        InputError
+            The suffix is another, or the file cannot be written.
+        """
+        path, suffix = Path(path), suffix_of(path, PIXEL_FILES)
+        about = json.dumps(pose.to_dict())
+        arrays = [getattr(self, name) for name in _BANDS]
+        if suffix == ".npz":
+            file = io.BytesIO()
+            np.savez(file, **dict(zip(_BANDS, arrays, strict=True)), step=self.step, pose=about)
+            write_whole(path, file.getvalue())
+            return
+        height, width = self.lon.shape
+        size = {"width": width, "height": height, "count": len(_BANDS), "dtype": "float64"}
+        with MemoryFile() as memory, warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with memory.open(
+                driver="GTiff", **size, nodata=np.nan, compress="deflate", BIGTIFF="IF_SAFER"
+            ) as raster:
+                for band, (name, values) in enumerate(zip(_BANDS, arrays, strict=True), start=1):
+                    raster.write(values.astype(np.float64), band)
+                    raster.set_band_description(band, name)
+                raster.update_tags(pose=about, step=self.step)
+            write_whole(path, memory.read())
 
 
 class Viewer:

@@ -113,7 +113,7 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
         (("--at", AT, "--summit-within", "-5"), "expected 0 to 10000"),
         ((), "give places as --at LON,LAT or as --points"),
-        (("--at", AT, "-o", "horizon.doc"), "expected a name that ends in .csv"),
+        (("--at", AT, "-o", "horizon.doc"), "expected one of .csv"),
         (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
         (("--at", AT, "--eye-height", "-3"), "below the ground"),
         (("--points", "no.csv"), "no.csv does not exist"),

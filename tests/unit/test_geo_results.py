@@ -165,7 +165,7 @@ def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_pa
 @pytest.mark.parametrize(
     ("kind", "name", "said"),
     [
-        ("place_store", "places.shp", "ends in .gpkg"),
+        ("place_store", "places.shp", "expected one of .gpkg"),
         ("place_store", "none/places.gpkg", "cannot be written"),
         ("view_store", "views.gpkg", "renderings"),
     ],

@@ -227,5 +227,5 @@ def test_files_of_places_hold_the_arrays_and_the_pose(rough, tmp_path):
         np.testing.assert_array_equal(held[name], getattr(places, name))
         np.testing.assert_array_equal(bands[name], getattr(places, name))
     assert '"heading_deg": 130.0' in str(held["pose"])
-    with pytest.raises(InputError, match="ends in"):
+    with pytest.raises(InputError, match="suffix of"):
         places.save(tmp_path / "p.csv", pose)
