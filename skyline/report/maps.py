@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
-from numpy.typing import ArrayLike
+from matplotlib.transforms import Bbox
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from skyline.arrays import BoolArray, Float32Array
+from skyline.arrays import Float32Array, Float64Array
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
 from skyline.report.figures import save_figure, unnamed_in_words
@@ -43,80 +43,37 @@ _NO_TERRAIN = "#eef0ee"
 _EDGE_POINTS = 65
 
 
-@dataclass(frozen=True, slots=True)
-class MapArea:
-    """A rectangle of a map, in metres of its frame."""
-
-    west_m: float
-    south_m: float
-    east_m: float
-    north_m: float
-
-    @classmethod
-    def around(cls, easting_m: ArrayLike, northing_m: ArrayLike, least_m: float) -> "MapArea":
-        """Return the square around places, at least ``least_m`` wide, with a margin all round."""
-        easting, northing = np.asarray(easting_m), np.asarray(northing_m)
-        widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
-        half = max(widest / (1.0 - 2.0 * _MARGIN), least_m) / 2.0
-        east = float(easting.min() + easting.max()) / 2.0
-        north = float(northing.min() + northing.max()) / 2.0
-        return cls(east - half, north - half, east + half, north + half)
-
-    def within(self, terrain: HeightField | None) -> "MapArea":
-        """Return the part of the area that a height field covers; all of it if there is none."""
-        if terrain is None:
-            return self
-        west, south, east, north = terrain.bounds_m
-        part = MapArea(
-            max(west, self.west_m),
-            max(south, self.south_m),
-            min(east, self.east_m),
-            min(north, self.north_m),
-        )
-        return part if part.west_m < part.east_m and part.south_m < part.north_m else self
-
-    def holds(self, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-        """Return whether places lie in the area."""
-        easting, northing = np.asarray(easting_m), np.asarray(northing_m)
-        across = (self.west_m <= easting) & (easting <= self.east_m)
-        return across & (self.south_m <= northing) & (northing <= self.north_m)
-
-    @property
-    def width_m(self) -> float:
-        """MapArea from west to east."""
-        return self.east_m - self.west_m
-
-    @property
-    def height_m(self) -> float:
-        """MapArea from south to north."""
-        return self.north_m - self.south_m
-
-    @property
-    def centre(self) -> dict[str, float]:
-        """Easting and northing of the middle, as keyword arguments of methods of `Frame`."""
-        return {
-            "easting_m": (self.west_m + self.east_m) / 2.0,
-            "northing_m": (self.south_m + self.north_m) / 2.0,
-        }
-
-
-def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> MapArea:
-    """Return the area around places, as far as the terrain covers it."""
+def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> Bbox:
+    """Return the area around places, metres of the frame, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
-    return MapArea.around(easting, northing, 2.0 * _LEAST_SIDE_M).within(terrain)
+    return _area_around(easting, northing, 2.0 * _LEAST_SIDE_M, terrain)
 
 
-def detail_area(candidate: Candidate, terrain: HeightField | None) -> MapArea:
+def detail_area(candidate: Candidate, terrain: HeightField | None) -> Bbox:
     """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    return MapArea.around([candidate.easting_m], [candidate.northing_m], side_m).within(terrain)
+    place = np.array([candidate.easting_m]), np.array([candidate.northing_m])
+    return _area_around(*place, side_m, terrain)
+
+
+def _area_around(
+    easting: Float64Array, northing: Float64Array, least_m: float, terrain: HeightField | None
+) -> Bbox:
+    """Return the square around places, at least ``least_m`` wide, as far as terrain covers it."""
+    widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
+    half = max(widest / (1.0 - 2.0 * _MARGIN), least_m) / 2.0
+    east = float(easting.min() + easting.max()) / 2.0
+    north = float(northing.min() + northing.max()) / 2.0
+    area = Bbox.from_extents(east - half, north - half, east + half, north + half)
+    covered = area if terrain is None else Bbox.from_extents(*terrain.bounds_m)
+    return Bbox.intersection(area, covered) or area
 
 
 def draw_match_map(
     candidates: Sequence[Candidate],
-    area: MapArea,
+    area: Bbox,
     frame: Frame,
     viewpoints: Viewpoints,
     terrain: HeightField | None,
@@ -138,15 +95,15 @@ def draw_match_map(
         Peaks visible from the first candidate.
     """
     figure = Figure(
-        figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
+        figsize=(_WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5), layout="constrained"
     )
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
     shown = _draw_viewpoints(axis, viewpoints, area)
-    reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
+    reach_m = _WEDGE_SHARE * max(area.width, area.height)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
-    peaks = [peak for peak in sightings if area.holds(peak.easting_m, peak.northing_m)]
+    peaks = [peak for peak in sightings if area.contains(peak.easting_m, peak.northing_m)]
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
@@ -156,14 +113,12 @@ def draw_match_map(
     return figure
 
 
-def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: MapArea) -> int:
+def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
     """Draw the locations of the store within an area; return their number."""
-    easting, northing = np.unique(
-        np.stack([viewpoints.easting_m, viewpoints.northing_m]), axis=1
-    ).reshape(2, -1)
-    inside = area.holds(easting, northing)
-    axis.plot(easting[inside], northing[inside], ".", color="black", markersize=2.5, alpha=0.7)
-    return int(inside.sum())
+    places = np.unique(np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1), axis=0)
+    inside = places[((area.min <= places) & (places <= area.max)).all(axis=1)]
+    axis.plot(*inside.T, ".", color="black", markersize=2.5, alpha=0.7)
+    return len(inside)
 
 
 def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
@@ -193,9 +148,9 @@ def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: f
     )
 
 
-def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: MapArea) -> None:
+def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Bbox) -> None:
     for peak in peaks:
-        across = (peak.easting_m - area.west_m) / area.width_m
+        across = (peak.easting_m - area.x0) / area.width
         near_west, near_east = across < _NEAR_BORDER, across > 1.0 - _NEAR_BORDER
         side = "left" if near_west else "right" if near_east else "center"
         place = peak.easting_m, peak.northing_m
@@ -222,8 +177,8 @@ def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
     """
     spacing_m = 2.0 * places.tolerance_m
     easting_m, northing_m = places.easting_m, places.northing_m
-    area = MapArea(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
-    height_in = _PLACES_WIDTH_IN * max(area.height_m, 1.0) / max(area.width_m, 1.0)
+    area = Bbox.from_extents(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
+    height_in = _PLACES_WIDTH_IN * max(area.height, 1.0) / max(area.width, 1.0)
     figure = Figure(figsize=(_PLACES_WIDTH_IN + 1.0, height_in + 0.7), layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
@@ -247,13 +202,13 @@ def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
     save_figure(figure, path)
 
 
-def draw_relief(axis: Axes, terrain: HeightField | None, area: MapArea) -> None:
+def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     """Draw the terrain of an area, lit from the north-west and tinted by height.
 
     Without terrain the map stays plain, with a note.
     """
     axis.set_facecolor(_NO_TERRAIN)
-    axis.set(xlim=(area.west_m, area.east_m), ylim=(area.south_m, area.north_m), aspect="equal")
+    axis.set(xlim=(area.x0, area.x1), ylim=(area.y0, area.y1), aspect="equal")
     crop = None if terrain is None else _crop(terrain, area)
     if terrain is None or crop is None:
         axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
@@ -265,14 +220,14 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: MapArea) -> None:
 
 
 def _crop(
-    terrain: HeightField, area: MapArea
+    terrain: HeightField, area: Bbox
 ) -> tuple[Float32Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, their extent (west, east, south, north) and their step."""
     top, left = (
-        math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.west_m, northing_m=area.north_m)
+        math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.x0, northing_m=area.y1)
     )
     bottom, right = (
-        math.ceil(at) + 2 for at in terrain.to_grid(easting_m=area.east_m, northing_m=area.south_m)
+        math.ceil(at) + 2 for at in terrain.to_grid(easting_m=area.x1, northing_m=area.y0)
     )
     rows = slice(max(top, 0), min(bottom, terrain.rows))
     cols = slice(max(left, 0), min(right, terrain.cols))
@@ -288,17 +243,33 @@ def _crop(
     return heights, (float(west_m), float(east_m), float(south_m), float(north_m)), step
 
 
-def draw_bearings(axis: Axes, frame: Frame, area: MapArea) -> None:
-    """Draw degrees along the borders and across the map, a scale bar and true north."""
+def draw_bearings(axis: Axes, frame: Frame, area: Bbox) -> None:
+    """Draw degrees along the borders and across the map, a bar of ground lengths and true north."""
     _draw_degrees(axis, frame, area)
-    _draw_scale(axis, frame, area)
-    _draw_north(axis, frame, area)
+    centre = {"easting_m": (area.x0 + area.x1) / 2.0, "northing_m": (area.y0 + area.y1) / 2.0}
+    scale = float(frame.scale(**centre))
+    length_m = _nice_length(0.28 * area.width / scale)
+    text = f"{length_m / 1000.0:g} km" if length_m >= 1000.0 else f"{length_m:g} m"
+    box = {"facecolor": "white", "alpha": 0.7, "linewidth": 0.0}
+    spaces = {"pad": 0.4, "borderpad": 1.0, "size_vertical": 0.006 * area.height}
+    bar = AnchoredSizeBar(
+        axis.transData, length_m * scale, text, "lower left", label_top=True, **spaces
+    )
+    bar.patch.set(**box)
+    axis.add_artist(bar)
+    turn = -math.radians(float(frame.convergence_deg(**centre)))
+    length = 0.1 * min(area.width, area.height)
+    tip = area.x0 + 0.06 * area.width, area.y1 - 0.02 * area.height
+    foot = tip[0] - length * math.sin(turn), tip[1] - length * math.cos(turn)
+    arrow = {"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "lw": 2.0, "color": "black"}
+    font: dict[str, Any] = {"fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
+    axis.annotate("N", tip, foot, arrowprops=arrow, bbox={"pad": 2.0, **box}, **font)
 
 
-def _draw_degrees(axis: Axes, frame: Frame, area: MapArea) -> None:
+def _draw_degrees(axis: Axes, frame: Frame, area: Bbox) -> None:
     along = np.linspace(0.0, 1.0, _EDGE_POINTS)
-    easting = area.west_m + along * area.width_m
-    northing = area.south_m + along * area.height_m
+    easting = area.x0 + along * area.width
+    northing = area.y0 + along * area.height
     lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
     lon = in_turn(lon, float(lon[_EDGE_POINTS // 2, _EDGE_POINTS // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
@@ -316,49 +287,6 @@ def _draw_degrees(axis: Axes, frame: Frame, area: MapArea) -> None:
     axis.tick_params(axis="y", labelrotation=90.0)
     for label in axis.get_yticklabels():
         label.set_verticalalignment("center")
-
-
-def _draw_scale(axis: Axes, frame: Frame, area: MapArea) -> None:
-    """Draw a scale bar in the lower left; its label gives the length on the ground."""
-    scale = float(frame.scale(**area.centre))
-    length_m = _nice_length(0.28 * area.width_m / scale)
-    west, south = area.west_m + 0.05 * area.width_m, area.south_m + 0.045 * area.height_m
-    east = west + length_m * scale
-    text = f"{length_m / 1000.0:g} km" if length_m >= 1000.0 else f"{length_m:g} m"
-    for colour, width in (("white", 6.0), ("black", 2.5)):
-        axis.plot(
-            [west, east], [south, south], color=colour, linewidth=width, solid_capstyle="butt"
-        )
-    axis.annotate(
-        text,
-        ((west + east) / 2.0, south),
-        xytext=(0, 5),
-        textcoords="offset points",
-        ha="center",
-        va="bottom",
-        fontsize=9,
-        bbox={"boxstyle": "round,pad=0.15", "fc": "white", "alpha": 0.7, "lw": 0},
-    )
-
-
-def _draw_north(axis: Axes, frame: Frame, area: MapArea) -> None:
-    """Draw an arrow to true north in the upper left."""
-    turn = -math.radians(float(frame.convergence_deg(**area.centre)))
-    length = 0.075 * min(area.width_m, area.height_m)
-    east = area.west_m + 0.06 * area.width_m
-    north = area.north_m - 0.055 * area.height_m - length
-    tip = east + length * math.sin(turn), north + length * math.cos(turn)
-    arrow = {"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "lw": 2.0, "color": "black"}
-    axis.annotate("", xy=tip, xytext=(east, north), arrowprops={**arrow, "shrinkA": 0})
-    axis.annotate(
-        "N",
-        tip,
-        ha="center",
-        va="bottom",
-        fontsize=11,
-        fontweight="bold",
-        bbox={"boxstyle": "round,pad=0.1", "fc": "white", "alpha": 0.7, "lw": 0},
-    )
 
 
 def _nice_length(length: float) -> float:

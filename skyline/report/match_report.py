@@ -165,7 +165,7 @@ def _maps(
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
         near = detail_area(candidates[0], terrain)
-        if near.width_m < _DETAIL_SHARE * whole.width_m:
+        if near.width < _DETAIL_SHARE * whole.width:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
             title = candidates[0].title
             areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS
@@ -17,7 +18,7 @@ from skyline.files import write_whole
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.figures import save_figure
-from skyline.report.maps import MapArea, draw_bearings, draw_relief
+from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -95,13 +96,13 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     # Each candidate stands in the middle of its cell; one row or column has the others' spacing.
     known_m = [abs(float(axis[1] - axis[0])) for axis in (columns_m, rows_m) if len(axis) > 1]
     east_m, north_m = known_m[0], known_m[-1]
-    area = MapArea(
+    area = Bbox.from_extents(
         float(columns_m[0]) - east_m / 2.0,
         float(rows_m[-1]) - north_m / 2.0,
         float(columns_m[-1]) + east_m / 2.0,
         float(rows_m[0]) + north_m / 2.0,
     )
-    shape = area.height_m / area.width_m
+    shape = area.height / area.width
     width = np.sqrt(_PANEL_SQUARE_IN / shape)
     figure = Figure(
         figsize=(len(HEADINGS) * width + 1.2, width * shape + 0.7), layout="constrained"
@@ -117,7 +118,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
             norm=norm,
             cmap="plasma",
             alpha=_OPACITY,
-            extent=(area.west_m, area.east_m, area.south_m, area.north_m),
+            extent=(area.x0, area.x1, area.y0, area.y1),
             interpolation="nearest",
         )
         row, col = candidates.row_col(coverage.viewpoints)
