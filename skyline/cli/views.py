@@ -27,7 +27,7 @@ from skyline.cli.console import (
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import Curvature
-from skyline.report.landscape import PanoramaConfig
+from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar.local_horizons import (
@@ -162,9 +162,10 @@ def panorama(
     reproject: Reproject = False,
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
-    from skyline.report.labelled_panorama import save_panorama_of  # noqa: PLC0415  (slow to load)
+    from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
 
     lonlat = parse_place(at)
+    suffix_of(output, pictures.PANORAMA_SUFFIXES)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     options = DemOptions(crs=crs, reproject=reproject)
     with note_if_slow(f"drawing {output}"):
@@ -174,7 +175,8 @@ def panorama(
         else:
             blocks, over = read_blocks(dem, options), None
         gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-        view, unnamed = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+        view = panorama_view(blocks, lonlat, gazetteer, config, over)
+        unnamed = pictures.save_view(view, output)
     landscape = view.landscape
     _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
     seen = len(view.sightings)

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.errors import InputError
+from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
 from skyline.report.figures import encode_figure, extent_px, place_labels, unnamed_in_words
@@ -81,31 +81,20 @@ def save_panorama(
     ContextError
         A surface is given and no OpenGL context can be created.
     """
+    suffix_of(path, PANORAMA_SUFFIXES)
     over = None if surface is None else read_surface(surface, terrain)
-    config = config or PanoramaConfig()
-    view, _ = save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
+    blocks = TerrainBlocks.of(terrain)
+    view = panorama_view(blocks, (lon, lat), peaks, config or PanoramaConfig(), over)
+    save_view(view, path)
     return len(view.sightings)
 
 
-def save_panorama_of(
-    blocks: TerrainBlocks,
-    lonlat: tuple[float, float],
-    path: str | Path,
-    peaks: Peaks | None,
-    config: PanoramaConfig,
-    surface: HeightField | None = None,
-) -> tuple[PanoramaView, int]:
-    """Draw the terrain visible from a place, as `save_panorama`; blocks are read as needed.
-
-    Returns the view and the number of visible peaks without room for their names.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in PANORAMA_SUFFIXES:
-        raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
-    view = panorama_view(blocks, lonlat, peaks, config, surface)
+def save_view(view: PanoramaView, path: str | Path) -> int:
+    """Draw a view as a panorama; return the number of peaks without room for their names."""
+    suffix = suffix_of(path, PANORAMA_SUFFIXES)
     figure, unnamed = draw_panorama(view)
-    write_whole(path, encode_figure(figure, path.suffix[1:].lower(), _DPI))
-    return view, unnamed
+    write_whole(Path(path), encode_figure(figure, suffix[1:], _DPI))
+    return unnamed
 
 
 def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:

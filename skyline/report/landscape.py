@@ -86,7 +86,7 @@ class PanoramaView:
     """The terrain and the summits that a panorama shows."""
 
     landscape: "Landscape"
-    """Its columns are those of the picture, one row after another; see `picture_azimuths_deg`."""
+    """Its columns are those of the picture, one row after another."""
     sightings: Sequence[Sighting]
     """Visible summits, the most prominent first."""
     config: PanoramaConfig
@@ -103,12 +103,13 @@ def panorama_view(
 ) -> PanoramaView:
     """Return the view from a place and its visible peaks; raises as `Landscape.of`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
+    columns = row_count(fov_deg) * COLUMNS
     easting_m, northing_m = place_on(blocks.frame, blocks.grid.bounds, *lonlat)
     landscape = Landscape.of(
         blocks,
         (float(easting_m[0]), float(northing_m[0])),
         config.eye_height_m,
-        picture_azimuths_deg(start_deg, fov_deg),
+        start_deg + np.arange(0.5, columns) * (fov_deg / columns),
         config.summit_within_m,
     )
     terrain, eye = landscape.terrain, landscape.eye
@@ -137,12 +138,6 @@ def _terrain_around(blocks: TerrainBlocks, sightings: Sequence[Sighting]) -> Hei
         grid, reach = blocks.grid, PROMINENCE_REACH + 0.5 * BLOCK
         wanted |= (east_m <= reach * grid.step_east) & (north_m <= reach * grid.step_north)
     return blocks.field(wanted)
-
-
-def picture_azimuths_deg(start_deg: float, fov_deg: float) -> Float64Array:
-    """Return the azimuths from true north of all columns of a panorama's pixels, row by row."""
-    columns = row_count(fov_deg) * COLUMNS
-    return np.asarray(start_deg + (np.arange(columns) + 0.5) * (fov_deg / columns), np.float64)
 
 
 def row_count(fov_deg: float) -> int:
