@@ -66,15 +66,15 @@ def serve(
         if not photo.is_file():
             raise MissingFileError(f"{photo} does not exist; expected a photo")
     try:
-        from skyline.web.engine import Given  # noqa: PLC0415  (an extra)
+        from skyline.web.engine import Engine  # noqa: PLC0415  (an extra)
         from skyline.web.server import serve as serve_page  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
             f"the page needs packages that are not installed ({error.name}); "
             "pip install starlette uvicorn websockets XStatic-Leaflet"
         ) from error
-    given = Given(store, tuple(dem or ()), tuple(path.absolute() for path in photos or ()), peaks)
-    serve_page(given, host, port)
+    first = [path.absolute() for path in photos or ()]
+    serve_page(lambda: Engine(store, dem, first, peaks), host, port)
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

@@ -59,19 +59,15 @@ class TooLargeError(InputError):
     """An upload exceeds the limit."""
 
 
-def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
-    """Return the web application of an engine; ``started`` is called once it answers requests."""
-    return _Pages(engine, started).app()
-
-
-class _Pages:
-    """The request handlers of the page, which share its engine and sessions."""
+class PageApp:
+    """The web application of an engine; ``started`` is called once it answers requests."""
 
     def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
         self._started = started
 
     def app(self) -> Starlette:
+        """Return the application, with all addresses of the page."""
         try:
             leaflet = distribution("XStatic-Leaflet").locate_file("xstatic/pkg/leaflet/data")
         except PackageNotFoundError as error:
@@ -158,7 +154,7 @@ class _Pages:
 
     async def _given(self, request: Request) -> Response:
         session = self._session(request)
-        path = self._engine.given.photos[request.path_params["index"]]
+        path = self._engine.photos[request.path_params["index"]]
         return await self._first_look(session, session.add(path, path.name))
 
     async def _first_look(self, session: Session, photo: PagePhoto) -> Response:
@@ -262,7 +258,7 @@ class _LiveChannel:
     async def run(self) -> None:
         """Answer requests until the page closes."""
         await self._socket.accept()
-        self._session.page_opened()
+        self._session.pages += 1
         tasks = [asyncio.create_task(self._answer()), asyncio.create_task(self._report())]
         try:
             await self._listen()

@@ -1,9 +1,8 @@
 """The engine that all sessions share: the store, its renderer and the worker threads."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,38 +26,35 @@ _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 _NAME_LENGTH = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
-    """The files that ``skyline serve`` was started with."""
-
-    store: Path
-    dem: tuple[str, ...] = ()
-    """Files of the store's DEM, if they have moved since the store was built."""
-    photos: tuple[Path, ...] = ()
-    """Photos at the start of every session's list."""
-    peaks: Path | None = None
-    """Gazetteer of summits; see `skyline.read_peaks`."""
-
-
 class Engine:
     """A store opened for many sessions at a time.
 
     Raises `SkylineError` if the store, its DEM or the gazetteer cannot be used.
+
+    Parameters
+    ----------
+    store : Path
+    dem : list of str, optional
+        Files of the store's DEM, if they have moved since the store was built.
+    photos : sequence of Path
+        Photos at the start of every session's list.
+    peaks : Path, optional
+        Gazetteer of summits; see `skyline.read_peaks`.
     """
 
-    def __init__(self, given: Given) -> None:
-        self.given = given
+    def __init__(
+        self, store: Path, dem: list[str] | None, photos: Sequence[Path], peaks: Path | None
+    ) -> None:
+        self.store, self.photos = store, photos
         self.thread = RenderThread()
         try:
-            self.matcher = Matcher(given.store, given.dem or None, render_thread=self.thread)
-            peaks = given.peaks and read_peaks(given.peaks, self.matcher.frame)
+            self.matcher = Matcher(store, dem, render_thread=self.thread)
+            named = None if peaks is None else read_peaks(peaks, self.matcher.frame)
             terrain = self.matcher.terrain
             self.viewer = None
             if terrain is not None:
                 curvature = self.matcher.header.curvature
-                self.viewer = Viewer(
-                    terrain, peaks or None, curvature=curvature, render_thread=self.thread
-                )
+                self.viewer = Viewer(terrain, named, curvature=curvature, render_thread=self.thread)
             self.relief = None if terrain is None else ReliefTiles(terrain)
         except SkylineError:
             self.thread.close()
@@ -77,15 +73,15 @@ class Engine:
         """Return the facts about the store that the page shows."""
         eyes = self.matcher.viewpoints
         return {
-            "store": shown_name(self.given.store.name),
+            "store": shown_name(self.store.name),
             "places": self.matcher.rows,
             "area": list(
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
-            "peaks": self.given.peaks is not None,
-            "given": [shown_name(path.name) for path in self.given.photos],
+            "peaks": self.viewer is not None and self.viewer.peaks is not None,
+            "given": [shown_name(path.name) for path in self.photos],
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:

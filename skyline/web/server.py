@@ -7,6 +7,7 @@ another origin or, if a domain name was made to resolve to this machine, another
 import contextlib
 import ipaddress
 import socket
+from collections.abc import Callable
 
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
@@ -15,8 +16,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 from skyline import InputError
-from skyline.web.app import make_app
-from skyline.web.engine import Engine, Given
+from skyline.web.app import PageApp
+from skyline.web.engine import Engine
 
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _POLICY = {
@@ -33,18 +34,18 @@ _MAX_MESSAGE_BYTES = 1_000_000
 _ENDS_S = 3
 
 
-def serve(given: Given, host: str, port: int) -> None:
-    """Serve the page until Ctrl-C; port 0 takes any that is free.
+def serve(make_engine: Callable[[], Engine], host: str, port: int) -> None:
+    """Serve the page of an engine until Ctrl-C; port 0 takes any that is free.
 
-    Raises `InputError` if the address cannot be listened on, and `SkylineError` as `Engine`.
+    Raises `InputError` if the address cannot be listened on, and what making the engine raises.
     """
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as opened:
         # Connections from now on wait until the server is ready.
         listening = opened.enter_context(_listening(host, port))
         port = listening.getsockname()[1]
-        engine = opened.enter_context(contextlib.closing(Engine(given)))
+        engine = opened.enter_context(contextlib.closing(make_engine()))
         config = uvicorn.Config(
-            Guard(make_app(engine, lambda: _print_ready(host, port)), host, port),
+            Guard(PageApp(engine, lambda: _print_ready(host, port)).app(), host, port),
             log_level="warning",
             access_log=False,
             server_header=False,

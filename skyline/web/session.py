@@ -186,7 +186,7 @@ class Match:
         photo: PagePhoto,
         query: QuerySkyline,
         narrowing: Narrowing,
-        asked: Mapping[str, Any] | None = None,
+        asked: Mapping[str, Any],
     ) -> None:
         self.photo = photo
         self._query, self._narrowing = query, narrowing
@@ -370,10 +370,6 @@ class Session:
         if photo.path.parent == self.folder:
             self.bytes -= photo.path.stat().st_size
             photo.path.unlink()
-
-    def page_opened(self) -> None:
-        """Count a page that was opened."""
-        self.pages += 1
 
     def page_closed(self) -> None:
         """Count a page that was closed."""

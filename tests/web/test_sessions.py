@@ -33,7 +33,7 @@ def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions)
 def test_a_session_ends_when_its_page_is_closed_for_long_and_not_before(sessions, monkeypatch):
     gone, there = sessions.begin(), sessions.begin()
     photo_in(gone)
-    there.page_opened()
+    there.pages += 1
     sessions.sweep()
     assert gone.folder.exists()
     monkeypatch.setattr(module, "_GONE_S", 0.0)
