@@ -41,7 +41,8 @@ _NOTE_EVERY_S = 60.0
 """Time between messages on how far a step is, where no bar is shown."""
 
 _on_interrupt: ContextVar[tuple[str, Callable[[], bool]]] = ContextVar("on_interrupt")
-_is_quiet: ContextVar[bool] = ContextVar("is_quiet", default=False)
+_quiet = threading.Event()
+"""Whether a command was given ``--quiet``."""
 
 
 def panel(title: str) -> Callable[..., Any]:
@@ -113,38 +114,35 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
 
 def with_quiet(command: Any) -> Any:
     """Give a command, or all commands of a group, the option ``--quiet``; return it."""
-    for one in getattr(command, "commands", {}).values():
+    group = getattr(command, "commands", {})
+    for one in group.values():
         with_quiet(one)
-    if not hasattr(command, "commands"):
-        command.params += _quiet_parameters()
+    if not group:
+        alone = typer.Typer(add_completion=False)
+        alone.command()(_with_option)
+        command.params += typer.main.get_command(alone).params
     return command
 
 
-def _quiet_parameters() -> Any:
-    alone = typer.Typer(add_completion=False)
-
-    @alone.command()
-    def command(
-        quiet: Annotated[
-            bool,
-            Option(
-                "--quiet",
-                "-q",
-                help="Print results and errors only: no progress, notes or warnings.",
-                callback=_be_quiet,
-                expose_value=False,
-            ),
-        ] = False,
-    ) -> None:
-        """Have the option."""
-
-    return typer.main.get_command(alone).params
-
-
-def _be_quiet(quiet: bool) -> bool:
-    _is_quiet.set(quiet)
+def _be_quiet(quiet: bool) -> None:
+    if quiet:
+        _quiet.set()
     logging.getLogger().setLevel(logging.ERROR if quiet else logging.WARNING)
-    return quiet
+
+
+def _with_option(
+    quiet: Annotated[
+        bool,
+        Option(
+            "--quiet",
+            "-q",
+            help="Print results and errors only: no progress, notes or warnings.",
+            callback=_be_quiet,
+            expose_value=False,
+        ),
+    ] = False,
+) -> None:
+    """Have the option that every command has."""
 
 
 def on_interrupt(message: str, is_kept: Callable[[], bool] = lambda: True) -> None:
@@ -165,7 +163,7 @@ def run_app(app: typer.Typer) -> None:
     _open_streams()
     start_logging()
     on_interrupt("")
-    _is_quiet.set(False)
+    _quiet.clear()
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
@@ -199,7 +197,7 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
     Without a terminal, a line names a step that takes more than five seconds, and one a minute says
     how far it is.
     """
-    if _is_quiet.get() or not sys.stderr.isatty():
+    if _quiet.is_set() or not sys.stderr.isatty():
         noted_s = time.monotonic()
 
         def note(done: int, total: int) -> None:
@@ -226,9 +224,6 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
 @contextmanager
 def note_if_slow(doing: str) -> Iterator[None]:
     """Print a note on standard error if the block takes more than five seconds."""
-    if _is_quiet.get():  # The timer's thread would not see it.
-        yield
-        return
     timer = threading.Timer(_SLOW_S, print_note, [f"{doing} takes a while ..."])
     timer.daemon = True
     timer.start()
@@ -291,7 +286,7 @@ def print_error(message: str) -> None:
 
 def print_note(message: str) -> None:
     """Print a message as one line to standard error, unless ``--quiet`` is given."""
-    if not _is_quiet.get():
+    if not _quiet.is_set():
         _print_aside(message)
 
 

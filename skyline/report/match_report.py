@@ -125,8 +125,8 @@ def _section(
     if best is not None and viewer is not None:
         with contextlib.suppress(OffMapError):
             sight = viewer.look(best, query)
-        sightings = viewer.sightings(best)
-        peaks = peaks_in_picture(best, query, sightings)
+            sightings = viewer.sightings(best)
+            peaks = peaks_in_picture(best, query, sightings)
     overlay, unnamed = draw_overlay(query, photo, best, sight, peaks)
     caption = _overlay_caption(query, best, sight, unnamed)
     parts = [

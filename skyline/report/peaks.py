@@ -62,7 +62,6 @@ class Peaks:
     Attributes
     ----------
     names : tuple of str
-        Characters that are not printable are escaped.
     easting_m, northing_m : (N,) float64
     height_m : (N,) float64
         Height in the gazetteer, for the label; NaN if it has none.
@@ -72,9 +71,6 @@ class Peaks:
     easting_m: Float64Array
     northing_m: Float64Array
     height_m: Float64Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "names", tuple(map(printable, self.names)))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -128,7 +124,7 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Return names, (3, N) coordinates and heights of named points, and whether they are lonlat."""
+    """Return printable names of points, their (3, N) coordinates and heights, and if in degrees."""
     is_lonlat = True
     if Path(path).suffix.lower() in _GEOJSON:
         points = _of_geojson(path)
@@ -140,7 +136,7 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
     if not points:
         raise InputError(f"gazetteer {path} has no named point; {_EXPECTED}")
     names, *numbers = zip(*points, strict=True)
-    return names, np.array(numbers, dtype=np.float64), is_lonlat
+    return tuple(map(printable, names)), np.array(numbers, dtype=np.float64), is_lonlat
 
 
 def _row(row: Row, first: str, second: str) -> tuple[str, float, float, float]:

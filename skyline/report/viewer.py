@@ -404,36 +404,31 @@ class Viewer:
         )
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
-        """Return the summits visible in the photo of a pose, the most prominent first."""
+        """Return the summits visible in the photo of a pose, the most prominent first.
+
+        Raises `OffMapError` for a pose off the map or on a hole.
+        """
         return peaks_in_picture(pose, query, self.sightings(pose, query))
 
     def sightings(self, pose: Candidate, query: QuerySkyline | None = None) -> list[Sighting]:
         """Return the peaks visible from a pose, the most prominent first.
 
-        With a query only those in its photo; ranking all takes longer.
+        With a query only those in its photo; ranking all takes longer. Raises as `summits`.
         """
-        eye = self._eye_of(pose)
-        if eye is None or self.peaks is None:
+        if self.peaks is None:
             return []
-        seen = visible_peaks(self.terrain, eye, self.peaks, self.curvature)
+        seen = visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
         if query is not None:
             seen = [one for one in seen if peaks_in_picture(pose, query, [one])]
         return most_prominent_first(self.terrain, seen)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
-        """Return the eye of a pose; raises `OffMapError` where it cannot stand."""
-        eye = self._eye_of(pose)
-        if eye is None:
-            raise OffMapError("the pose is off the map or on a hole; move it")
-        return eye
-
-    def _eye_of(self, pose: Candidate) -> Viewpoints | None:
-        """Return the eye of a pose, lifted to the ground from below it; None off the map."""
+        """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         try:
             eye = stand_on(self.terrain, **place, eye_height_m=0.0)
         except OffMapError:
-            return None
+            raise OffMapError("the pose is off the map or on a hole; move it") from None
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
         return eye
 
