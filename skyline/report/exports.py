@@ -39,8 +39,16 @@ _DECIMALS = 7
 """Decimals of degrees in files: a centimetre on the ground."""
 _KML, _GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
-_PHOTO_AT_M = 300.0
-"""Distance from the camera at which a PhotoOverlay shows its photo."""
+_OVERLAY = """<PhotoOverlay><name/><Camera>
+<longitude>{at.lon:.7f}</longitude><latitude>{at.lat:.7f}</latitude>
+<altitude>{at.eye_elevation_m:.2f}</altitude><heading>{at.heading_deg:.3f}</heading>
+<tilt>{tilt_deg:.3f}</tilt><roll>{roll_deg:.3f}</roll><altitudeMode>absolute</altitudeMode>
+</Camera><Icon><href/></Icon><ViewVolume><leftFov>-{side_deg:.3f}</leftFov>
+<rightFov>{side_deg:.3f}</rightFov><bottomFov>-{up_deg:.3f}</bottomFov><topFov>{up_deg:.3f}</topFov>
+<near>300</near></ViewVolume><shape>rectangle</shape>
+<Point><coordinates>{at.lon:.7f},{at.lat:.7f},{at.eye_elevation_m:.2f}</coordinates></Point>
+</PhotoOverlay>"""
+"""A photo that stands 300 m before the camera; its name and address are set as texts."""
 _STYLES_TABLE = """
 CREATE TABLE layer_styles (
     id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256),
@@ -93,11 +101,9 @@ Photos = Sequence[UInt8Array | None]
 def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
     """Return the candidates of results as a FeatureCollection.
 
-    Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
-    (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
-    ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
-    2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
-    and ``semi_minor_m``. A shape that the antimeridian cuts is a MultiPolygon.
+    Each is a Point with the properties of the public JSON, a Polygon of the view out to 2 km, and
+    where its covariance is known one of the ellipse; ``shape`` is ``candidate``, ``view`` or
+    ``ellipse95``.
     """
     features = [
         feature
@@ -138,7 +144,7 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
 
 
 def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
-    """Return a shape, which is two or more polygons where the antimeridian cuts it."""
+    """Return an outline as a Polygon, or as a MultiPolygon where the antimeridian cuts it."""
     rings = _rings(outline_m, frame)
     if len(rings) == 1:
         return {"type": "Polygon", "coordinates": rings}
@@ -171,17 +177,18 @@ def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | Non
 def _linked_kml(
     path: Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None
 ) -> bytes:
-    """Return KML that links to photos.
+    """Return KML that links to photos: by the path from its folder to the file (RFC 3986, 4.2).
 
-    The address is the path from the KML's folder to the photo's file. If ``photos`` are given, it
-    is the file's name, and the file should be put beside the KML.
+    If ``photos`` are given, the address is the file's name: the file should lie beside the KML.
     """
-    folder = path.parent if photos is None else None
-    names = [Path(one.name) for one in results]
-    hrefs = [
-        None if not one.name or one.suffix.lower() == ".csv" else _href(one, folder)
-        for one in names
-    ]
+    hrefs: list[str | None] = []
+    for photo in (Path(one.name) for one in results):
+        href = photo.name
+        if photos is None:
+            # A link among the folders would lead `..` to another folder.
+            href = os.path.relpath(photo.parent.resolve() / photo.name, path.parent.resolve())
+        has_picture = photo.name and photo.suffix.lower() != ".csv"
+        hrefs.append(quote(os.fsencode(href)) if has_picture else None)
     return _kml(results, frame, hrefs)
 
 
@@ -201,21 +208,13 @@ def _kmz(results: Sequence[MatchResult], frame: Frame, photos: Photos | None) ->
     return file.getvalue()
 
 
-def _href(photo: Path, folder: Path | None) -> str:
-    """Return a photo's address relative to a folder; without one, its file name (RFC 3986, 4.2)."""
-    if folder is None:
-        return quote(os.fsencode(photo.name))
-    # A link among the folders would lead `..` to another folder.
-    file = photo.parent.resolve() / photo.name
-    return quote(os.fsencode(os.path.relpath(file, folder.resolve())))
-
-
 def _add_candidate(folder: Xml.Element, name: str, candidate: Candidate, frame: Frame) -> None:
     mark = _child(folder, "Placemark")
     _child(mark, "name", f"{name}: {candidate.name}")
     _child(mark, "description", _described(candidate))
     shapes = _child(mark, "MultiGeometry")
-    _add_point(shapes, candidate)
+    place = f"{candidate.lon:.7f},{candidate.lat:.7f},{candidate.eye_elevation_m:.2f}"
+    _child(_child(shapes, "Point"), "coordinates", place)
     for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
         ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
         _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
@@ -225,40 +224,15 @@ def _add_photo(
     folder: Xml.Element, name: str, query: QuerySkyline, candidate: Candidate, href: str
 ) -> None:
     """Add a PhotoOverlay: the photo standing before the camera at a candidate."""
-    overlay = _child(folder, "PhotoOverlay")
-    _child(overlay, "name", name)
-    camera = _child(overlay, "Camera")
-    half = math.radians(candidate.fov_deg) / 2.0
-    up_deg = math.degrees(math.atan(math.tan(half) * query.height_px / query.width_px))
-    for tag, value in (
-        ("longitude", f"{candidate.lon:.7f}"),
-        ("latitude", f"{candidate.lat:.7f}"),
-        ("altitude", f"{candidate.eye_elevation_m:.2f}"),
-        ("heading", f"{candidate.heading_deg:.3f}"),
-        # A tilt counts from straight down, a roll counter-clockwise as seen from behind.
-        ("tilt", f"{90.0 + candidate.pitch_deg:.3f}"),
-        ("roll", f"{-candidate.roll_deg:.3f}"),
-        ("altitudeMode", "absolute"),
-    ):
-        _child(camera, tag, value)
-    _child(_child(overlay, "Icon"), "href", href)
-    volume = _child(overlay, "ViewVolume")
     side_deg = candidate.fov_deg / 2.0
-    for tag, degrees in (
-        ("leftFov", -side_deg),
-        ("rightFov", side_deg),
-        ("bottomFov", -up_deg),
-        ("topFov", up_deg),
-    ):
-        _child(volume, tag, f"{degrees:.3f}")
-    _child(volume, "near", f"{_PHOTO_AT_M:g}")
-    _add_point(overlay, candidate)
-    _child(overlay, "shape", "rectangle")
-
-
-def _add_point(parent: Xml.Element, candidate: Candidate) -> None:
-    place = f"{candidate.lon:.7f},{candidate.lat:.7f},{candidate.eye_elevation_m:.2f}"
-    _child(_child(parent, "Point"), "coordinates", place)
+    up = math.tan(math.radians(side_deg)) * query.height_px / query.width_px
+    # A tilt counts from straight down, a roll counter-clockwise as seen from behind.
+    angles = {"tilt_deg": 90.0 + candidate.pitch_deg, "roll_deg": -candidate.roll_deg}
+    up_deg = math.degrees(math.atan(up))
+    text = _OVERLAY.format(at=candidate, side_deg=side_deg, up_deg=up_deg, **angles)
+    overlay = Xml.fromstring(text)
+    overlay[0].text, overlay[2][0].text = printable(name), href
+    folder.append(overlay)
 
 
 def _described(candidate: Candidate) -> str:
@@ -337,20 +311,8 @@ def export_matches(
 def write_geopackage(store: Store, path: Path) -> int:
     """Write the places of a store as points, with spacing and tolerance; return their number.
 
-    Parameters
-    ----------
-    store : Store
-        A store of places.
-    path : Path
-        Ends in ``.gpkg``; written whole or not at all.
-
-    Raises
-    ------
-    InputError
-        The store holds renderings, the suffix is another, the file cannot be written, or GeoPandas
-        is not installed.
-    StoreError
-        The store's data are damaged.
+    Raises `InputError` for a store of renderings, for a path that cannot be written or does not end
+    in ``.gpkg``, and without GeoPandas; `StoreError` for damaged data.
     """
     suffix_of(path, [".gpkg"])
     table = store.to_geodataframe()
