@@ -45,9 +45,9 @@ _OVERLAY = """<PhotoOverlay><name/><Camera>
 <tilt>{tilt_deg:.3f}</tilt><roll>{roll_deg:.3f}</roll><altitudeMode>absolute</altitudeMode>
 </Camera><Icon><href/></Icon><ViewVolume><leftFov>-{side_deg:.3f}</leftFov>
 <rightFov>{side_deg:.3f}</rightFov><bottomFov>-{up_deg:.3f}</bottomFov><topFov>{up_deg:.3f}</topFov>
-<near>300</near></ViewVolume><shape>rectangle</shape>
+<near>300</near></ViewVolume>
 <Point><coordinates>{at.lon:.7f},{at.lat:.7f},{at.eye_elevation_m:.2f}</coordinates></Point>
-</PhotoOverlay>"""
+<shape>rectangle</shape></PhotoOverlay>"""
 """A photo that stands 300 m before the camera; its name and address are set as texts."""
 _STYLES_TABLE = """
 CREATE TABLE layer_styles (

@@ -68,20 +68,10 @@ def place_labels(
     rows: int,
     gap_px: float = 8.0,
 ) -> list[Placed]:
-    """Place labels centred on their anchors, within the picture, the lowest row first.
+    """Place labels centred on the columns of their leader lines, in the order given.
 
-    Labels are placed in the order given; a label that fits in none of the rows is left out.
-
-    Parameters
-    ----------
-    anchors_px, widths_px : sequence of float
-        Column at which each leader line meets its target, and the width of each text.
-    picture_px : float
-        Width of the picture.
-    rows : int
-        Number of rows.
-    gap_px : float
-        Space kept free on either side of a text.
+    A label lies in the lowest row with room for it, within the picture's width and with a gap on
+    either side; a label that fits in none of the rows is left out.
     """
     placed: list[Placed] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):

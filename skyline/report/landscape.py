@@ -175,19 +175,10 @@ class Landscape:
         azimuth_deg: Float64Array,
         summit_within_m: float | None = 0.0,
     ) -> Self:
-        """Find the visible terrain, over the Earth's curvature with refraction k = 0.13.
+        """Find the terrain visible from an easting and a northing at azimuths (C,) in equal steps.
 
-        Raises `OffMapError` if the place is off the map or on a hole, and `InputError` if no
-        terrain is visible.
-
-        Parameters
-        ----------
-        place_m : (float, float)
-            Easting and northing.
-        eye_height_m, summit_within_m : float
-            As in `skyline.stand_on`.
-        azimuth_deg : (C,) float64
-            Azimuths from true north in equal steps, at least two.
+        The Earth is curved, with refraction k = 0.13. Raises `OffMapError` if the place is off the
+        map or on a hole, and `InputError` if no terrain is visible.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         easting_m, northing_m = place_m
@@ -195,9 +186,8 @@ class Landscape:
         wanted = from_m <= near_m + (summit_within_m or 0.0)
         terrain = blocks.field(wanted)
         if np.isnan(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
-            terrain = blocks.field(
-                np.zeros_like(wanted)
-            )  # This raises an error that names the extent of the map.
+            # This raises an error that names the extent of the map.
+            terrain = blocks.field(np.zeros_like(wanted))
         eye = stand_on(
             terrain,
             easting_m=easting_m,
@@ -225,11 +215,8 @@ class Landscape:
     @property
     def convergence_deg(self) -> float:
         """Azimuth from true north minus grid azimuth, at the eye."""
-        return float(
-            self.terrain.frame.convergence_deg(
-                easting_m=self.eye.easting_m[0], northing_m=self.eye.northing_m[0]
-            )
-        )
+        place = {"easting_m": self.eye.easting_m[0], "northing_m": self.eye.northing_m[0]}
+        return float(self.terrain.frame.convergence_deg(**place))
 
     @property
     def reach_m(self) -> float:
@@ -242,12 +229,7 @@ class Landscape:
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return the indices of the points seen in K columns, (E, K); P stands for the sky.
-
-        Parameters
-        ----------
-        elevation_deg : (E,) float64
-        """
+        """Return the indices of the points seen at angles (E,) in K columns, (E, K); P is sky."""
         begins = self.begins[columns.start : columns.stop + 1]
         seen = np.full((len(begins) - 1, len(elevation_deg)), len(self.distance_m))
         for row, (begin, end) in zip(seen, itertools.pairwise(begins), strict=True):
@@ -256,14 +238,9 @@ class Landscape:
         return seen.T
 
     def ridges(self) -> tuple[Float64Array, Float32Array]:
-        """Return the ridges of R ranges of distance.
+        """Return the distances (R,) at which ranges begin, increasing, and their ridges (R, C).
 
-        Returns
-        -------
-        ridge_m : (R,) float64
-            Distances at which ranges begin, increasing.
-        ridge_deg : (R, C) float32
-            Elevation angle of the highest ridge of each range, NaN where it has none.
+        A ridge is the elevation angle of a range's highest point; NaN where the range has none.
         """
         first_m = float(self.distance_m.min(initial=np.inf))
         distance_m = self.distance_m[self.is_ridge]
@@ -281,10 +258,7 @@ class _Look:
     def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
         self._blocks, self._eye, self._curvature = blocks, eye, Curvature()
         self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
-        self._eye_m = float(eye.eye_elevation_m[0])
-        turn_deg = float(
-            blocks.frame.convergence_deg(easting_m=self._place[0], northing_m=self._place[1])
-        )
+        turn_deg = blocks.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
         self._grid_rad = np.radians(azimuth_deg - turn_deg)
         self._column_rad = math.radians(azimuth_deg[1] - azimuth_deg[0])
         self._distance_m = _steps_m(blocks, self._place, self._column_rad)
@@ -299,14 +273,9 @@ class _Look:
                 part = slice(first, min(first + _STEPS_AT_ONCE, end))
                 open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
                 columns = start + np.flatnonzero(open_)
-                up_deg = elevation_deg(
-                    terrain,
-                    self._eye,
-                    self._curvature,
-                    self._grid_rad[columns],
-                    self._distance_m[part],
-                ).astype(np.float32)
-                up_deg = np.concatenate([self._so_far_deg[columns, np.newaxis], up_deg], axis=1)
+                rays = self._grid_rad[columns], self._distance_m[part]
+                up_deg = elevation_deg(terrain, self._eye, self._curvature, *rays)
+                up_deg = np.column_stack([self._so_far_deg[columns], up_deg.astype(np.float32)])
                 np.maximum.accumulate(up_deg, axis=1, out=up_deg)
                 self._so_far_deg[columns] = up_deg[:, -1]
                 column, step = np.nonzero(up_deg[:, 1:] > up_deg[:, :-1])
@@ -353,7 +322,7 @@ class _Look:
         east_m, north_m = blocks.around_m(*self._place)
         away_m, radius_m = np.hypot(east_m, north_m), blocks.radius_m
         from_m, to_m = np.maximum(away_m - radius_m, near_m), away_m + radius_m
-        up_m = blocks.highest_m - self._eye_m - self._curvature.drop_m(from_m)
+        up_m = blocks.highest_m - self._eye.eye_elevation_m - self._curvature.drop_m(from_m)
         up_deg = np.degrees(np.arctan(up_m / np.where(up_m > 0.0, from_m, to_m))) + _HIDDEN_DEG
         far = np.flatnonzero((to_m > near_m) & (up_deg > self._so_far_deg.min()))
         half_rad = np.arcsin(radius_m / away_m.flat[far])

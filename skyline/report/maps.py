@@ -81,18 +81,8 @@ def draw_match_map(
 ) -> Figure:
     """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
 
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The first is drawn over the others, in another colour.
-    frame : Frame
-        Frame of the area and of everything drawn in it.
-    viewpoints : Viewpoints
-        The store's viewpoints, drawn as dots.
-    terrain : HeightField or None
-        None leaves the map without relief.
-    sightings : sequence of Sighting
-        Peaks visible from the first candidate.
+    The first stands out over the others. The store's viewpoints are dots; ``sightings`` are the
+    peaks visible from the first candidate. Without terrain the map has no relief.
     """
     figure = Figure(
         figsize=(_WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5), layout="constrained"

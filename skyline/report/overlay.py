@@ -37,22 +37,10 @@ def draw_overlay(
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, int]:
-    """Draw skylines and peaks over a query's picture.
+    """Draw skylines and peaks over a query's picture; arguments and results as of `draw_labels`.
 
-    Parameters
-    ----------
-    photo : (H, W, 3) uint8, optional
-        RGB, of the query's size; None draws on a blank canvas.
-    pose : Candidate, optional
-        The pose from which ``sight``, the rendered skyline, and ``peaks`` are seen.
-    peaks : sequence of SeenPeak
-        Peaks in the picture, the most important first.
-
-    Returns
-    -------
-    bytes, int
-        A JPEG with the query's picture at most 1600 px wide and high, and the number of peaks
-        without room for their names.
+    The result is a JPEG. Without a photo the canvas is blank; ``pose`` is the pose from which
+    ``sight`` and ``peaks`` are seen.
     """
     keys_across = 4 if query.width_px * _scale(query) >= _FOUR_KEYS_PX else 2
     texts = [one.label for one in peaks]

@@ -214,8 +214,7 @@ class Sighting:
     easting_m: float
     northing_m: float
     surface_m: float
-    """``easting_m``, ``northing_m``, ``surface_m``: position and height of the summit on the
-    terrain."""
+    """Height of the summit on the terrain."""
     azimuth_deg: float
     """Grid azimuth."""
     elevation_tan: float
@@ -319,15 +318,10 @@ def highest_between_deg(
     near_m: Float64Array,
     far_m: Float64Array,
 ) -> Float64Array:
-    """Return the highest elevation angle of the terrain on K rays of one eye, (K,) float64.
+    """Return the highest elevation angle of the terrain on K rays of one eye; -90 without data.
 
-    It lies where a ray crosses an edge of the surface, which is a plane between two edges. A ray
-    without data has -90.
-
-    Parameters
-    ----------
-    grid_rad, near_m, far_m : (K,) float64
-        Grid azimuth of each ray, and the distances between which it is followed.
+    It lies where a ray, followed along its grid azimuth between two distances (K,), crosses an edge
+    of the surface, which is a plane between two edges.
     """
     away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
     up_deg = elevation_deg(terrain, eye, curvature, grid_rad, away_m)
@@ -343,12 +337,7 @@ def elevation_deg(
 ) -> Float64Array:
     """Return elevation angles of the ground on K rays of one eye, (K, D); -90 without data.
 
-    Parameters
-    ----------
-    grid_rad : (K,) float64
-        Grid azimuth of each ray.
-    distance_m : (D,) or (K, D) float64
-        Horizontal distances.
+    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D).
     """
     ground_m = terrain.height_at(
         easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],

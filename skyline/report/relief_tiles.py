@@ -40,14 +40,8 @@ def relief(
 ) -> UInt8Array:
     """Return shaded relief as RGBA (H, W, 4) uint8, transparent where there is no height.
 
-    Parameters
-    ----------
-    heights : (H + 2, W + 2) float32, metres
-        Of the picture's pixels and of those one beyond; rows run south.
-    east_m, north_m : float
-        Size of a pixel.
-    range_m : (float, float)
-        Heights of the lowest and the highest tint.
+    The heights (H + 2, W + 2), metres, are those of the picture's pixels and of the pixels one
+    beyond; rows run south. ``range_m`` are the heights of the lowest and the highest tint.
     """
     east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * east_m)
     north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * north_m)

@@ -63,17 +63,9 @@ def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
 def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
     """Return an outline as rings of longitude and latitude, cut at the antimeridian.
 
-    RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world.
-
-    Parameters
-    ----------
-    outline_m : (P, 2) float64
-        Easting and northing, closed, of a shape without holes and without a pole inside.
-
-    Returns
-    -------
-    list of (Q, 2) float64
-        Closed rings in the orientation of the outline; longitudes from -180 to 180.
+    RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world. The
+    outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and oriented alike;
+    longitudes are from -180 to 180.
     """
     lon, lat = frame.to_lonlat(*outline_m.T)
     lon = np.unwrap(lon, period=360.0)
