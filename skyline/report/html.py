@@ -7,11 +7,11 @@ import base64
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
-from numbers import Real
 
 from skyline.errors import printable
 
-_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
+_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?|–")
+"""A number or the dash of an unknown value."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _STYLE = """
 :root { color-scheme: light dark; --page: #fbfbf9; --ink: #1b1e22; --faint: #62686f;
@@ -81,13 +81,10 @@ def text(words: str, kind: str = "", links: Iterable[tuple[str, str]] = ()) -> s
     return f'<p class="result {kind}">{shown}</p>' if kind else f"<p>{shown}</p>"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> str:
-    """Return a table with one value per column in each row; numbers are aligned to the right.
-
-    None is shown as a dash, a float with six digits.
-    """
-    aligned = [_is_numeric([row[at] for row in rows]) for at in range(len(columns))]
-    body = "".join(_row("td", map(_shown, row), aligned) + "\n" for row in rows)
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
+    """Return a table with one text per column in each row; numbers are aligned to the right."""
+    aligned = [all(map(_NUMBER.fullmatch, column)) for column in zip(*rows, strict=True)]
+    body = "".join(_row("td", row, aligned) + "\n" for row in rows)
     above = f"<caption>{_escaped(caption)}</caption>" if caption else ""
     thead = f"<thead>{_row('th', columns, aligned)}</thead>" if any(columns) else ""
     return f"<div class=scroll><table>{above}{thead}<tbody>\n{body}</tbody></table></div>"
@@ -112,24 +109,6 @@ def picture(data: bytes, caption: str, *, wide: bool = True) -> str:
 
 def _escaped(text: str) -> str:
     return escape(printable(text))
-
-
-def _is_numeric(values: Sequence[object]) -> bool:
-    """Return whether a column holds a number, and only numbers (also as text) and None."""
-    given = [value for value in values if value is not None]
-    return bool(given) and all(
-        (isinstance(value, Real) and not isinstance(value, bool))
-        or (isinstance(value, str) and _NUMBER.fullmatch(value))
-        for value in given
-    )
-
-
-def _shown(value: object) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:

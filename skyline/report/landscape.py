@@ -274,8 +274,9 @@ class _Look:
                 open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
                 columns = start + np.flatnonzero(open_)
                 rays = self._grid_rad[columns], self._distance_m[part]
-                up_deg = elevation_deg(terrain, self._eye, self._curvature, *rays)
-                up_deg = np.column_stack([self._so_far_deg[columns], up_deg.astype(np.float32)])
+                on_deg = elevation_deg(terrain, self._eye, self._curvature, *rays)
+                so_far_deg = self._so_far_deg[columns, np.newaxis]
+                up_deg = np.concatenate([so_far_deg, on_deg.astype(np.float32)], axis=1)
                 np.maximum.accumulate(up_deg, axis=1, out=up_deg)
                 self._so_far_deg[columns] = up_deg[:, -1]
                 column, step = np.nonzero(up_deg[:, 1:] > up_deg[:, :-1])

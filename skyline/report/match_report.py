@@ -205,10 +205,11 @@ def _overlay_caption(
 
 
 def _candidate_table(candidates: Sequence[Candidate]) -> str:
-    rows: list[list[object]] = []
-    for candidate in candidates:
-        ellipse = Ellipse.of(candidate)
-        axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
-        rows.append([candidate.rank, *candidate.cells(), candidate.refined, axes_m])
+    rows = []
+    for one in candidates:
+        ellipse = Ellipse.of(one)
+        axes_m = f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}" if ellipse else "–"
+        refined = "yes" if one.refined else "no"
+        rows.append([str(one.rank or "–"), *one.cells(), refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
     return table(columns, rows, "Candidates, best first; headings from true north")

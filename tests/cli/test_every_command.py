@@ -18,19 +18,19 @@ from skyline.fetch.dem_tiles import FetchResult
 from skyline.store import open_store
 
 COMMANDS = {
-    "info": (("{dem}",), "info.read_terrain"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_terrain"),
+    "info": (("{dem}",), "data.read_terrain"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "data.read_terrain"),
     "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
     "label": (
         ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--peaks", "{peaks}", "-o", "{out}.png"),
-        "label.read_terrain",
+        "orient.read_terrain",
     ),
     "pixels": (
         ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--step", "40", "-o", "{out}.npz"),
-        "label.read_terrain",
+        "orient.read_terrain",
     ),
     "orient": (
         ("{trace}", "--at", "{at}", "--dem", "{dem}", "--csv", "{out}.csv"),
@@ -40,7 +40,7 @@ COMMANDS = {
         ("{photo}", "--near", "{at},1", "--dem", "{dem}", "-o", "{out}"),
         "locate.prepare_area",
     ),
-    "cache": ((), "cache.cached_areas"),
+    "cache": ((), "data.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_terrain"),
@@ -48,10 +48,10 @@ COMMANDS = {
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),
     "store merge": (("{store}", "-o", "{out}.h5"), "store.merge_stores"),
     "store export": (("{store}", "-o", "{out}.gpkg"), "store.open_store"),
-    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "fetch.fetch_dem"),
+    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "data.fetch_dem"),
     "peaks": (
         ("--bbox", "9,46,10,47", "--server", "http://localhost/", "-o", "{out}.geojson"),
-        "fetch.fetch_peaks",
+        "data.fetch_peaks",
     ),
 }
 """Each command's arguments, and a function of the package that it calls."""
