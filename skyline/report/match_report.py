@@ -73,14 +73,11 @@ def report_matches(
     if terrain is not None:
         curvature, thread = matcher.header.curvature, matcher.render_thread
         viewer = Viewer(terrain, peaks, curvature=curvature, render_thread=thread)
-    try:
+    with viewer or contextlib.nullcontext():
         sections = [
             _section(folder, number, one, photo, matcher, viewer, done)
             for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
         ]
-    finally:
-        if viewer is not None:
-            viewer.release()
     lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {package_version()} {today}"

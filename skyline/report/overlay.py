@@ -85,7 +85,7 @@ def draw_labels(
         The picture, the photo at most 1600 px wide and high, and the number of peaks without room
         for their names.
     """
-    texts = [one.with_distance for one in peaks]
+    texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in peaks]
     figure, axis, unnamed = _draw_picture(query, photo, peaks, texts)
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)

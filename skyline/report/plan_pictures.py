@@ -62,23 +62,18 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
     """Draw the depth images (4, W, W) of one viewpoint side by side, with their skylines."""
     size = images.shape[-1]
     finite = images[np.isfinite(images)]
-    low, high = np.log10(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
+    norm = LogNorm(*(np.percentile(finite, [1, 99]) if finite.size else (1.0, 10.0)))
     figure = Figure(figsize=(16, 4.6), layout="constrained")
     axes = figure.subplots(1, len(HEADINGS))
     for heading, axis in enumerate(axes):
         depth = np.where(np.isfinite(images[heading]), images[heading], np.nan)
-        shown = axis.imshow(
-            np.log10(depth), cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest"
-        )
+        shown = axis.imshow(depth, cmap="viridis_r", norm=norm, interpolation="nearest")
         axis.set_facecolor("#dfe9f5")
         rows = (1.0 - views.elevation_tan[heading]) * size / 2.0 - 0.5
         axis.plot(np.arange(size), rows, color="crimson", linewidth=1.0)
         axis.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), xticks=[], yticks=[])
         axis.set_title(f"heading {heading}: {_HEADING_NAMES[heading]}")
-    bar = figure.colorbar(shown, ax=axes, shrink=0.9, pad=0.01)
-    ticks = np.array([10, 30, 100, 300, 1e3, 3e3, 1e4, 3e4, 1e5])
-    ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]
-    bar.set_ticks(np.log10(ticks), labels=[f"{tick:g} m" for tick in ticks])
+    bar = figure.colorbar(shown, ax=axes, shrink=0.9, pad=0.01, format="{x:g} m")
     bar.set_label("forward depth")
     return figure
 

@@ -4,7 +4,6 @@ A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the wor
 the west, y from the north.
 """
 
-import threading
 import warnings
 
 import cv2
@@ -70,9 +69,10 @@ class ReliefTiles:
     def __init__(self, terrain: HeightField) -> None:
         self._terrain = terrain
         self._levels: list[Float32Array] = [np.asarray(terrain.heights_m, dtype=np.float32)]
-        self._reducing = threading.Lock()
-        coarse = self._level(max(0, int(np.log2(max(terrain.rows, terrain.cols) / 512.0))))
-        self._range_m = tint_range_m(coarse)
+        while min(self._levels[-1].shape) >= 4:
+            self._levels.append(_halved(self._levels[-1]))
+        coarse = max(0, int(np.log2(max(terrain.rows, terrain.cols) / 512.0)))
+        self._range_m = tint_range_m(self._levels[min(coarse, len(self._levels) - 1)])
         west, south, east, north = terrain.bounds_m
         self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         """West, south, east and north of the model, degrees; west > east across the
@@ -104,18 +104,10 @@ class ReliefTiles:
         step = (TILE_PX + 2) / (_MESH - 1)
         across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
         pixel_m = float(across) if np.isfinite(across) else 1e6
-        level = int(np.clip(np.log2(max(pixel_m / self._terrain.spacing_m, 1.0)), 0, 16))
-        heights = self._level(level)
-        scale = 2.0**-level
-        rows, cols = (_on_pixels((at + 0.5) * scale - 0.5) for at in (row, col))
-        return _sampled(heights, rows, cols), pixel_m
-
-    def _level(self, level: int) -> Float32Array:
-        """Return the heights with every 2**level by 2**level samples averaged."""
-        with self._reducing:
-            while len(self._levels) <= level and min(self._levels[-1].shape) >= 4:
-                self._levels.append(_halved(self._levels[-1]))
-        return self._levels[min(level, len(self._levels) - 1)]
+        level = int(np.log2(max(pixel_m / self._terrain.spacing_m, 1.0)))
+        level = min(level, len(self._levels) - 1)
+        rows, cols = (_on_pixels((at + 0.5) * 2.0**-level - 0.5) for at in (row, col))
+        return _sampled(self._levels[level], rows, cols), pixel_m
 
 
 def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:

@@ -134,11 +134,6 @@ class SeenPeak:
     distance_m: float
     elevation_m: float
 
-    @property
-    def with_distance(self) -> str:
-        """The label with the distance in kilometres."""
-        return f"{self.label}  {self.distance_m / 1000.0:.1f} km"
-
 
 def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
     """Return the skyline of rendered views in the query's picture.
