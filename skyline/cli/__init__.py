@@ -27,7 +27,7 @@ COMMANDS = {
         "continues.",
         "render.render": "Render views to grid north, east, south and west into a store, for the "
         "paper's matcher.",
-        "store.store": "Check, repair, merge and export stores.",
+        "data.store": "Check, repair, merge and export stores.",
     },
     "Views from a place": {
         "views.horizon": "Give the horizon around places: elevation angle and distance by "

@@ -1,8 +1,9 @@
-"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache``: elevation, peaks, their facts."""
+"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache`` and ``store``: the files of data."""
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from skyline.cli.console import (
     NoCurvature,
     RefractionK,
     Reproject,
+    StoreFile,
     Tolerance,
     Width,
     on_interrupt,
@@ -38,7 +40,14 @@ from skyline.geodesy import Curvature, Frame
 from skyline.match.areas import cache_folder, cached_areas, clear_cache
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
-from skyline.store import is_store, open_store
+from skyline.store import (
+    StoreReport,
+    check_store,
+    is_store,
+    merge_stores,
+    open_store,
+    repair_store,
+)
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
@@ -50,7 +59,12 @@ Facts = dict[str, object]
 Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
 Retries = Annotated[int, Option(min=0, max=100, help="How often to repeat a failed request.")]
 
+NewStore = Annotated[Path, Option("--output", "-o", help="The new store; must not exist.")]
+
 dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+store = typer.Typer(
+    name="store", help="Check, repair, merge and export stores.", no_args_is_help=True
+)
 
 
 @dem.callback()
@@ -335,3 +349,60 @@ def describe_store(path: str) -> Facts:
                 frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             )
         return facts
+
+
+@store.command()
+def check(store: StoreFile, as_json: AsJson = False) -> None:
+    """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
+    report = check_store(store)
+    if as_json:
+        # The exit code must hold also where the output is not read.
+        with suppress(BrokenPipeError):
+            facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
+            print_line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
+        raise typer.Exit(0 if report.whole else InputError.exit_code)
+    if not report.whole:
+        first = "; ".join(damage.what for damage in report.damage[:3])
+        more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
+        raise InputError(f"{store} is damaged: {first}{more}")
+    print_line(f"{store}: {report.rows:,} {report.holds}, whole")
+
+
+@store.command()
+def repair(store: StoreFile, output: NewStore) -> None:
+    """Save the undamaged rows of a store in a new store, in their order."""
+    report = repair_store(store, output)
+    _print_copied(report, output)
+    for damage in report.damage:
+        rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
+        print_line(f"  left out {rows}: {damage.what}")
+
+
+@store.command()
+def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
+    """Join stores of one DEM into one; a place that several have is kept once."""
+    _print_copied(merge_stores(stores, output), output)
+
+
+@store.command()
+def export(
+    store: StoreFile,
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
+    ],
+) -> None:
+    """Write the locations of the places as a GeoPackage for QGIS, with its style (extra `geo`)."""
+    from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
+
+    with open_store(store) as opened:
+        count = write_geopackage(opened, output)
+    print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _print_copied(report: StoreReport, path: Path) -> None:
+    size = path.stat().st_size
+    each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
+    again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
+    lost = sum(damage.rows for damage in report.damage)
+    damaged = f", {lost} damaged rows left out" if lost else ""
+    print_line(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")
