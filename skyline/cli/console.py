@@ -150,11 +150,6 @@ def on_interrupt(message: str, is_kept: Callable[[], bool] = lambda: True) -> No
     _on_interrupt.set((message, is_kept))
 
 
-def _after_interrupt() -> str:
-    message, is_kept = _on_interrupt.get()
-    return f"; {message}" if message and is_kept() else ""
-
-
 def run_app(app: typer.Typer) -> None:
     """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
 
@@ -181,7 +176,8 @@ def run_app(app: typer.Typer) -> None:
             sys.exit(2)  # A group of commands without a command has printed its help.
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail(f"stopped{_after_interrupt()}", _INTERRUPTED)
+        message, is_kept = _on_interrupt.get()
+        _fail(f"stopped; {message}" if message and is_kept() else "stopped", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area or a larger spacing", 1)
     except OSError as error:

@@ -42,7 +42,6 @@ _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", "
 _NAMED = 5
 """Summits that are not seen of which the names are printed."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
-_ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
     f"with {', '.join(_NEEDED)}"
@@ -267,7 +266,8 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, flo
     except (ValueError, RecursionError) as error:
         raise InputError(f"pose {path} cannot be read ({error}); {_EXPECTED}") from None
     if len(records) > 1:
-        records = [one for one in records if _is_of(one, photo)]
+        named = {"query": printable(photo)}
+        records = [one for one in records if isinstance(one, dict) and named.items() <= one.items()]
         if len(records) != 1:
             raise InputError(
                 f"pose {path} has {len(records)} lines whose `query` is {photo}; expected one: "
@@ -286,21 +286,13 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, flo
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}
     for name, value in given.items():
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (is_number and math.isfinite(value)):
+        if not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
-    if not are_degrees(given["lon"], given["lat"]):
-        raise InputError(
-            f"pose {path}: lon is {given['lon']:g} and lat {given['lat']:g}; expected degrees (WGS "
-            "84)"
-        )
+    lon, lat = given["lon"], given["lat"]
+    if not are_degrees(lon, lat):
+        raise InputError(f"pose {path}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
     projection.check_fov_deg(given["fov_deg"])
     return {name: float(value) for name, value in given.items()}
-
-
-def _is_of(record: Any, photo: Path) -> bool:
-    """Return whether a line of a file of poses names a photo."""
-    return isinstance(record, dict) and record.get("query") == printable(photo)
 
 
 def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:
@@ -319,10 +311,6 @@ def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) ->
 
 def _camera(record: dict[str, float], viewer: Viewer) -> Candidate:
     """Return the pose of a record; without an elevation the eye stands on the ground."""
-    angles = {name: record[name] for name in _ANGLES if name in record}
-    pose = viewer.pose(lon=record["lon"], lat=record["lat"], **angles)
-    return replace(
-        pose,
-        distortion=record.get("distortion", 0.0),
-        eye_elevation_m=record.get("eye_elevation_m", pose.eye_elevation_m),
-    )
+    given = {name: record[name] for name in (*_NEEDED, "pitch_deg", "roll_deg") if name in record}
+    others: dict[str, Any] = {name: record[name] for name in record if name not in given}
+    return replace(viewer.pose(**given), **others)

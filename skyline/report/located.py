@@ -81,8 +81,10 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
 
 
 def _gps(candidate: Candidate) -> dict[int, object]:
-    """Return the GPS tags of a place and a heading."""
+    """Return the GPS tags of a place and a heading; EXIF's word for a place "by hand" is MANUAL."""
     below, turn = candidate.eye_elevation_m < 0.0, 360_000
+    is_by_hand = candidate.rank is None and not candidate.refined
+    method = "MANUAL" if is_by_hand else f"SKYLINE: {candidate.origin}"
     gps: dict[int, object] = {
         GPS.GPSVersionID: b"\x02\x03\x00\x00",
         GPS.GPSLatitudeRef: "S" if candidate.lat < 0.0 else "N",
@@ -94,23 +96,16 @@ def _gps(candidate: Candidate) -> dict[int, object]:
         GPS.GPSImgDirectionRef: "T",
         GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg) % turn, 1000),
         GPS.GPSMapDatum: "WGS-84",
-        GPS.GPSProcessingMethod: b"ASCII\0\0\0" + _method(candidate).encode("ascii"),
+        GPS.GPSProcessingMethod: b"ASCII\0\0\0" + method.encode("ascii"),
     }
     if candidate.radius_m is not None:
         gps[GPS.GPSHPositioningError] = IFDRational(round(100.0 * candidate.radius_m), 100)
     return gps
 
 
-def _method(candidate: Candidate) -> str:
-    """Return the method by which the place was found; EXIF's word for "by hand" is MANUAL."""
-    is_by_hand = candidate.rank is None and not candidate.refined
-    return "MANUAL" if is_by_hand else f"SKYLINE: {candidate.origin}"
-
-
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
     """Return degrees, minutes and seconds of an absolute angle, to a ten-thousandth of a second."""
-    parts = round(abs(degrees) * 36_000_000)
-    whole, rest = divmod(parts, 36_000_000)
+    whole, rest = divmod(round(abs(degrees) * 36_000_000), 36_000_000)
     minutes, seconds = divmod(rest, 600_000)
     return IFDRational(whole, 1), IFDRational(minutes, 1), IFDRational(seconds, 10_000)
 

@@ -31,20 +31,19 @@ def strokes_of(asked: Any) -> list[Stroke]:
     """Return the strokes of a request."""
     if not isinstance(asked, list):
         raise InputError("the strokes are no list; reload the page")
-    return [_stroke(stroke) for stroke in asked]
-
-
-def _stroke(asked: Any) -> Stroke:
-    if not isinstance(asked, Mapping) or asked.get("kind") not in set(StrokeKind):
-        raise InputError(f"a stroke is none of {', '.join(StrokeKind)}")
-    points = asked.get("points")
-    if not isinstance(points, list) or not all(isinstance(p, list) and len(p) == 2 for p in points):
-        raise InputError("the points of a stroke are no list of pairs of a column and a row")
-    pairs = tuple(
-        (number({"column": column}, "column"), number({"row": row}, "row"))
-        for column, row in points
-    )
-    return Stroke(StrokeKind(asked["kind"]), pairs, number(asked, "radius"))
+    strokes = []
+    for one in asked:
+        if not isinstance(one, Mapping) or one.get("kind") not in set(StrokeKind):
+            raise InputError(f"a stroke is none of {', '.join(StrokeKind)}")
+        points = one.get("points")
+        if not isinstance(points, list) or any(
+            not isinstance(point, list) or len(point) != 2 for point in points
+        ):
+            raise InputError("the points of a stroke are no list of pairs of a column and a row")
+        pairs = [dict(zip(("column", "row"), point, strict=True)) for point in points]
+        places = tuple((number(pair, "column"), number(pair, "row")) for pair in pairs)
+        strokes.append(Stroke(StrokeKind(one["kind"]), places, number(one, "radius")))
+    return strokes
 
 
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:

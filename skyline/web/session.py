@@ -89,7 +89,8 @@ class PagePhoto:
             record |= {
                 "width": query.width_px,
                 "height": query.height_px,
-                "fov": None if _is_guess(query) else seen.fov_deg,
+                # A field of view that is a guess from a cropped photo is not shown.
+                "fov": None if query.lens and query.lens.most_deg is not None else seen.fov_deg,
                 "projection": str(seen.projection),
                 "lonlat": seen.place.lonlat_deg,
                 "accuracy": seen.place.accuracy_m,
@@ -152,11 +153,6 @@ class PagePhoto:
 def version_of(query: QuerySkyline) -> str:
     """Return a digest that distinguishes a skyline from others of the same photo."""
     return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
-
-
-def _is_guess(query: QuerySkyline) -> bool:
-    """Return whether the field of view is a guess from a cropped photo, not to be shown."""
-    return query.lens is not None and query.lens.most_deg is not None
 
 
 @lru_cache(maxsize=_KEPT)
