@@ -254,16 +254,7 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
     ticks = np.arange(np.ceil(ends[0] / step) * step, ends[1] + 1e-9, step)
     names = [f"{tick % 360:.0f}°\n{_POINTS.get(int(tick) % 360, '')}" for tick in ticks]
     axis.set_xticks(ticks, names)
-    # Drawing hundreds of matplotlib ticks would take a second.
-    axis.vlines(
-        np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine),
-        -0.012,
-        0.0,
-        transform=axis.get_xaxis_transform(),
-        color="black",
-        linewidth=0.5,
-        clip_on=False,
-    )
+    axis.set_xticks(np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine), minor=True)
     axis.tick_params(labelsize=_FONT_PT)
     axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axis.yaxis.set_major_formatter("{x:.0f}°")
