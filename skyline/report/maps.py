@@ -15,7 +15,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float64Array
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
 from skyline.report.figures import save_figure, unnamed_in_words
@@ -38,7 +38,7 @@ _WIDTH_IN, _PLACES_WIDTH_IN = 5.8, 9.0
 _INK_SHARE = 0.35
 """Share of the picture that all points together cover."""
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
-_MOST_SAMPLES = 900
+_MOST_PIXELS = 900
 _NO_TERRAIN = "#eef0ee"
 _EDGE_POINTS = 65
 
@@ -199,38 +199,20 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     """
     axis.set_facecolor(_NO_TERRAIN)
     axis.set(xlim=(area.x0, area.x1), ylim=(area.y0, area.y1), aspect="equal")
-    crop = None if terrain is None else _crop(terrain, area)
-    if terrain is None or crop is None:
+    heights = np.array(np.nan)
+    if terrain is not None:
+        pixel_m = max(terrain.spacing_m / 2.0, max(area.size) / _MOST_PIXELS)
+        columns, rows = 1 + int(area.width / pixel_m), 1 + int(area.height / pixel_m)
+        # Those of the pixels, and of the pixels one beyond.
+        east = np.clip(area.x0 + pixel_m * np.arange(-0.5, columns + 1), area.x0, area.x1)
+        north = np.clip(area.y1 - pixel_m * np.arange(-0.5, rows + 1), area.y0, area.y1)
+        heights = terrain.height_at(easting_m=east, northing_m=north[:, np.newaxis])
+    if np.isnan(heights).all():
         axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
         return
-    heights, extent, step = crop
-    pixel_m = terrain.spacing_east_m * step, terrain.spacing_north_m * step
-    picture = relief(np.pad(heights, 1, "edge"), *pixel_m, tint_range_m(heights))
+    picture = relief(heights.astype(np.float32), pixel_m, pixel_m, tint_range_m(heights))
+    extent = area.x0, area.x0 + columns * pixel_m, area.y1 - rows * pixel_m, area.y1
     axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
-
-
-def _crop(
-    terrain: HeightField, area: Bbox
-) -> tuple[Float32Array, tuple[float, float, float, float], int] | None:
-    """Return the heights in an area, their extent (west, east, south, north) and their step."""
-    top, left = (
-        math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.x0, northing_m=area.y1)
-    )
-    bottom, right = (
-        math.ceil(at) + 2 for at in terrain.to_grid(easting_m=area.x1, northing_m=area.y0)
-    )
-    rows = slice(max(top, 0), min(bottom, terrain.rows))
-    cols = slice(max(left, 0), min(right, terrain.cols))
-    longest = max(rows.stop - rows.start, cols.stop - cols.start)
-    step = max(1, math.ceil(longest / _MOST_SAMPLES))
-    heights = terrain.heights_m[rows, cols][::step, ::step].astype(np.float32)
-    if min(heights.shape, default=0) < 2 or np.isnan(heights).all():
-        return None
-    # A sample is the middle of its pixel.
-    north, south = rows.start - step / 2.0, rows.start + (len(heights) - 0.5) * step
-    west, east = cols.start - step / 2.0, cols.start + (heights.shape[1] - 0.5) * step
-    (west_m, east_m), (north_m, south_m) = terrain.to_map([north, south], [west, east])
-    return heights, (float(west_m), float(east_m), float(south_m), float(north_m)), step
 
 
 def draw_bearings(axis: Axes, frame: Frame, area: Bbox) -> None:
