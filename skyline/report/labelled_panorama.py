@@ -9,7 +9,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
@@ -211,11 +210,16 @@ def _colours(view: PanoramaView) -> UInt8Array:
     landscape, terrain, eye = view.landscape, view.landscape.terrain, view.landscape.eye
     away_m = landscape.distance_m
     grid = np.radians(landscape.azimuth_deg - view.landscape.convergence_deg)[landscape.column]
-    place = terrain.to_grid(
-        easting_m=eye.easting_m[0] + away_m * np.sin(grid),
-        northing_m=eye.northing_m[0] + away_m * np.cos(grid),
+    east_m = eye.easting_m[0] + away_m * np.sin(grid)
+    north_m = eye.northing_m[0] + away_m * np.cos(grid)
+    step_m = terrain.spacing_m
+    # Rises to the east and to the north.
+    east, north = (
+        terrain.height_at(easting_m=east_m + right_m, northing_m=north_m + up_m)
+        - terrain.height_at(easting_m=east_m - right_m, northing_m=north_m - up_m)
+        for right_m, up_m in ((step_m, 0.0), (0.0, step_m))
     )
-    north, east = _slopes(terrain, *place)
+    east, north = east / (2.0 * step_m), north / (2.0 * step_m)
     towards = grid + np.pi - _LIGHT_ASIDE
     facing = east * np.sin(towards) + north * np.cos(towards)
     lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * facing
@@ -226,21 +230,6 @@ def _colours(view: PanoramaView) -> UInt8Array:
     colours[:-1, :3] = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0) * 255.0 + 0.5
     colours[:-1, 3] = 255
     return colours
-
-
-def _slopes(
-    terrain: HeightField, row: Float64Array, col: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return the rise of the terrain to the north and to the east at positions (P,)."""
-
-    def height_m(down: float, right: float) -> Float64Array:
-        at = [row + down, col + right]
-        return np.asarray(map_coordinates(terrain.heights_m, at, order=1, mode="nearest"))
-
-    return (
-        (height_m(-1.0, 0.0) - height_m(1.0, 0.0)) / (2.0 * terrain.spacing_north_m),
-        (height_m(0.0, 1.0) - height_m(0.0, -1.0)) / (2.0 * terrain.spacing_east_m),
-    )
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
