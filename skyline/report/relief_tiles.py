@@ -4,8 +4,6 @@ A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the wor
 the west, y from the north.
 """
 
-import warnings
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +21,7 @@ MAX_ZOOM = 20
 _MESH = 9
 """Points along a tile's side at which the projection is computed; between them it is
 interpolated."""
-_NOWHERE = -1e6
+_NOWHERE_M = -1e9
 _STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in _TINTS])
 _AT = np.linspace(0.0, len(_TINTS) - 1.0, 256)
 _RGB = np.stack(
@@ -68,11 +66,8 @@ class ReliefTiles:
 
     def __init__(self, terrain: HeightField) -> None:
         self._terrain = terrain
-        self._levels: list[Float32Array] = [np.asarray(terrain.heights_m, dtype=np.float32)]
-        while min(self._levels[-1].shape) >= 4:
-            self._levels.append(_halved(self._levels[-1]))
-        coarse = max(0, int(np.log2(max(terrain.rows, terrain.cols) / 512.0)))
-        self._range_m = tint_range_m(self._levels[min(coarse, len(self._levels) - 1)])
+        step = max(1, max(terrain.rows, terrain.cols) // 512)
+        self._range_m = tint_range_m(terrain.heights_m[::step, ::step])
         west, south, east, north = terrain.bounds_m
         self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         """West, south, east and north of the model, degrees; west > east across the
@@ -90,24 +85,16 @@ class ReliefTiles:
             raise InputError(
                 f"tile {zoom}/{x}/{y}; expected a zoom of 0 to {MAX_ZOOM}, x and y below 2**zoom"
             )
-        heights, pixel_m = self._heights(zoom, x, y)
-        picture = relief(heights, pixel_m, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
-        return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
-
-    def _heights(self, zoom: int, x: int, y: int) -> tuple[Float32Array, float]:
-        """Return heights (T + 2, T + 2) at a tile's pixels and one beyond, and the pixel size."""
-        lon, lat = _lonlat(zoom, x, y)
-        easting, northing = self._terrain.frame.from_lonlat(lon, lat)
-        row, col = self._terrain.to_grid(easting_m=easting, northing_m=northing)
-        # Far from a frame's middle its projection may be undefined.
-        row, col = (np.where(np.isfinite(at), at, _NOWHERE) for at in (row, col))
-        step = (TILE_PX + 2) / (_MESH - 1)
+        frame, step = self._terrain.frame, (TILE_PX + 2) / (_MESH - 1)
+        easting, northing = frame.from_lonlat(*_lonlat(zoom, x, y))
         across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
         pixel_m = float(across) if np.isfinite(across) else 1e6
-        level = int(np.log2(max(pixel_m / self._terrain.spacing_m, 1.0)))
-        level = min(level, len(self._levels) - 1)
-        rows, cols = (_on_pixels((at + 0.5) * 2.0**-level - 0.5) for at in (row, col))
-        return _sampled(self._levels[level], rows, cols), pixel_m
+        # Far from a frame's middle its projection may be undefined.
+        places = (np.where(np.isfinite(at), at, _NOWHERE_M) for at in (easting, northing))
+        east, north = map(_on_pixels, places)
+        heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
+        picture = relief(heights, pixel_m, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
+        return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
 
 def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
@@ -118,39 +105,8 @@ def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
     return 360.0 * east - 180.0, lat
 
 
-def _on_pixels(mesh: Float64Array) -> Float32Array:
+def _on_pixels(mesh: Float64Array) -> Float64Array:
     """Return values (T + 2, T + 2) at pixels, linearly interpolated from a mesh (M, M)."""
     position = np.linspace(0.0, _MESH - 1.0, TILE_PX + 2)
     weight = np.maximum(0.0, 1.0 - np.abs(position[:, np.newaxis] - np.arange(_MESH)))
-    return np.asarray(weight @ mesh @ weight.T, dtype=np.float32)
-
-
-def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> Float32Array:
-    """Return heights at fractional rows and columns, NaN outside the model."""
-    (top, bottom), (left, right) = (
-        np.clip([at.min() - 2, at.max() + 3], 0, length).astype(int).tolist()
-        for at, length in zip((rows, cols), heights.shape, strict=True)
-    )
-    if bottom - top < 2 or right - left < 2:
-        return np.full(rows.shape, np.nan, dtype=np.float32)
-    part = np.ascontiguousarray(heights[top:bottom, left:right])
-    return np.asarray(
-        cv2.remap(
-            part,
-            cols - left,
-            rows - top,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
-        ),
-        dtype=np.float32,
-    )
-
-
-def _halved(heights: Float32Array) -> Float32Array:
-    """Return the means of 2 by 2 samples, without unknown samples."""
-    rows, cols = heights.shape[0] // 2 * 2, heights.shape[1] // 2 * 2
-    blocks = heights[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # All four may be unknown.
-        return np.asarray(np.nanmean(blocks, axis=(1, 3)), dtype=np.float32)
+    return np.asarray(weight @ mesh @ weight.T)
