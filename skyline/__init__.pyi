@@ -45,11 +45,11 @@ from .report.exports import export_matches as export_matches
 from .report.labelled_panorama import save_panorama as save_panorama
 from .report.landscape import PanoramaConfig as PanoramaConfig
 from .report.located import write_located as write_located
+from .report.maps import ReliefTiles as ReliefTiles
 from .report.match_report import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.peaks import Peaks as Peaks
 from .report.peaks import read_peaks as read_peaks
-from .report.relief_tiles import ReliefTiles as ReliefTiles
 from .report.viewer import PixelPlaces as PixelPlaces
 from .report.viewer import SeenPeak as SeenPeak
 from .report.viewer import Sight as Sight
