@@ -104,7 +104,7 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
     rows = [_Row.of(view, row, figure) for row in range(row_count(view.config.fov_deg))]
-    total_in = _TITLE_IN + sum(row.total_in for row in rows)
+    total_in = _TITLE_IN + sum(row.names_in + row.high_in + _SCALE_IN for row in rows)
     figure.set_size_inches(_WIDTH_IN, total_in)
     left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
     top_in, colours, unnamed = total_in - _TITLE_IN, _colours(view), len(view.sightings)
@@ -113,7 +113,7 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
         _draw_row(axis, view, row, colours)
         unnamed -= _draw_names(axis, row)
-        top_in -= row.total_in
+        top_in = bottom_in - _SCALE_IN
     title = _title(view) + unnamed_in_words(unnamed, "; ")
     figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
     return figure, unnamed
@@ -127,9 +127,13 @@ class _Row:
     """Columns of the landscape."""
     ends_deg: tuple[float, float]
     span_deg: tuple[float, float]
-    names: list[tuple[str, float, float, float, float]]
-    """(label, azimuth_deg, summit_deg, wide_in, high_in) of each; width and height of the label
-    before it is turned upright."""
+    names: list[tuple[str, float, float, float]]
+    """(label, azimuth_deg, summit_deg, wide_in) of each; the width of the upright label."""
+    in_a_deg: float
+    """Inches per degree, sideways and upwards."""
+    high_in: float
+    names_in: float
+    """``high_in``, ``names_in``: heights of the landscape, and of the names above it."""
 
     @classmethod
     def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
@@ -142,36 +146,19 @@ class _Row:
         high_deg = float(highest_deg.max()) + 1.0
         low_deg = max(float(skyline_deg.min()) - _BELOW_DEG, -89.0)
         low_deg = min(low_deg, high_deg - _LEAST_DEG)
-        names = []
+        names, names_in = [], 0.0
         for one in view.sightings:
             azimuth = ends[0] + (one.azimuth_deg + view.landscape.convergence_deg - ends[0]) % 360.0
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
             if azimuth < ends[1] and summit_deg > low_deg:
                 label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
-                wide_px, high_px = extent_px(figure, label, _FONT_PT)
-                size_in = wide_px / figure.dpi, high_px / figure.dpi
-                names.append((label, azimuth, summit_deg, *size_in))
-        return cls(columns, ends, (low_deg, high_deg), names)
-
-    @property
-    def in_a_deg(self) -> float:
-        """Inches per degree, sideways and upwards."""
-        return (_WIDTH_IN - 2.0 * _MARGIN_IN) / (self.ends_deg[1] - self.ends_deg[0])
-
-    @property
-    def high_in(self) -> float:
-        """Height of the landscape."""
-        return self.in_a_deg * (self.span_deg[1] - self.span_deg[0])
-
-    @property
-    def names_in(self) -> float:
-        """Height of the names above the landscape."""
-        return max((name[3] for name in self.names), default=0.0) + 0.35 * bool(self.names)
-
-    @property
-    def total_in(self) -> float:
-        """Height of the row with its names and scale."""
-        return self.names_in + self.high_in + _SCALE_IN
+                # The upright name is as high as the text is long.
+                long_px, wide_px = extent_px(figure, label, _FONT_PT)
+                names.append((label, azimuth, summit_deg, wide_px / figure.dpi))
+                names_in = max(names_in, long_px / figure.dpi + 0.35)
+        in_a_deg = (_WIDTH_IN - 2.0 * _MARGIN_IN) / row_deg
+        high_in = in_a_deg * (high_deg - low_deg)
+        return cls(columns, ends, (low_deg, high_deg), names, in_a_deg, high_in, names_in)
 
 
 def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) -> None:
@@ -256,14 +243,14 @@ def _draw_names(axis: Axes, row: _Row) -> int:
     (begin, end), in_a_deg = row.ends_deg, row.in_a_deg
     placed = place_labels(
         [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
-        [high_in for *_, high_in in row.names],
+        [wide_in for *_, wide_in in row.names],
         (end - begin) * in_a_deg,
         rows=1,
         gap_px=_NAMES_APART_IN,
     )
     leaders = []
     for label in placed:
-        text, azimuth, summit_deg, _, _ = row.names[label.index]
+        text, azimuth, summit_deg, _ = row.names[label.index]
         middle = begin + 0.5 * (label.left_px + label.right_px) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
