@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -88,22 +88,16 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     """
     candidates = plan.candidates
     columns_m, rows_m = candidates.easting_m, candidates.northing_m
-    # Each candidate stands in the middle of its cell; one row or column has the others' spacing.
-    known_m = [abs(float(axis[1] - axis[0])) for axis in (columns_m, rows_m) if len(axis) > 1]
-    east_m, north_m = known_m[0], known_m[-1]
-    area = Bbox.from_extents(
-        float(columns_m[0]) - east_m / 2.0,
-        float(rows_m[-1]) - north_m / 2.0,
-        float(columns_m[-1]) + east_m / 2.0,
-        float(rows_m[0]) + north_m / 2.0,
-    )
+    # Each candidate stands in the middle of its cell.
+    corners = columns_m[0], rows_m[-1], columns_m[-1], rows_m[0]
+    area = Bbox.from_extents(*corners).padded(plan.config.candidate_m / 2.0)
     shape = area.height / area.width
     width = np.sqrt(_PANEL_SQUARE_IN / shape)
     figure = Figure(
         figsize=(len(HEADINGS) * width + 1.2, width * shape + 0.7), layout="constrained"
     )
     axes = figure.subplots(1, len(HEADINGS), sharey=True)
-    cell_km2 = east_m * north_m / 1e6
+    cell_km2 = (plan.config.candidate_m / 1000.0) ** 2
     norm = LogNorm(cell_km2, cell_km2 * candidates.window**2)
     for heading, axis in zip(HEADINGS, axes, strict=True):
         coverage = plan.coverages[heading]
@@ -117,15 +111,8 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
             interpolation="nearest",
         )
         row, col = candidates.row_col(coverage.viewpoints)
-        axis.plot(
-            columns_m[col],
-            rows_m[row],
-            ".",
-            color="black",
-            markeredgecolor="white",
-            markeredgewidth=0.3,
-            markersize=4.0,
-        )
+        edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.3}
+        axis.plot(columns_m[col], rows_m[row], ".k", markersize=4.0, **edge)
         draw_bearings(axis, plan.field.frame, area)
         axis.set_title(
             f"heading {heading}, {_HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
