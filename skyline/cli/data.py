@@ -263,16 +263,14 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig)
     exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
     given = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
-    reach_m = terrain.reach_m(
-        easting_m=float(eye.easting_m[0]), northing_m=float(eye.northing_m[0])
-    )
-    sight_m = sight_range_m(terrain, float(eye.eye_elevation_m[0]), drop_per_m2)
+    place = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
+    eye_m, reach_m = float(eye.eye_elevation_m[0]), terrain.reach_m(**place)
+    sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
     short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
     depth_m = exact.depth_m
     return {
-        "easting_m": float(eye.easting_m[0]),
-        "northing_m": float(eye.northing_m[0]),
-        "eye_elevation_m": float(eye.eye_elevation_m[0]),
+        **place,
+        "eye_elevation_m": eye_m,
         "width": config.width,
         "tolerance_px": config.tolerance_px,
         "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
