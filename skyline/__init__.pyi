@@ -30,8 +30,8 @@ from .photo.correction import Correction as Correction
 from .photo.correction import Stroke as Stroke
 from .photo.correction import StrokeKind as StrokeKind
 from .photo.exif import NotedPlace as NotedPlace
-from .photo.lens import Lens as Lens
-from .photo.projection import Projection as Projection
+from .photo.query import Lens as Lens
+from .photo.query import Projection as Projection
 from .photo.query import QuerySkyline as QuerySkyline
 from .photo.read import Photo as Photo
 from .photo.read import read_photo as read_photo

@@ -13,8 +13,7 @@ from PIL import Image
 
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.trace import write_trace
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField

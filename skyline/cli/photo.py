@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from skyline.cli.console import PEAKS, StoreDem, StoreFile, panel, print_written
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.projection import Projection
+from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
 

@@ -27,9 +27,7 @@ from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
 from skyline.match.scene import VIEW_WIDTH, RenderedScene, given_terrain, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.lens import Lens
-from skyline.photo.projection import MAX_PANORAMA_DEG
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import MAX_PANORAMA_DEG, Lens, QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
@@ -348,7 +346,8 @@ def rays_of(query: QuerySkyline, config: MatchConfig, *, finds_fov: bool) -> Que
         return rays.about(sd_deg, lens.most_deg or math.inf)
     if finds_fov and not is_panorama:
         fov_deg, sd_deg = USUAL_FOV_DEG
-        return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, FOV_RANGE_DEG, sd_deg)
+        u, v = query.with_fov(fov_deg).image_plane()
+        return QueryRays(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg)
     raise InputError(
         "the query's field of view is not known: it is not in the image; give --fov-deg"
     )

@@ -20,9 +20,7 @@ from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
-from skyline.photo.lens import Lens
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.photo.read import check_fov, read_query
 from skyline.store import open_store
 from skyline.store.format import PLACES, PLACES_A_CHUNK

@@ -48,7 +48,7 @@ class QueryRays:
     is_panorama: bool = False
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a lens without any. A distortion k
-    moves a ray outwards by k times its `reach`; see `skyline.photo.projection.undistorted`."""
+    moves a ray outwards by k times its `reach`; see `skyline.photo.query.undistorted`."""
 
     def __post_init__(self) -> None:
         if not self.weight.any():

@@ -23,7 +23,7 @@ from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
 from PIL.ExifTags import Base
 
 from skyline.photo.exif import Tags, positive, text_of
-from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
+from skyline.photo.query import MAX_PANORAMA_DEG, MIN_FOV_DEG, Lens, Projection
 
 _FULL_FRAME_MM = hypot(36.0, 24.0)
 """Diagonal of 35 mm film."""
@@ -115,38 +115,6 @@ def _sensors_by_model() -> dict[str, Sensor]:
 def _model_key(model: str) -> str:
     """Return a model without case and spaces, in which makers' notes differ."""
     return "".join(model.split()).upper()
-
-
-@dataclass(frozen=True, slots=True)
-class Lens:
-    """The horizontal field of view that a file notes for its photo.
-
-    Attributes
-    ----------
-    fov_deg : float or None
-        The likeliest horizontal field of view; None if nothing is known.
-    sd_deg : float or None
-        Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
-    most_deg : float or None
-        The greatest possible field of view, if the photo was cropped.
-    reason : str
-        The source of the values in words, or the reason that there are none; empty if the file
-        notes no lens.
-    """
-
-    fov_deg: float | None = None
-    sd_deg: float | None = None
-    most_deg: float | None = None
-    reason: str = ""
-
-    @property
-    def in_words(self) -> str:
-        """One line: the field of view and its source; empty if the file notes no lens."""
-        if not self.reason:
-            return ""
-        fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
-        slack = "" if self.sd_deg is None else f", give or take {self.sd_deg:.0f}"
-        return f"field of view: {fov}{slack}; {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)

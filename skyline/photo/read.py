@@ -26,9 +26,8 @@ from skyline.errors import InputError, MissingFileError
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
-from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, camera_of
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline, check_of_image
+from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
+from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
 from skyline.photo.sky_model import (
     is_sky_mask,
     load_sky_model,

@@ -9,9 +9,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.files import write_whole
-from skyline.photo.lens import Lens
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.tables import Row, Table, read_table
 
 MAX_GAP_SHARE = 0.1

@@ -26,8 +26,7 @@ from skyline.files import write_whole, write_with_folders
 from skyline.geodesy import Frame
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import Candidate
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 from skyline.store import Store

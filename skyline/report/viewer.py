@@ -27,8 +27,7 @@ from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
 from skyline.match.scene import RenderedScene
-from skyline.photo.projection import distorted, undistorted
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import QuerySkyline, distorted, undistorted
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks

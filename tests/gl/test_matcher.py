@@ -16,8 +16,7 @@ from skyline import (
 )
 from skyline.errors import InputError
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)

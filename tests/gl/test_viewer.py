@@ -18,7 +18,7 @@ from skyline import (
     read_query,
 )
 from skyline.camera import HEADINGS
-from skyline.photo.projection import Projection
+from skyline.photo.query import Projection
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.viewer import sight_of
 from skyline.terrain.summits import summit_heights_m

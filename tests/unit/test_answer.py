@@ -10,8 +10,7 @@ from skyline.match.answer import MatchResult, refusal_of, sure_within_m
 from skyline.match.matchers import MatchConfig
 from skyline.match.query_rays import QueryRays
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
-from skyline.photo.lens import Lens
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Lens, QuerySkyline
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5
 

@@ -6,8 +6,8 @@ from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.match.query_rays import QueryRays
-from skyline.photo.lens import Lens, lens_of, panorama_of_xmp, swept_lens_of
-from skyline.photo.projection import Projection
+from skyline.photo.lens import lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.query import Lens, Projection
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
 PLANE = {

@@ -11,8 +11,7 @@ from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError
 from skyline.photo.lens import panorama_of_xmp
-from skyline.photo.projection import Projection, distorted, undistorted
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline, distorted, undistorted
 from skyline.photo.read import read_query
 from skyline.photo.trace import write_trace
 

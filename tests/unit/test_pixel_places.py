@@ -11,8 +11,7 @@ from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
-from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline
 from skyline.report.viewer import Viewer, directions_of, pixels_of, sight_of
 from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import Viewpoints, stand_on

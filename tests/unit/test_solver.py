@@ -10,7 +10,7 @@ from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.query_rays import QueryRays, level, level_with_changes, thinned
 from skyline.match.solver import FINE, Curves, Solver, SolverMode
-from skyline.photo.projection import distorted
+from skyline.photo.query import distorted
 from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
