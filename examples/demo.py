@@ -19,15 +19,13 @@ from rich.table import Table
 
 from skyline.build.parts import build_places, build_uniform
 from skyline.match.answer import MatchResult
-from skyline.match.matcher import Matcher
-from skyline.match.matchers import FULL, MATCHERS, matcher_class
+from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.photo.read import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labelled_panorama import save_panorama
 from skyline.report.match_report import report_matches
 from skyline.report.plan_pictures import save_depth_pictures
-from skyline.store.format import PLACES
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_on
@@ -75,10 +73,8 @@ def main() -> None:
 
     queries = take_pictures(terrain, out / "queries")
     matchers = {
-        name: Matcher(
-            places if matcher_class(name).searches == PLACES else renderings, matcher=name
-        )
-        for name in MATCHERS
+        name: Matcher(places if name == FULL else renderings, matcher=name)
+        for name in (FULL, *PROFILE_MATCHERS)
     }
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results[FULL], strict=True):

@@ -15,12 +15,12 @@ from .geodesy import Curvature as Curvature
 from .geodesy import Frame as Frame
 from .match.answer import JointResult as JointResult
 from .match.answer import MatchResult as MatchResult
+from .match.answer import to_dataframe as to_dataframe
+from .match.answer import to_geodataframe as to_geodataframe
 from .match.candidate import Candidate as Candidate
-from .match.dataframes import to_dataframe as to_dataframe
-from .match.dataframes import to_geodataframe as to_geodataframe
+from .match.confidence import MatchConfig as MatchConfig
 from .match.locate import locate as locate
 from .match.matcher import Matcher as Matcher
-from .match.matchers import MatchConfig as MatchConfig
 from .match.orient import Orientation as Orientation
 from .match.orient import Orienter as Orienter
 from .match.orient import orient as orient

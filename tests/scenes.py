@@ -7,7 +7,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
-from skyline.match.candidate import Candidate, Hypotheses, Ranking
+from skyline.match.candidate import Candidate, Hypotheses, candidates_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import closed_forms
@@ -26,7 +26,7 @@ def candidate_at(
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
     poses = Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
     return replace(
-        Ranking(poses).candidates(frame)[0],
+        candidates_of(frame, poses)[0],
         rank=rank,
         confidence=confidence,
         confidence_1km=confidence_1km,

@@ -31,8 +31,8 @@ from skyline.cli.console import (
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError, named, printable, suffix_of
 from skyline.match.answer import JointResult, MatchResult
-from skyline.match.matcher import Matcher
-from skyline.match.matchers import FULL, MATCHERS, MatchConfig
+from skyline.match.confidence import MatchConfig
+from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.queries import Query, listed, match_here, match_many, written_ns
 from skyline.match.results_file import RESULTS, ResultsFile
@@ -44,7 +44,7 @@ from skyline.terrain.rasters import absolute_name
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""
-_CHOICES = (FULL, _UNREFINED, *(name for name in MATCHERS if name != FULL))
+_CHOICES = (FULL, _UNREFINED, *PROFILE_MATCHERS)
 
 # Groups of options in the help, after the options that are needed most.
 _known, _search, _files = panel("The photos"), panel("The search"), panel("More files to write")

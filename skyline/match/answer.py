@@ -1,21 +1,22 @@
-"""The answer to a query: its sentences, its JSON, its rows and points, and when it is refused."""
+"""The answer to a query: its sentences, its JSON, its rows, and its tables."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import Geod
 
-from skyline.errors import printable
+from skyline.errors import library, printable
 from skyline.geodesy import in_turn
-from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
-from skyline.match.dataframes import as_table, to_dataframe, to_geodataframe
-from skyline.match.matchers import MatchConfig
-from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
+from skyline.match.candidate import COLUMNS, ROUGHLY_WITHIN_M, Candidate
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.query import QuerySkyline
+
+if TYPE_CHECKING:
+    from skyline.match.orient import Orientation
 
 TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
@@ -30,17 +31,7 @@ than 5 times its accuracy; its compass disagrees if it is off by more than 45 de
 seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
-
-_MIN_VISIBLE_DEG = 14.0
-"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
-seven unknowns: below 14 degrees there are fewer rises than unknowns."""
-_NEAR_SLOPE_M = 150.0
-"""Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
-photos: wrong slopes fit as well (docs/accuracy.md)."""
-DISAGREES = "the photo does not fit where the others were taken"
-_AT_BOUND_SHARE = 1e-3
-"""A field of view counts as at an end of the searched range if its distance from the end is less
-than this share of the range: fits that are held to a bound miss it by rounding."""
+_COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +234,7 @@ class MatchResult:
 
     def to_dataframe(self) -> Any:
         """Return the candidates as a pandas DataFrame, one row each, best first."""
-        return as_table(one.to_dict() for one in self.candidates)
+        return _table(one.to_dict() for one in self.candidates)
 
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -363,6 +354,59 @@ class JointResult:
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
+def _table(rows: Iterable[dict[str, Any]]) -> Any:
+    """Return rows as a pandas DataFrame; `InputError` where pandas is not installed."""
+    return library("pandas", "a DataFrame").DataFrame(list(rows))
+
+
+def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
+    """Return results as a table, one row each.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The columns of ``skyline match --results`` or of ``skyline orient --csv``: the photo, the
+        best pose, its confidence, and the reason where there is no answer.
+
+    Raises
+    ------
+    InputError
+        Pandas is not installed.
+    """
+    return _table(one.to_row() for one in results)
+
+
+def to_geodataframe(results: Iterable[MatchResult]) -> Any:
+    """Return the candidates of results as points, one row each.
+
+    Returns
+    -------
+    geopandas.GeoDataFrame
+        Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
+        best), ``is_answer`` (whether it is the answer) and the fields of `Candidate`; of the
+        covariance three columns, which files can hold. Unknown values are missing.
+
+    Raises
+    ------
+    InputError
+        GeoPandas is not installed.
+    """
+    geopandas = library("geopandas", "a GeoDataFrame")
+    names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
+    columns: dict[str, list[Any]] = {
+        name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
+    }
+    for number, result in enumerate(results):
+        for one in result.candidates:
+            (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
+            row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
+            row |= {"query": number, "is_answer": one is result.answer}
+            for name, values in columns.items():
+                values.append(math.nan if row[name] is None else row[name])
+    places = geopandas.points_from_xy(columns["lon"], columns["lat"])
+    return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+
+
 def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
@@ -395,103 +439,4 @@ def _skyline_svg(query: QuerySkyline) -> str:
     return (
         f'<svg viewBox="0 0 {size}" width="360" style="border: 1px solid; margin: 0.5em 0">'
         f'<path d="{lines}" fill="none" stroke="crimson" vector-effect="non-scaling-stroke"/></svg>'
-    )
-
-
-def too_little(query: QuerySkyline) -> str | None:
-    """Return the refusal of a query that shows too little skyline; None if it shows enough."""
-    widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
-    if query.lens is not None and query.lens.most_deg is not None:
-        widest_deg = query.lens.most_deg
-    visible_deg = query.visible_deg(widest_deg)
-    if visible_deg >= _MIN_VISIBLE_DEG:
-        return None
-    return (
-        f"{visible_deg:.1f} degrees of skyline are visible, {_MIN_VISIBLE_DEG:g} are needed; "
-        "correct the skyline by a trace or a mask, or check the field of view"
-    )
-
-
-def refusal_of(
-    candidates: Sequence[Candidate], config: MatchConfig, query: QuerySkyline, rays: QueryRays
-) -> str | None:
-    """Return why the best candidate of a search is not the answer; None if it is the answer."""
-    refusal = unsure(candidates, config)
-    if refusal is None:
-        return at_bound(candidates[0], rays)
-    return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
-
-
-def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
-    """Return the refusal of a best candidate that is not sure enough; None if it is."""
-    if not candidates:
-        return "no place fits"
-    best, least = candidates[0], config.min_confidence
-    if best.confidence is None or sure_within_m(best, config) is not None:
-        return None
-    return (
-        f"the best place has confidence {best.confidence:.2f}, within 1 km "
-        f"{best.confidence_1km:.2f}; {least:.2f} is needed" + _of_a_slope(candidates)
-    )
-
-
-def _of_a_slope(candidates: Sequence[Candidate]) -> str:
-    """Return a hint if the skyline is a near slope that several candidates show; empty if not."""
-    distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
-    near = [distance for distance in distances_m if distance < _NEAR_SLOPE_M]
-    if len(near) < max(2, len(candidates) // 2 + 1):
-        return ""
-    return (
-        f"; the skyline is a slope {min(near):.0f} to {max(near):.0f} m away, and {len(near)} "
-        "places have a slope like it: a photo that shows farther ridges says more"
-    )
-
-
-def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
-    """Return why a fit has failed: a search would refuse its pose even without rivals; else None.
-
-    The confidence of ``fitted`` is the one that a search would give it if nothing else fitted.
-    """
-    if sure_within_m(fitted, config) is not None:
-        return None
-    return (
-        f"{fitted.residual_in_words}; even if nothing else fitted, the confidence would be "
-        f"{fitted.confidence:.2f}, within 1 km {fitted.confidence_1km:.2f}, and "
-        f"{config.min_confidence:.2f} is needed"
-    )
-
-
-def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
-    """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
-
-    None if it is sure within neither. The nearer distance may leave half the doubt that the
-    farther one may: a wrong answer is worse than a vague one.
-    """
-    doubt = 1.0 - config.min_confidence
-    sure = (candidate.confidence, 1.0 - 0.5 * doubt), (candidate.confidence_1km, 1.0 - doubt)
-    for within_m, (confidence, least) in zip(DISTANCES_M, sure, strict=True):
-        if confidence is not None and confidence >= least:
-            return within_m
-    return None
-
-
-def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
-    """Return a hint if the best field of view is two standard deviations off; empty if not."""
-    if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
-        return ""
-    return (
-        f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
-        "expected: check that"
-    )
-
-
-def at_bound(best: Candidate, rays: QueryRays) -> str | None:
-    """Return the refusal of a field of view that is the least or greatest searched; else None."""
-    low_deg, high_deg = rays.fov_bounds_deg
-    near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)
-    if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:
-        return None
-    return (
-        f"the best place needs a field of view of {best.fov_deg:.1f} degrees, and {low_deg:.1f} to "
-        f"{high_deg:.1f} were searched; give another one (--fov-deg)"
     )

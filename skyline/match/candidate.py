@@ -1,4 +1,4 @@
-"""Poses of a camera: hypotheses of a search, rankings of matchers, candidates of an answer."""
+"""Poses of a camera: hypotheses of a search, refined poses, candidates of an answer."""
 
 import math
 from dataclasses import dataclass, fields
@@ -263,44 +263,39 @@ class RefinedPoses(Rows):
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ranking:
-    """The M poses that a matcher answers a query with, best first."""
+def candidates_of(
+    frame: Frame,
+    poses: Hypotheses | RefinedPoses,
+    confidence: Float64Array | None = None,
+    confidence_1km: Float64Array | None = None,
+) -> tuple[Candidate, ...]:
+    """Return poses, best first, as candidates; ``frame`` is that of their eastings and northings.
 
-    poses: Hypotheses
-    confidence: Float64Array | None = None
-    confidence_1km: Float64Array | None = None
-    """``confidence``, ``confidence_1km``: (M,) float64. Probabilities that each is right within
-    200 m, and within 1 km; None for matchers that estimate none."""
-    refined: RefinedPoses | None = None
-    """The same M poses with what refinement found; None where they were not refined."""
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def candidates(self, frame: Frame) -> tuple[Candidate, ...]:
-        """Return the poses as candidates; ``frame`` is that of their eastings and northings."""
-        easting_m, northing_m = self.poses.easting_m, self.poses.northing_m
-        lon, lat = frame.to_lonlat(easting_m, northing_m)
-        convergence_deg = np.zeros(0)
-        if len(self):
-            convergence_deg = frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
-        heading_deg = (self.poses.heading_deg + convergence_deg) % 360.0
-        columns = {f.name: getattr(self.poses, f.name).tolist() for f in fields(Hypotheses)} | {
-            "lon": lon.tolist(),
-            "lat": lat.tolist(),
-            "heading_deg": heading_deg.tolist(),
-            "convergence_deg": convergence_deg.tolist(),
-            "rank": range(1, len(self) + 1),
-        }
-        for name in ("confidence", "confidence_1km"):
-            if getattr(self, name) is not None:
-                columns[name] = getattr(self, name).tolist()
-        if self.refined is not None:
-            for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
-                columns[name] = getattr(self.refined, name).tolist()
-            covariance_m2 = self.refined.covariance_m2.tolist()
-            columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
-            columns["refined"] = [True] * len(self)
-        rows = zip(*columns.values(), strict=True)
-        return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)
+    The confidences (M,) are the probabilities that each is right within 200 m, and within 1 km.
+    """
+    refined = poses if isinstance(poses, RefinedPoses) else None
+    standing = poses if isinstance(poses, Hypotheses) else poses.hypotheses
+    easting_m, northing_m = standing.easting_m, standing.northing_m
+    lon, lat = frame.to_lonlat(easting_m, northing_m)
+    convergence_deg = np.zeros(0)
+    if len(standing):
+        convergence_deg = frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+    heading_deg = (standing.heading_deg + convergence_deg) % 360.0
+    columns = {f.name: getattr(standing, f.name).tolist() for f in fields(Hypotheses)} | {
+        "lon": lon.tolist(),
+        "lat": lat.tolist(),
+        "heading_deg": heading_deg.tolist(),
+        "convergence_deg": convergence_deg.tolist(),
+        "rank": range(1, len(standing) + 1),
+    }
+    if confidence is not None and confidence_1km is not None:
+        columns["confidence"] = confidence.tolist()
+        columns["confidence_1km"] = confidence_1km.tolist()
+    if refined is not None:
+        for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
+            columns[name] = getattr(refined, name).tolist()
+        covariance_m2 = refined.covariance_m2.tolist()
+        columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
+        columns["refined"] = [True] * len(standing)
+    rows = zip(*columns.values(), strict=True)
+    return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)

@@ -1,6 +1,7 @@
-r"""Confidence: the probability that a pose is right within 200 m, and within 1 km.
+r"""Confidence: the probability that a pose is right, and why one too low is refused as an answer.
 
-A pose is right if it lies so near the truth and looks the same way, within 30 degrees.
+A pose is right if it lies within 200 m of the truth, or roughly right within 1 km, and looks the
+same way, within 30 degrees.
 
 It is a logistic model of figures that a match gives, learned from synthetic queries on other
 terrain than any result is reported on (``python -m skyline_training confidence``, which also draws
@@ -23,16 +24,19 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.errors import InputError
 from skyline.match.candidate import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
     SAME_VIEW_DEG,
+    Candidate,
     Hypotheses,
     RefinedPoses,
 )
-from skyline.match.query_rays import QueryRays
+from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
 from skyline.match.solver import TEMPERATURE
+from skyline.photo.query import QuerySkyline
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
@@ -42,9 +46,54 @@ _MOST_VISIBLE_DEG = 90.0
 """Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
 one."""
 _MOST_LENS_DEVIATIONS = 4.0
+_MIN_VISIBLE_DEG = 14.0
+"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
+seven unknowns: below 14 degrees there are fewer rises than unknowns."""
+_NEAR_SLOPE_M = 150.0
+"""Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
+photos: wrong slopes fit as well (docs/accuracy.md)."""
+_AT_BOUND_SHARE = 1e-3
+"""A field of view counts as at an end of the searched range if its distance from the end is less
+than this share of the range: fits that are held to a bound miss it by rounding."""
 _MODELS, _ORIENTATION = "confidence.json", "orientation.json"
 ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchConfig:
+    """Settings of a match.
+
+    Attributes
+    ----------
+    refine : bool
+        Whether the full matcher refines the retrieved poses by rendering.
+    min_confidence : float
+        Least probability, 0 to 1, that the best place is right within 1 km for it to be the answer.
+        The answer is given within 200 m instead if the probability of an error above 200 m is at
+        most half of what is allowed for 1 km: with the default, if it is right with a probability
+        of 0.9. All 38 answers to the queries of the terrain that was held out from learning were
+        right; docs/accuracy.md says how hard those are.
+    fov_slack : float
+        Standard deviation of a given field of view, as a share of it, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    refine: bool = True
+    min_confidence: float = 0.8
+    fov_slack: float = 0.025
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_confidence <= 1.0:
+            raise InputError(
+                f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
+            )
+        if not 0.0 <= self.fov_slack < 1.0:
+            raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,3 +302,102 @@ def _margin(margin: Float64Array) -> Float64Array:
 
 def _log_margin(margin: Float64Array) -> Float64Array:
     return np.asarray(np.log(np.clip(margin, _MIN_MARGIN, _MAX_MARGIN)))
+
+
+def too_little(query: QuerySkyline) -> str | None:
+    """Return the refusal of a query that shows too little skyline; None if it shows enough."""
+    widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
+    if query.lens is not None and query.lens.most_deg is not None:
+        widest_deg = query.lens.most_deg
+    visible_deg = query.visible_deg(widest_deg)
+    if visible_deg >= _MIN_VISIBLE_DEG:
+        return None
+    return (
+        f"{visible_deg:.1f} degrees of skyline are visible, {_MIN_VISIBLE_DEG:g} are needed; "
+        "correct the skyline by a trace or a mask, or check the field of view"
+    )
+
+
+def refusal_of(
+    candidates: Sequence[Candidate], config: MatchConfig, query: QuerySkyline, rays: QueryRays
+) -> str | None:
+    """Return why the best candidate of a search is not the answer; None if it is the answer."""
+    refusal = unsure(candidates, config)
+    if refusal is None:
+        return at_bound(candidates[0], rays)
+    return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
+
+
+def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
+    """Return the refusal of a best candidate that is not sure enough; None if it is."""
+    if not candidates:
+        return "no place fits"
+    best, least = candidates[0], config.min_confidence
+    if best.confidence is None or sure_within_m(best, config) is not None:
+        return None
+    return (
+        f"the best place has confidence {best.confidence:.2f}, within 1 km "
+        f"{best.confidence_1km:.2f}; {least:.2f} is needed" + _of_a_slope(candidates)
+    )
+
+
+def _of_a_slope(candidates: Sequence[Candidate]) -> str:
+    """Return a hint if the skyline is a near slope that several candidates show; empty if not."""
+    distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
+    near = [distance for distance in distances_m if distance < _NEAR_SLOPE_M]
+    if len(near) < max(2, len(candidates) // 2 + 1):
+        return ""
+    return (
+        f"; the skyline is a slope {min(near):.0f} to {max(near):.0f} m away, and {len(near)} "
+        "places have a slope like it: a photo that shows farther ridges says more"
+    )
+
+
+def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
+    """Return why a fit has failed: a search would refuse its pose even without rivals; else None.
+
+    The confidence of ``fitted`` is the one that a search would give it if nothing else fitted.
+    """
+    if sure_within_m(fitted, config) is not None:
+        return None
+    return (
+        f"{fitted.residual_in_words}; even if nothing else fitted, the confidence would be "
+        f"{fitted.confidence:.2f}, within 1 km {fitted.confidence_1km:.2f}, and "
+        f"{config.min_confidence:.2f} is needed"
+    )
+
+
+def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
+    """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
+
+    None if it is sure within neither. The nearer distance may leave half the doubt that the
+    farther one may: a wrong answer is worse than a vague one.
+    """
+    doubt = 1.0 - config.min_confidence
+    sure = (candidate.confidence, 1.0 - 0.5 * doubt), (candidate.confidence_1km, 1.0 - doubt)
+    for within_m, (confidence, least) in zip(DISTANCES_M, sure, strict=True):
+        if confidence is not None and confidence >= least:
+            return within_m
+    return None
+
+
+def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
+    """Return a hint if the best field of view is two standard deviations off; empty if not."""
+    if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
+    return (
+        f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
+        "expected: check that"
+    )
+
+
+def at_bound(best: Candidate, rays: QueryRays) -> str | None:
+    """Return the refusal of a field of view that is the least or greatest searched; else None."""
+    low_deg, high_deg = rays.fov_bounds_deg
+    near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)
+    if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:
+        return None
+    return (
+        f"the best place needs a field of view of {best.fov_deg:.1f} degrees, and {low_deg:.1f} to "
+        f"{high_deg:.1f} were searched; give another one (--fov-deg)"
+    )

@@ -4,24 +4,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
-from typing import Self
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError
+from skyline.geodesy import Curvature, Frame
 from skyline.match import confidence
-from skyline.match.candidate import Hypotheses, Ranking, RefinedPoses
-from skyline.match.matchers import Ranker
+from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
-from skyline.store import Store
-from skyline.store.format import PLACES
+from skyline.store.places import PlaceSource
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
@@ -33,6 +31,10 @@ _SEPARATION_M = 100.0
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
 _SHOWN_EYES = 20_000
+BY_RENDERING = (
+    "photos are matched together, and poses fitted, by rendering alone; use the full matcher, "
+    "refine, and give the DEM"
+)
 
 
 @contextmanager
@@ -53,52 +55,53 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class FullMatcher(Ranker):
-    """Retrieval, refinement and confidence; without a scene, poses stay as retrieved."""
+class FullMatcher:
+    """Retrieval, refinement and confidence; without a scene, poses stay as retrieved.
 
-    searches = PLACES
+    ``terrain`` is that of the store's places; None where the DEM cannot be read.
+    """
 
-    def __init__(self, retriever: Retriever, scene: RenderedScene | None = None) -> None:
-        self._retriever, self._scene = retriever, scene
-        self._models = confidence.models()
-
-    @classmethod
-    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
-        """See `Ranker.open`."""
+    def __init__(
+        self,
+        places: PlaceSource,
+        frame: Frame,
+        curvature: Curvature,
+        terrain: HeightField | None,
+        scene: RenderedScene | None,
+    ) -> None:
         ground = edge = None
         if terrain is not None:
             ground = ground_of(terrain)
-            edge = DataEdge.of(terrain, store.header.curvature) if scene is None else scene.edge
-        return cls(Retriever(store.places(), ground, edge), scene)
+            edge = DataEdge.of(terrain, curvature) if scene is None else scene.edge
+        self._frame, self._scene = frame, scene
+        self._retriever = Retriever(places, ground, edge)
+        self._models = confidence.models()
 
     def eyes(self) -> Viewpoints:
-        """See `Ranker.eyes`; of very many places it takes every n-th."""
+        """Return the eyes of the places; of very many, every n-th."""
         places = self._retriever.places
         step = max(1, len(places) // _SHOWN_EYES)
-        parts, first = [], 0
-        for block in places.blocks():
-            eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
-            parts.append(np.stack([column[-first % step :: step] for column in eyes]))
-            first += len(block)
-        east_m, north_m, eye_m = np.concatenate(parts, axis=1).astype(np.float64)
+        some = places.take(np.arange(0, len(places), step, dtype=np.intp))
+        eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
+        east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
     def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """See `Ranker.rank`; raises `InputError` where the search is narrowed to no place."""
+        self, query: QueryRays, top: int, prior: Prior, screened: Alike | None = None
+    ) -> tuple[Candidate, ...]:
+        """Return up to ``top`` candidates, best first, none where nothing fits.
+
+        ``screened`` are the results of `screened` for all parts of the store, joined; by default
+        the store is screened here. Raises `InputError` where the search is narrowed to no place.
+        """
         found, poses = self.found(query, prior, screened)
         if not len(found):
-            return Ranking(found)
+            return ()
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
             chosen = _distinct(found, top)
             near, roughly = confidence.probabilities(self._models, "retrieved", figures)
-            return Ranking(found[chosen], near[chosen], roughly[chosen])
+            return candidates_of(self._frame, found[chosen], near[chosen], roughly[chosen])
         figures = confidence.refined_figures(poses, found, query)
         # A pose that has moved out of the narrowing is no candidate.
         standing = poses.hypotheses
@@ -106,9 +109,9 @@ class FullMatcher(Ranker):
         allowed = replace(standing, score=score)
         chosen = _distinct(allowed, top)
         if not len(chosen):
-            return Ranking(standing[chosen])
+            return ()
         near, roughly = confidence.shared_probabilities(self._models, allowed, figures)
-        return Ranking(standing[chosen], near[chosen], roughly[chosen], poses[chosen])
+        return candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
 
     def found(
         self, query: QueryRays, prior: Prior, screened: Alike | None = None
@@ -125,19 +128,21 @@ class FullMatcher(Ranker):
     @one_blas_thread()
     def rank_together(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> Sequence[Ranking]:
-        """See `Ranker.rank_together`; raises as `rank`.
+    ) -> list[tuple[Candidate, ...]]:
+        """Return up to ``top`` places of queries of one eye, as each query's candidates there.
+
+        A query that was likely taken at another place has none. A place lies within the narrowings
+        of all queries that agree. Raises as `rank`, and `InputError` without a scene.
 
         Each query is first matched by itself: its cost where it fits best shows whether it was
         taken at the place of the others.
         """
-        if self._scene is None:
-            return super().rank_together(queries, top)
+        scene = self._rendered_scene()
         queries = _with_one_noted_place(queries)
         found = [self.found(query, prior) for query, prior in queries]
         alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
         refinements = [
-            Refinement(query, self._scene, WHOLE, prior.narrowing.eye_height_m, prior.noted)
+            Refinement(query, scene, WHOLE, prior.narrowing.eye_height_m, prior.noted)
             for query, prior in queries
         ]
         places = self._retriever.shortlist_together(queries, WHOLE.particles)
@@ -160,15 +165,15 @@ class FullMatcher(Ranker):
             mean = confidence.mean_figures(figures)
             near, roughly = confidence.shared_probabilities(self._models, standing, mean)
         return [
-            Ranking(poses.hypotheses[chosen], near[chosen], roughly[chosen], poses[chosen])
+            candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
             if belongs
-            else Ranking(poses.hypotheses[:0])
+            else ()
             for poses, belongs in zip(joint, agrees.tolist(), strict=True)
         ]
 
     @one_blas_thread()
     def screened(self, query: QueryRays, prior: Prior, part: slice) -> Alike:
-        """See `Ranker.screened`."""
+        """Return the places of a part of the store that are most like a query."""
         return self._retriever.screened(query, prior, part)
 
     @one_blas_thread()
@@ -196,21 +201,30 @@ class FullMatcher(Ranker):
         return Refinement(query, self._scene, WHOLE, *known).run(found)
 
     @one_blas_thread()
-    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking:
-        """See `Ranker.fit_from`; raises `InputError` for a pose off the map or on a hole."""
-        if self._scene is None:
-            return super().fit_from(query, start)
-        ground_m = self._scene.ground_m(start.easting_m, start.northing_m)
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> tuple[Candidate, ...]:
+        """Return one pose, refined by rendering; none where nothing fits.
+
+        The eye keeps its height above the ground. The confidence is that of a search in which
+        nothing else fits. Raises `InputError` without a scene, and for a pose off the map or on a
+        hole.
+        """
+        scene = self._rendered_scene()
+        ground_m = scene.ground_m(start.easting_m, start.northing_m)
         above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
         effort = replace(WHOLE, restarts=1)
-        poses = Refinement(query, self._scene, effort, float(above_m[0])).run(start)[:1]
+        poses = Refinement(query, scene, effort, float(above_m[0])).run(start)[:1]
         if not len(poses):
-            return Ranking(poses.hypotheses)
+            return ()
         figures = confidence.lone_figures(poses, query)
         near, roughly = confidence.probabilities(self._models, "refined", figures)
-        return Ranking(poses.hypotheses, near, roughly, poses)
+        return candidates_of(self._frame, poses, near, roughly)
+
+    def _rendered_scene(self) -> RenderedScene:
+        if self._scene is None:
+            raise InputError(BY_RENDERING)
+        return self._scene
 
     @one_blas_thread()
     def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:

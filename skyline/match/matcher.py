@@ -1,45 +1,49 @@
 """`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
 
-import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Self
 
-from skyline.errors import InputError
+from skyline.errors import InputError, named
 from skyline.geodesy import Frame
-from skyline.match.answer import (
-    DISAGREES,
-    TOP,
-    JointResult,
-    MatchResult,
+from skyline.match.answer import TOP, JointResult, MatchResult
+from skyline.match.candidate import Candidate, Hypotheses, candidates_of
+from skyline.match.confidence import (
+    MatchConfig,
     misfit,
     refusal_of,
     sure_within_m,
     too_little,
     unsure,
 )
-from skyline.match.candidate import Candidate, Hypotheses
-from skyline.match.matchers import FULL, MatchConfig, matcher_class
+from skyline.match.full import BY_RENDERING, FullMatcher
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
-from skyline.match.query_rays import FOV_RANGE_DEG, USUAL_FOV_DEG, QueryRays
-from skyline.match.scene import VIEW_WIDTH, RenderedScene, given_terrain, terrain_at_hand
+from skyline.match.query_rays import QueryRays
+from skyline.match.scene import VIEW_WIDTH, RenderedScene, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
-from skyline.photo.query import MAX_PANORAMA_DEG, Lens, QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_joined
-from skyline.store.format import PLACES
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
-_WIDE_DEG = 75.0
-"""Lenses of a wider field of view may distort; phones correct the distortion of others."""
-_DISTORTION_SD = 0.05
-"""Standard deviation of the distortion that remains."""
+if TYPE_CHECKING:
+    from skyline.match.profiles import ProfileMatcher
+
+_DISAGREES = "the photo does not fit where the others were taken"
+FULL = "full"
+PROFILE_MATCHERS: Mapping[str, str] = {
+    "paper": "skyline.paper.matcher:PaperMatcher",
+    "correlation": "skyline.match.profiles:CorrelationMatcher",
+}
+"""The module and the class of each matcher of renderings: the paper's, and a baseline. A class is
+imported when it is first used, so that a matcher may lie in a layer above this one."""
 
 
 class Matcher:
@@ -55,8 +59,8 @@ class Matcher:
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
         be read, a warning is logged and answers stay unrefined.
     matcher : str
-        A name in `skyline.match.matchers.MATCHERS`: ``full``, which searches a store of places, or
-        one of the others, which search a store of renderings.
+        ``full``, which searches a store of places, or one of `PROFILE_MATCHERS`, which search a
+        store of renderings.
     config : MatchConfig, optional
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may match, and several at a time. By default the
@@ -85,31 +89,35 @@ class Matcher:
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        kind, self._config = matcher_class(matcher), config or MatchConfig()
-        refine = self._config.refine
-        if surface is not None and not (matcher == FULL and refine):
+        self._config = config or MatchConfig()
+        is_full, refine = matcher == FULL, self._config.refine
+        if surface is not None and not (is_full and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
+        kind = named("matcher", matcher, {FULL: "", **PROFILE_MATCHERS})
         with open_joined(paths_of(store)) as file:
-            self.header = file.header
-            self.rows, self.holds = len(file), file.header.holds
+            self.header = header = file.header
+            self.rows, self.holds = len(file), header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
-            self.terrain = given_terrain(self.header, dem)
-            self._scene = None
-            if kind.searches == PLACES == self.holds:
+            self.frame, self._scene = Frame(header.frame_wkt), None
+            self.terrain = None if dem is None else header.read_dem(dem)
+            self._ranker: FullMatcher | ProfileMatcher
+            if not is_full:
+                self._ranker = resolve_name(kind).open(file)
+            else:
+                places, curvature = file.places(), header.curvature
                 if self.terrain is None:
-                    self.terrain = terrain_at_hand(self.header, "answers unrefined")
+                    self.terrain = terrain_at_hand(header, "answers unrefined")
                 if surface is not None and self.terrain is None:
                     raise InputError(
                         "a surface needs the store's DEM, which is not at hand; give it"
                     )
                 if refine and self.terrain is not None:
                     over = None if surface is None else read_surface(surface, self.terrain)
-                    rendering = RenderConfig(VIEW_WIDTH, curvature=self.header.curvature)
+                    rendering = RenderConfig(VIEW_WIDTH, curvature=curvature)
                     self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-            self._ranker = kind.open(file, self.terrain, self._scene)
+                self._ranker = FullMatcher(places, self.frame, curvature, self.terrain, self._scene)
         self.render_thread = render_thread
-        self.frame = Frame(self.header.frame_wkt)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
@@ -177,8 +185,10 @@ class Matcher:
         if refusal is None:
             rays, prior = self._rays(query), self._prior(query, narrowing)
             with reporting_progress(report_progress):
-                ranking = self._ranker.rank(rays, top, prior, screened)
-            candidates = ranking.candidates(self.frame)
+                if isinstance(self._ranker, FullMatcher):
+                    candidates = self._ranker.rank(rays, top, prior, screened)
+                else:
+                    candidates = candidates_of(self.frame, self._ranker.rank(rays, top))
             refusal = refusal_of(candidates, self._config, query, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         seconds = time.perf_counter() - started
@@ -236,8 +246,8 @@ class Matcher:
             if refusal is None
         ]
         with reporting_progress(report_progress):
-            rankings = self._ranker.rank_together(usable, top) if len(usable) > 1 else ()
-        cameras = (ranking.candidates(self.frame) for ranking in rankings)
+            together = self._full().rank_together(usable, top) if len(usable) > 1 else ()
+        cameras = iter(together)
         found = [() if refusal else next(cameras, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
         refusal = unsure(best, self._config)
@@ -248,7 +258,7 @@ class Matcher:
         results = tuple(
             MatchResult(query, places, seconds, refusal, within_m, name)
             if places
-            else MatchResult(query, (), seconds, little or DISAGREES, name=name)
+            else MatchResult(query, (), seconds, little or _DISAGREES, name=name)
             for name, query, places, little in zip(
                 map(name_of, queries), skylines, found, refusals, strict=True
             )
@@ -286,10 +296,10 @@ class Matcher:
             start.fov_deg,
             start.distortion,
         )
-        ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), given)
+        rays = self._rays(query.with_fov(start.fov_deg))
         fitted: tuple[Candidate, ...] = ()
         refusal: str | None = "nothing near this pose fits"
-        for alone in ranking.candidates(self.frame):
+        for alone in self._full().fit_from(rays, given):
             refusal = misfit(alone, self._config)
             pose = replace(alone, rank=None, confidence=None, confidence_1km=None)
             fitted = (pose if refusal is None else replace(pose, covariance_m2=None),)
@@ -303,14 +313,20 @@ class Matcher:
         ``part`` selects blocks of places. None for a query that shows too little, and for matchers
         that do not screen. Raises as `match`.
         """
-        if too_little(query) is not None:
+        if too_little(query) is not None or not isinstance(self._ranker, FullMatcher):
             return None
         return self._ranker.screened(self._rays(query), self._prior(query, narrowing), part)
+
+    def _full(self) -> FullMatcher:
+        """Return the full matcher; raises `InputError` for another one."""
+        if not isinstance(self._ranker, FullMatcher):
+            raise InputError(BY_RENDERING)
+        return self._ranker
 
     def _prior(self, query: QuerySkyline, narrowing: Narrowing | None) -> Prior:
         """Return the prior of a query; raises `InputError` if the matcher cannot take it."""
         narrowing = narrowing or Narrowing()
-        if self._ranker.searches != PLACES:
+        if not isinstance(self._ranker, FullMatcher):
             if narrowing != Narrowing():
                 raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
             return NOTHING_KNOWN
@@ -320,37 +336,8 @@ class Matcher:
         return Prior.of(narrowing, self.frame, noted)
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
-        return rays_of(query, self._config, finds_fov=self._ranker.searches == PLACES)
-
-
-def rays_of(query: QuerySkyline, config: MatchConfig, *, finds_fov: bool) -> QueryRays:
-    """Return a query's rays, with the fields of view that the query may have.
-
-    Raises `InputError` for a query of unknown field of view, unless the matcher finds it, and for
-    a panorama of unknown field of view.
-    """
-    fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
-    weight = query.confidence[query.trusted]
-    if fov_deg is not None:
-        may_bend = fov_deg > _WIDE_DEG and not is_panorama
-        rays = QueryRays(
-            *query.image_plane(),
-            weight,
-            fov_deg,
-            is_panorama=is_panorama,
-            distortion_sd=_DISTORTION_SD if may_bend else 0.0,
-        )
-        lens = query.lens or Lens(fov_deg)
-        slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else config.fov_slack
-        sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
-        return rays.about(sd_deg, lens.most_deg or math.inf)
-    if finds_fov and not is_panorama:
-        fov_deg, sd_deg = USUAL_FOV_DEG
-        u, v = query.with_fov(fov_deg).image_plane()
-        return QueryRays(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg)
-    raise InputError(
-        "the query's field of view is not known: it is not in the image; give --fov-deg"
-    )
+        finds_fov = isinstance(self._ranker, FullMatcher)
+        return QueryRays.of(query, self._config.fov_slack, finds_fov=finds_fov)
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:

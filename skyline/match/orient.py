@@ -23,12 +23,11 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature
 from skyline.match import confidence
-from skyline.match.answer import at_bound, too_little
-from skyline.match.candidate import Candidate, Ranking, RefinedPoses
-from skyline.match.dataframes import to_dataframe
+from skyline.match.answer import to_dataframe
+from skyline.match.candidate import Candidate, RefinedPoses, candidates_of
+from skyline.match.confidence import MatchConfig, at_bound, too_little
 from skyline.match.full import one_blas_thread
-from skyline.match.matcher import name_of, rays_of, skyline_of
-from skyline.match.matchers import MatchConfig
+from skyline.match.matcher import name_of, skyline_of
 from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import Effort, Particles, Refinement
@@ -264,7 +263,7 @@ class Orienter:
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = rays_of(skyline, self._config, finds_fov=True)
+        rays = QueryRays.of(skyline, self._config.fov_slack, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
@@ -298,8 +297,7 @@ class Orienter:
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
-        ranked = Ranking(poses.hypotheses[:1], refined=poses[:1])
-        pose = replace(ranked.candidates(self.frame)[0], rank=None)
+        pose = replace(candidates_of(self.frame, poses[:1])[0], rank=None)
         refusal = at_bound(pose, rays)
         if moved_m[0] > _FAR_SD * self._within_m:
             refusal = (

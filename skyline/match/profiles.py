@@ -1,25 +1,45 @@
-"""Rendered views joined to skylines all the way round, and matchers that fit poses to them."""
+r"""Matchers of renderings: views joined to profiles all the way round, with a pose fitted to each.
 
-from abc import abstractmethod
+`CorrelationMatcher` is the baseline: sliding normalized correlation, exact over every heading,
+location and assumed pitch.
+
+With the query q, its weights w, the profile y, n = 1 where y is known (else y = n = 0) and a
+turn of s bins, over the bins i of the query:
+
+.. math::
+
+    W = \sum w_i n_{i+s}, \quad
+    a = \tfrac1W \sum w_i n_{i+s} q_i, \quad
+    b = \tfrac1W \sum w_i y_{i+s}
+
+.. math::
+
+    \mathrm{ncc}(s) = \frac{\sum w_i q_i y_{i+s} - W a b}
+    {\sqrt{(\sum w_i n_{i+s} q_i^2 - W a^2)\,(\sum w_i y_{i+s}^2 - W b^2)}}
+
+Each sum is a circular correlation of an array of the query with one of the profile, so all turns
+come from one product of Fourier transforms. A turn has no correlation where too little of the query
+overlaps the profile (W below a share of the query's weight), or where either curve is flat over the
+overlap. The score is 1 - ncc, in [0, 2].
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, Rows
+from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray, Rows
 from skyline.camera import DEFAULT_WIDTH, pixel_size
-from skyline.match.candidate import Hypotheses, Ranking
-from skyline.match.matchers import Ranker
-from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.query_rays import QueryRays
-from skyline.match.scene import RenderedScene
-from skyline.match.screening import Alike
+from skyline.match.candidate import Hypotheses
+from skyline.match.query_rays import QueryCurves, QueryRays
+from skyline.match.scene import quadrant_bins, quadrants
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 from skyline.store import Store
 from skyline.store.keypoints import NO_KEYPOINT
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 DEFAULT_BINS = 2048
@@ -29,7 +49,13 @@ TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
 """Scores are in px of a view of the paper's width, whatever the width of the store."""
 
 KeypointTable = NDArray[np.uint16]
-_Float = TypeVar("_Float", np.float32, np.float64)
+_CHUNK = 8
+"""Locations at a time; keeps the arrays of the transforms in the cache."""
+_MIN_OVERLAP = 0.8
+"""Least share of the query's weight that must lie over known profile."""
+_FLAT_PX = 0.1
+"""Curves with a smaller standard deviation over the overlap have no correlation."""
+_Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,13 +135,13 @@ class Profiles:
         `skyline.store.keypoints.polyline_keypoints`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
-        eyes, quadrants, keypoints = [], [], []
+        eyes, curves, keypoints = [], [], []
         count = 0
         for views, table in chunks:
             place = views.easting_m, views.northing_m, views.eye_elevation_m
             eyes.append(np.stack(place, axis=1))
-            y = _quadrants(views, bins, FLAG_NO_DATA | FLAG_OUT_OF_IMAGE, np.float32)[0]
-            quadrants.append((views.heading, y))
+            y = quadrants(views, bins, FLAG_NO_DATA | FLAG_OUT_OF_IMAGE, np.float32)[0]
+            curves.append((views.heading, y))
             view, slot = np.nonzero(table != NO_KEYPOINT)
             u = (2.0 * table[view, slot] + 1.0) / views.width - 1.0
             turn = np.arctan(u) * bins / (2.0 * np.pi) + views.heading[view] * (bins / 4.0)
@@ -123,9 +149,9 @@ class Profiles:
             count += len(views)
         eye, location = np.unique(np.concatenate(eyes), axis=0, return_inverse=True)
         joined, first = np.full((len(eye), bins), np.nan, dtype=np.float32), 0
-        for heading, y in quadrants:
+        for heading, y in curves:
             row = location[first : first + len(y), np.newaxis]
-            joined[row, _quadrant_bins(heading, bins)] = y
+            joined[row, quadrant_bins(heading, bins)] = y
             first += len(y)
         view, bin_ = np.hstack(keypoints)
         # Each keypoint of a location once, the locations in order.
@@ -135,19 +161,29 @@ class Profiles:
         return cls(easting_m, northing_m, eye_m, joined, key % bins, start)
 
 
-class ProfileRanker(Ranker):
-    """Base class of matchers of renderings, which fit one pose at every location."""
+class ProfileMatcher(ABC):
+    """Base class of matchers of renderings, which fit one pose at every location.
+
+    A new one is a subclass and a line in `skyline.match.matcher.PROFILE_MATCHERS`.
+    """
 
     def __init__(self, profiles: Profiles) -> None:
         self.profiles = profiles
 
     @classmethod
-    def open(cls, store: Store, terrain: HeightField | None, scene: RenderedScene | None) -> Self:
-        """See `Ranker.open`."""
-        return cls(Profiles.from_views(_chunks(store)))
+    def open(cls, store: Store) -> Self:
+        """Return a matcher of an open store of renderings that is not empty."""
+
+        def chunks() -> Iterator[tuple[Views, KeypointTable]]:
+            start = 0
+            for views in store.iter_views():
+                yield views, store.keypoint_columns(slice(start, start + len(views)))
+                start += len(views)
+
+        return cls(Profiles.from_views(chunks()))
 
     def eyes(self) -> Viewpoints:
-        """See `Ranker.eyes`."""
+        """Return the eyes of the profiles."""
         some = self.profiles
         return Viewpoints(
             easting_m=some.easting_m,
@@ -155,14 +191,12 @@ class ProfileRanker(Ranker):
             eye_elevation_m=some.eye_elevation_m,
         )
 
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """See `Ranker.rank`; of equal scores the location that comes first in the store wins."""
+    def rank(self, query: QueryRays, top: int) -> Hypotheses:
+        """Return up to ``top`` poses, best first, at most one a location.
+
+        Locations where nothing fits are left out. Of equal scores the location that comes first in
+        the store wins.
+        """
         fits, profiles = self.fit(query), self.profiles
         poses = Hypotheses(
             profiles.easting_m,
@@ -175,7 +209,7 @@ class ProfileRanker(Ranker):
             np.zeros(len(profiles)),
             fits.score,
         )
-        return Ranking(poses[poses.suppress_non_maxima(top, 0.0)])
+        return poses[poses.suppress_non_maxima(top, 0.0)]
 
     @abstractmethod
     def fit(self, query: QueryRays) -> Fits:
@@ -186,55 +220,80 @@ class ProfileRanker(Ranker):
         """
 
 
-def _chunks(store: Store) -> Iterator[tuple[Views, KeypointTable]]:
-    """Yield the views of a store with their keypoints, many at a time."""
-    start = 0
-    for views in store.iter_views():
-        yield views, store.keypoint_columns(slice(start, start + len(views)))
-        start += len(views)
+class CorrelationMatcher(ProfileMatcher):
+    """The plain baseline: the greatest normalized correlation wins.
 
-
-def joined_views(
-    views: Views, row: IntArray, count: int, bins: int
-) -> tuple[Float64Array, Float64Array]:
-    """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
-
-    ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
-    or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
-    bound. It is used as it is: farther terrain may rise above it in the query, as a tree may
-    anywhere.
+    The transforms of profiles are computed anew for each query: they are few beside those that a
+    query needs, and would take several times the memory of the profiles.
     """
-    y, nearest, cosine = _quadrants(views, bins, FLAG_NO_DATA, np.float64)
-    distance = views.depth_m[:, nearest].astype(np.float64) / cosine
-    bin_ = _quadrant_bins(views.heading, bins)
-    joined = np.full((2, count, bins), np.nan)
-    joined[0, row[:, np.newaxis], bin_] = y
-    joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
-    return joined[0], joined[1]
+
+    def fit(self, query: QueryRays) -> Fits:
+        """Return the best pose at every location; score is 1 - ncc."""
+        profiles = self.profiles
+        curves = QueryCurves.of(query, profiles.bins)
+        chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
+        ncc = [self._greatest(curves, chunk) for chunk in chunks]
+        peak, pitch, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
+        axis = turn + profiles.bins // 2
+        return Fits(
+            1.0 - peak,
+            axis % profiles.bins * (360.0 / profiles.bins),
+            curves.pitch_deg[pitch],
+            np.zeros(len(profiles)),
+        )
+
+    def _greatest(
+        self, curves: QueryCurves, y: Float32Array
+    ) -> tuple[Float64Array, IntArray, IntArray]:
+        """Return the greatest ncc of each location (-inf if none), its pitch's row and its turn."""
+        transforms = _transformed(y)
+        row = np.arange(len(y))
+        best = np.full(len(y), -np.inf)
+        pitch, turn = np.zeros((2, len(y)), dtype=np.intp)
+        for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
+            ncc = self._ncc(transforms, q, weight)
+            peak = ncc.argmax(axis=1)
+            greater = ncc[row, peak] > best
+            best = np.where(greater, ncc[row, peak], best)
+            pitch = np.where(greater, number, pitch)
+            turn = np.where(greater, peak, turn)
+        return best, pitch, turn
+
+    def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
+        """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
+        # Deviations from the mean keep the differences of sums below well conditioned.
+        q = np.where(weight > 0.0, q, 0.0)
+        q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
+        of_n, of_y, of_y2 = transforms
+        query_w, query_wq, query_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        bins = len(q)
+        sum_y, sum_y2 = fft.irfft(of_y * query_w, bins), fft.irfft(of_y2 * query_w, bins)
+        covariance = fft.irfft(of_y * query_wq, bins)
+        if of_n is None:
+            # All of the query then lands on known profile, and its mean over that is 0.
+            total, enough = np.full(1, weight.sum()), np.full(1, True)
+            variance_q = np.full(1, np.sum(weight * q**2))
+        else:
+            total = fft.irfft(of_n * query_w, bins)
+            enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
+            total = np.where(enough, total, 1.0)
+            sum_q = fft.irfft(of_n * query_wq, bins)
+            variance_q = fft.irfft(of_n * query_wq2, bins) - sum_q**2 / total
+            covariance -= sum_q * sum_y / total
+        variance_y = sum_y2 - sum_y**2 / total
+        flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
+        usable = enough & (variance_q > flat) & (variance_y > flat)
+        scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
+        return np.where(usable, covariance / scale, -np.inf)
 
 
-def _quadrants(
-    views: Views, bins: int, unusable: int, dtype: type[_Float]
-) -> tuple[NDArray[_Float], IntArray, NDArray[_Float]]:
-    """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
+def _transformed(y: Float32Array) -> _Transforms:
+    """Return the Fourier transforms (L, B / 2 + 1) of n, y and y**2 of profiles.
 
-    Also return the nearest columns (B / 4,), and the cosines (B / 4,) of the bins' azimuths from
-    the heading, from 45 degrees left of it on. The left seam lies half a column outside the
-    columns' centres and is extrapolated by that; the right one belongs to the next heading.
+    The first is None where the profiles are known throughout.
     """
-    steps = np.arange(bins // 4) - bins // 8
-    azimuth = 2.0 * np.pi / bins * steps
-    position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
-    left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
-    share, cosine = (position - left).astype(dtype), np.cos(azimuth).astype(dtype)
-    v = np.where(views.flags & unusable, np.nan, views.elevation_tan).astype(dtype)
-    # v is linear between columns (exactly so along a straight edge); depth may jump.
-    y = (v[:, left] * (1 - share) + v[:, left + 1] * share) * cosine
-    return y, left + (share > 0.5), cosine
-
-
-def _quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
-    """Return the bins (N, B / 4) of the full turn that views along headings (N,) cover."""
-    quarter = bins // 4
-    first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
-    return (first + np.arange(quarter)) % bins
+    n = np.isfinite(y).astype(np.float64)
+    y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
+    mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
+    y0 = (y0 - mean) * n
+    return None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2)

@@ -9,6 +9,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
+from skyline.photo.query import MAX_PANORAMA_DEG, Lens, QuerySkyline
 
 REFERENCE_FOV_DEG = 60.0
 """Field of view to which sizes of pixels are compared."""
@@ -19,7 +20,10 @@ USUAL_FOV_DEG = (55.0, 14.0)
 usual zoom lens."""
 PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
-_FULL_CIRCLE_DEG = 360.0
+_WIDE_DEG = 75.0
+"""Lenses of a wider field of view may distort; phones correct the distortion of others."""
+_DISTORTION_SD = 0.05
+"""Standard deviation of the distortion that remains."""
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
 
@@ -50,11 +54,42 @@ class QueryRays:
     """Standard deviation of the lens's distortion about 0; 0 for a lens without any. A distortion k
     moves a ray outwards by k times its `reach`; see `skyline.photo.query.undistorted`."""
 
+    @classmethod
+    def of(cls, query: QuerySkyline, fov_slack: float, *, finds_fov: bool) -> "QueryRays":
+        """Return a query's rays, with the fields of view that the query may have.
+
+        ``fov_slack`` is the deviation of a field of view, as a share of it, where its lens has none
+        of its own. Raises `InputError` for a query of unknown field of view, unless the matcher
+        finds it, and for a panorama of unknown field of view.
+        """
+        fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
+        weight = query.confidence[query.trusted]
+        if fov_deg is not None:
+            may_bend = fov_deg > _WIDE_DEG and not is_panorama
+            rays = cls(
+                *query.image_plane(),
+                weight,
+                fov_deg,
+                is_panorama=is_panorama,
+                distortion_sd=_DISTORTION_SD if may_bend else 0.0,
+            )
+            lens = query.lens or Lens(fov_deg)
+            slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_slack
+            sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
+            return rays.about(sd_deg, lens.most_deg or math.inf)
+        if finds_fov and not is_panorama:
+            fov_deg, sd_deg = USUAL_FOV_DEG
+            u, v = query.with_fov(fov_deg).image_plane()
+            return cls(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg)
+        raise InputError(
+            "the query's field of view is not known: it is not in the image; give --fov-deg"
+        )
+
     def __post_init__(self) -> None:
         if not self.weight.any():
             raise InputError("all weights of the query are 0, so there is nothing to match")
         low, high = self.fov_bounds_deg
-        most_deg = _FULL_CIRCLE_DEG if self.is_panorama else np.nextafter(180.0, 0.0)
+        most_deg = MAX_PANORAMA_DEG if self.is_panorama else np.nextafter(180.0, 0.0)
         if not 0.0 < low <= self.fov_deg <= high <= most_deg:
             raise InputError(
                 f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
@@ -128,7 +163,7 @@ class QueryRays:
         if sd_deg == 0.0:
             return self
         fov_deg = self.fov_deg
-        possible_deg = _FULL_CIRCLE_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
+        possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
         widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, possible_deg, most_deg)
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=sd_deg)

@@ -42,10 +42,9 @@ from skyline.match.candidate import (
     RefinedPoses,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
-from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays
 from skyline.match.retrieval import ground_slope
-from skyline.match.scene import RenderedScene
+from skyline.match.scene import RenderedScene, joined_views
 from skyline.match.screening import report_progress
 from skyline.match.solver import (
     EYE_HEIGHT,

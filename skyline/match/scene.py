@@ -1,26 +1,26 @@
-"""The terrain of a store: finding it, and rendering it for refinement and reports."""
+"""The terrain of a store: found, rendered, and its views joined to skylines all the way round."""
 
 import logging
 from collections.abc import Callable
 from functools import cached_property, partial
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import SkylineError
 from skyline.files import is_file
 from skyline.render.context import RenderThread
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.skylines import Views
+from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.store import StoreHeader
-from skyline.terrain.dem import Dem
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
+Float = TypeVar("Float", np.float32, np.float64)
 
 _log = logging.getLogger(__name__)
 
@@ -131,11 +131,47 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
         return None
 
 
-def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
-    """Return a given terrain, read with the options of the store's build; None if none is given."""
-    if isinstance(dem, HeightField):
-        header.check_dem(dem)
-        return dem
-    if dem is None:
-        return None
-    return header.read_dem([dem] if isinstance(dem, str | Path) else dem)
+def joined_views(
+    views: Views, row: IntArray, count: int, bins: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
+
+    ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
+    or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
+    bound. It is used as it is: farther terrain may rise above it in the query, as a tree may
+    anywhere.
+    """
+    y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)
+    distance = views.depth_m[:, nearest].astype(np.float64) / cosine
+    bin_ = quadrant_bins(views.heading, bins)
+    joined = np.full((2, count, bins), np.nan)
+    joined[0, row[:, np.newaxis], bin_] = y
+    joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
+    return joined[0], joined[1]
+
+
+def quadrants(
+    views: Views, bins: int, unusable: int, dtype: type[Float]
+) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
+    """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
+
+    Also return the nearest columns (B / 4,), and the cosines (B / 4,) of the bins' azimuths from
+    the heading, from 45 degrees left of it on. The left seam lies half a column outside the
+    columns' centres and is extrapolated by that; the right one belongs to the next heading.
+    """
+    steps = np.arange(bins // 4) - bins // 8
+    azimuth = 2.0 * np.pi / bins * steps
+    position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
+    left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
+    share, cosine = (position - left).astype(dtype), np.cos(azimuth).astype(dtype)
+    v = np.where(views.flags & unusable, np.nan, views.elevation_tan).astype(dtype)
+    # v is linear between columns (exactly so along a straight edge); depth may jump.
+    y = (v[:, left] * (1 - share) + v[:, left + 1] * share) * cosine
+    return y, left + (share > 0.5), cosine
+
+
+def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
+    """Return the bins (N, B / 4) of the full turn that views along headings (N,) cover."""
+    quarter = bins // 4
+    first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
+    return (first + np.arange(quarter)) % bins

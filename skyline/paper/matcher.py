@@ -16,7 +16,7 @@ from functools import reduce
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
-from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileRanker, Profiles
+from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileMatcher, Profiles
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.paper.curves import (
     MIN_OVERLAP,
@@ -43,7 +43,7 @@ _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
-class PaperMatcher(ProfileRanker):
+class PaperMatcher(ProfileMatcher):
     """The paper's matcher over whole 360 degree profiles.
 
     The affine map takes up what lies between the assumed pitches, and the roll.

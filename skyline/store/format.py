@@ -12,7 +12,7 @@ shows which rows are whole when others are not, and is copied with the row from 
 import hashlib
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
@@ -38,7 +38,7 @@ from skyline.store.places import (
     RISE_SIZE,
     Places,
 )
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import Dem, DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 
 SCHEMA = "skyline-store"
@@ -253,10 +253,10 @@ class StoreHeader:
             "rows": json.dumps({"rows": self.holds, **layout}),
         }
 
-    def read_dem(self, paths: Sequence[str | Path] = ()) -> HeightField:
+    def read_dem(self, dem: Dem | None = None) -> HeightField:
         """Read the DEM from which the store was built, with the same options.
 
-        ``paths`` are the DEM's files, if they have moved.
+        ``dem`` is that DEM, or its files, if they have moved.
 
         Raises
         ------
@@ -266,7 +266,7 @@ class StoreHeader:
             The files do not exist.
         """
         options = DemOptions.from_json(self.config.get("dem_options"))
-        terrain = read_dem(list(paths) or list(self.dem_files), options)
+        terrain = read_dem(list(self.dem_files) if dem is None else dem, options)
         self.check_dem(terrain)
         return terrain
 

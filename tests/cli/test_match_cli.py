@@ -13,10 +13,9 @@ from PIL import Image
 from scenes import write_dem
 
 from skyline.cli import console
-from skyline.match.matchers import MATCHERS, matcher_class
-from skyline.store.format import RENDERINGS
+from skyline.match.matcher import PROFILE_MATCHERS
 
-OF_RENDERINGS = [name for name in MATCHERS if matcher_class(name).searches == RENDERINGS]
+OF_RENDERINGS = list(PROFILE_MATCHERS)
 
 
 def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):

@@ -7,7 +7,7 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import runner_of
 from skyline.match import queries as match_queries
-from skyline.match.matchers import FULL
+from skyline.match.matcher import FULL
 from skyline.match.queries import Query, match_many
 from skyline.photo.trace import write_trace
 from skyline.store import open_store

@@ -224,6 +224,6 @@ def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
         assert off_m < 301.0
     with (
         Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher,
-        pytest.raises(InputError, match="together by rendering"),
+        pytest.raises(InputError, match="together, and poses fitted, by rendering"),
     ):
         matcher.match_together(skylines)

@@ -8,8 +8,8 @@ from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.match.candidate import Hypotheses
-from skyline.match.profiles import joined_views
 from skyline.match.refine import WHOLE, JointRefinement, Refinement
+from skyline.match.scene import joined_views
 from skyline.match.solver import Curves
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField

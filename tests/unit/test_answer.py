@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.match.answer import MatchResult, refusal_of, sure_within_m
-from skyline.match.matchers import MatchConfig
+from skyline.match.answer import MatchResult
+from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
 from skyline.match.query_rays import QueryRays
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.query import Lens, QuerySkyline

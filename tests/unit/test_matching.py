@@ -6,8 +6,7 @@ from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.build.plans import uniform_grid
-from skyline.match.correlation import CorrelationMatcher
-from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.profiles import TANGENT_PER_PX, CorrelationMatcher, Profiles
 from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
@@ -69,7 +68,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best, true = matcher.rank(query_at(viewpoints, index, heading_deg), 3).poses, viewpoints
+        best, true = matcher.rank(query_at(viewpoints, index, heading_deg), 3), viewpoints
         east_m = best.easting_m[0] - true.easting_m[index]
         north_m = best.northing_m[0] - true.northing_m[index]
         off_deg = abs((best.heading_deg[0] - heading_deg + 180.0) % 360.0 - 180.0)
@@ -80,7 +79,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
 
 def test_the_assumed_pitch_that_fits_is_found(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
-    best = CorrelationMatcher(profiles).rank(query, 1).poses
+    best = CorrelationMatcher(profiles).rank(query, 1)
     assert best.pitch_deg[0] == -5.0
     assert best.heading_deg[0] == pytest.approx(150.0, abs=1.0)
 
@@ -121,7 +120,7 @@ def test_degenerate_queries_have_an_answer(profiles):
             equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            assert np.isfinite(prepared(profiles).rank(query, 3).poses.score).all()
+            assert np.isfinite(prepared(profiles).rank(query, 3).score).all()
 
 
 BINS = 1024

@@ -10,7 +10,7 @@ from typing import Annotated
 from typer import Option
 
 from skyline.cli.console import progress_bar
-from skyline.match.matchers import FULL
+from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.strategies import STRATEGIES
 from skyline.store.format import PLACES, RENDERINGS

@@ -10,7 +10,7 @@ from skyline.arrays import Progress
 from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
-from skyline.match.matchers import FULL
+from skyline.match.matcher import FULL
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import KINDS, STRANGERS, distance_m, make_kind

@@ -15,10 +15,11 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle, in_turn
 from skyline.match.candidate import Hypotheses
+from skyline.match.confidence import MatchConfig
 from skyline.match.full import FullMatcher
-from skyline.match.matchers import FULL, MatchConfig, matcher_class
+from skyline.match.matcher import FULL
 from skyline.store import open_store
-from skyline.store.format import RENDERINGS
+from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, Truth
@@ -40,7 +41,7 @@ _SAMPLE = 100_000
 
 def searched_by(matcher: str) -> str:
     """Return the kind of rows, places or renderings, that a matcher searches."""
-    return matcher_class(FULL if matcher == RETRIEVED else matcher).searches
+    return PLACES if matcher in {FULL, RETRIEVED} else RENDERINGS
 
 
 @dataclass(frozen=True, slots=True)
