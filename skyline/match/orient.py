@@ -127,23 +127,23 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the orientation as a row of numbers and text, as ``--csv`` writes it."""
-        pose = self.pose
         names = (
             "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "lon", "lat",
             "eye_elevation_m",
         )  # fmt: skip
         row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
         for name in names:
-            row[name] = None if pose is None else getattr(pose, name)
-            sd = getattr(self, name.replace("_deg", "_sd_deg"), None)
-            if isinstance(sd, float):
-                row[name.replace("_deg", "_sd_deg")] = None if math.isnan(sd) else sd
-        row["residual_deg"] = None if pose is None else pose.residual_deg
-        row["moved_m"] = None if math.isnan(self.moved_m) else self.moved_m
-        row["confidence"] = self.confidence
-        row["seconds"] = self.seconds
-        row["refusal"] = self.refusal and printable(self.refusal)
-        return row
+            row[name] = getattr(self.pose, name, None)
+            sd_name = name.replace("_deg", "_sd_deg")
+            if hasattr(self, sd_name):
+                row[sd_name] = None if self.pose is None else getattr(self, sd_name)
+        return row | {
+            "residual_deg": getattr(self.pose, "residual_deg", None),
+            "moved_m": None if self.pose is None else self.moved_m,
+            "confidence": self.confidence,
+            "seconds": self.seconds,
+            "refusal": self.refusal and printable(self.refusal),
+        }
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient`` prints."""
@@ -218,17 +218,18 @@ class Orienter:
         self._elevation_m = elevation_m
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views, render_thread)
-        self._run = _at_once if render_thread is None else render_thread.run
         # Kept, since it holds the terrain's textures, which the scene shares.
-        self._panoramas = self._run(lambda: PanoramaRenderer(self.terrain, BINS, self.curvature))
+        self._panoramas = self._scene.run(
+            lambda: PanoramaRenderer(self.terrain, BINS, self.curvature)
+        )
         places = self._rendered_places()
         self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
-        self._model = confidence.orientation_model()
+        self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
     def release(self) -> None:
         """Free the orienter's GPU memory."""
         self._scene.release()
-        self._run(self._panoramas.release)
+        self._scene.run(self._panoramas.release)
 
     def __enter__(self) -> Self:
         return self
@@ -335,7 +336,8 @@ class Orienter:
         eyes, _ = stand_where_possible(self.terrain, place.real, place.imag)
         if self._elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
-        return Places.of(self._run(lambda: self._panoramas.render(eyes)), self._within_m / 2.0)
+        skylines = self._scene.run(lambda: self._panoramas.render(eyes))
+        return Places.of(skylines, self._within_m / 2.0)
 
 
 @contextmanager
@@ -362,11 +364,6 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
     finally:
         for one in made.values():
             one.release()
-
-
-def _at_once(work: Callable[[], Any]) -> Any:
-    """Do work on this thread, as `RenderThread.run` does it on another."""
-    return work()
 
 
 class _RefinementByHeading(Refinement):

@@ -147,15 +147,8 @@ class Particles(Rows):
 class Refinement:
     """The refinement of one query.
 
-    Parameters
-    ----------
-    query : QueryRays
-    scene : RenderedScene
-    effort : Effort
-    eye_height_m : float, optional
-        Known height of the eye above the ground; by default it is solved for.
-    noted : PlacePrior, optional
-        Prior from the photo's EXIF.
+    The height of the eye above the ground is solved for unless it is given; ``noted`` is the prior
+    from the photo's EXIF.
     """
 
     def __init__(
@@ -285,10 +278,11 @@ class Refinement:
             northing_m=northing_m[row],
             eye_elevation_m=ground_m[row] + height_m[row],
         )
-        along, bins = heading.astype(np.uint8), solver.mode.bins
-        y, distance_m = joined_views(self._scene.render(eyes, along), row, len(place_m), bins)
-        surface = self._scene.render_surface(eyes, along)
-        surface_y = None if surface is None else joined_views(surface, row, len(place_m), bins)[0]
+        (y, distance_m), *surface = (
+            joined_views(views, row, len(place_m), solver.mode.bins)
+            for views in self._scene.render(eyes, heading)
+        )
+        surface_y = surface[0][0] if surface else None
         slope = ground_slope(self._scene.ground_m, easting_m, northing_m)
         # An eye off the map fits nowhere, whatever its ground is.
         ground_m = np.nan_to_num(ground_m)

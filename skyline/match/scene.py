@@ -31,17 +31,10 @@ _PIECE_COLUMNS = 12_000
 
 
 class RenderedScene:
-    """Terrain that renders views of its skyline.
+    """Terrain that renders views of its skyline, and of a surface that may stand on it, if any.
 
-    Parameters
-    ----------
-    terrain : HeightField
-    config : RenderConfig
-    thread : RenderThread, optional
-        Thread that renders for all others, piece by piece; without one only the thread that makes
-        the scene may render.
-    surface : HeightField, optional
-        Surface of what may stand on the terrain; see `skyline.terrain.dem`.
+    With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
+    makes the scene may render.
     """
 
     def __init__(
@@ -58,50 +51,39 @@ class RenderedScene:
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
-        self._renderers = self._run(
-            lambda: [HorizonRenderer.of(field, config) for field in fields], urgent=False
-        )
+        self._renderers = self.run(lambda: [HorizonRenderer.of(one, config) for one in fields])
 
     @cached_property
     def edge(self) -> DataEdge | None:
         """Edge of the terrain's data; None if no terrain is taken to lie past it."""
         return DataEdge.of(self._terrain, self._curvature)
 
-    def render(self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False) -> Views:
-        """Render one view an eye, each along its heading (N,), in order.
+    def render(
+        self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False
+    ) -> list[Views]:
+        """Render one view an eye, each along its heading (N,): of the terrain, then of the surface.
 
-        Where a thread renders for all, ``urgent`` views are rendered before the views that are not.
+        Where a thread renders for all, ``urgent`` views are rendered before those that are not, and
+        the pieces leave room for them.
         """
-        return self._rendered(self._renderers[0], viewpoints, headings, urgent)
-
-    def render_surface(self, viewpoints: Viewpoints, headings: ArrayLike) -> Views | None:
-        """Render the same views of the surface; None if there is no surface."""
-        if len(self._renderers) == 1:
-            return None
-        return self._rendered(self._renderers[1], viewpoints, headings)
-
-    def release(self) -> None:
-        """Free the GPU memory of the scene."""
-        for renderer in self._renderers:
-            self._run(renderer.release, urgent=False)
-
-    def _rendered(
-        self,
-        renderer: HorizonRenderer,
-        viewpoints: Viewpoints,
-        headings: ArrayLike,
-        urgent: bool = False,
-    ) -> Views:
-        """Render views; on a thread for all, in pieces that leave room for urgent ones."""
         along = np.asarray(headings, dtype=np.uint8)
         step = len(along) if self._thread is None else self._piece
         starts = range(0, max(len(along), 1), max(step, 1))
         parts = [slice(start, start + step) for start in starts]
-        return Views.concatenate(
-            [self._run(partial(renderer.render, viewpoints[p], along[p]), urgent) for p in parts]
-        )
+        return [
+            Views.concatenate(
+                [self.run(partial(one.render, viewpoints[p], along[p]), urgent) for p in parts]
+            )
+            for one in self._renderers
+        ]
 
-    def _run(self, task: Callable[[], T], urgent: bool) -> T:
+    def release(self) -> None:
+        """Free the GPU memory of the scene."""
+        for renderer in self._renderers:
+            self.run(renderer.release)
+
+    def run(self, task: Callable[[], T], urgent: bool = False) -> T:
+        """Run a task on the thread that renders; return its result."""
         return task() if self._thread is None else self._thread.run(task, urgent)
 
 
@@ -112,23 +94,17 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     Only plain files are read: a store from a stranger must not make the reader open anything else.
     """
     if not header.dem_files:
-        _log.warning(
-            "%s: the store was built from heights that came from no file; give the DEM (--dem)",
-            otherwise,
-        )
-        return None
-    if not all(map(is_file, header.dem_files)):
-        _log.warning(
-            "%s: the store's DEM is not at hand (no file here is %s); name its files with --dem",
-            otherwise,
-            ", ".join(header.dem_files),
-        )
-        return None
-    try:
-        return header.read_dem()
-    except SkylineError as error:
-        _log.warning("%s: the store's DEM cannot be used: %s", otherwise, error)
-        return None
+        why = "the store was built from heights that came from no file; give the DEM (--dem)"
+    elif not all(map(is_file, header.dem_files)):
+        files = ", ".join(header.dem_files)
+        why = f"the store's DEM is not at hand (no file here is {files}); name its files with --dem"
+    else:
+        try:
+            return header.read_dem()
+        except SkylineError as error:
+            why = f"the store's DEM cannot be used: {error}"
+    _log.warning("%s: %s", otherwise, why)
+    return None
 
 
 def joined_views(

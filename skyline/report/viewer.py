@@ -434,4 +434,4 @@ class Viewer:
             if self._scene is None:
                 config = RenderConfig(width=_WIDTH, curvature=self.curvature)
                 self._scene = RenderedScene(self.terrain, config, self._thread)
-        return self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
+        return self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)[0]

@@ -28,10 +28,7 @@ class _Scene:
     edge: None = None
 
     def render(self, viewpoints, headings):
-        return self.renderer.render(viewpoints, headings)
-
-    def render_surface(self, viewpoints, headings):
-        return None
+        return [self.renderer.render(viewpoints, np.asarray(headings, dtype=np.uint8))]
 
     def ground_m(self, easting_m, northing_m):
         return self.field.height_at(easting_m=easting_m, northing_m=northing_m)
