@@ -89,11 +89,6 @@ class Sensor:
         return height_mm * hypot(kept, 1.0)
 
 
-def known_sensor(model: str) -> Sensor | None:
-    """Return the sensor of a camera by the model that its EXIF notes; None if it is not known."""
-    return _sensors_by_model().get(_model_key(model))
-
-
 @cache
 def _sensors_by_model() -> dict[str, Sensor]:
     """Return the cameras of one known sensor by the keys of their models."""
@@ -149,7 +144,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
 
     ``size_px`` is the width and the height of the file's pixels, upright.
     """
-    sensor = known_sensor(text_of(tags, Base.Model))
+    sensor = _sensors_by_model().get(_model_key(text_of(tags, Base.Model)))
     noted, frame = _frames(tags, size_px, sensor)
     witnesses, against = _witnesses(tags, size_px, noted, frame, sensor)
     if not witnesses:

@@ -28,12 +28,7 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
-from skyline.photo.sky_model import (
-    is_sky_mask,
-    load_sky_model,
-    model_skyline,
-    skyline_of_mask,
-)
+from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
 from skyline.photo.trace import read_trace
 from skyline.tables import is_table
 
@@ -54,7 +49,6 @@ _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
 """Formats that Pillow may decode; others run programs, or are no pictures."""
-_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 _SKYLINE_RGB, _OTHER_RGB = (255, 0, 60), (255, 160, 0)
 
 
@@ -155,7 +149,12 @@ def extract_photo(
             height,
         )
     try:
-        query = _find(photo.rgb, sky_model)
+        if is_sky_mask(photo.rgb):
+            query = skyline_of_mask(photo.rgb)
+        elif sky_model is None:
+            query = extract_skyline(photo.rgb)
+        else:
+            query = model_skyline(photo.rgb, sky_model)
     except InputError as error:
         raise InputError(f"{in_words(path)}: {error}") from error
     return photo.rgb, photo.described(query)
@@ -220,16 +219,6 @@ def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
         (projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)
 
 
-def _find(image: UInt8Array, sky_model: Any) -> QuerySkyline:
-    if is_sky_mask(image):
-        return skyline_of_mask(image)
-    if sky_model is None:
-        return extract_skyline(image)
-    if isinstance(sky_model, str | Path):
-        sky_model = load_sky_model(sky_model)
-    return model_skyline(image, sky_model)
-
-
 def read_picture(path: str | Path) -> UInt8Array | None:
     """Return a query's photo (H, W, 3) uint8 RGB, upright; None for a trace or a sky mask.
 
@@ -291,22 +280,19 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
         raise MissingFileError(f"{path} does not exist; {_EXPECTED}")
     elif not path.is_file():
         raise InputError(f"{path} is not a file; {_EXPECTED}")
-    is_heic = False
     try:
         with warnings.catch_warnings(), _unlimited_size():
             # Pillow warns about large images, which are bounded here, and about odd EXIF.
             warnings.simplefilter("ignore")
-            is_heic = _is_heic(source)
-            if is_heic:
-                with suppress(ImportError):
-                    import_module("pillow_heif").register_heif_opener()
+            with suppress(ImportError):
+                import_module("pillow_heif").register_heif_opener()
             Image.init()
             formats = [name for name in _FORMATS if name in Image.OPEN]
             with Image.open(source, formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
         reason = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
-        if is_heic:
+        if path.suffix.lower() in {".heic", ".heif"}:
             reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
                 "pip install pillow-heif"
@@ -358,12 +344,3 @@ def _to_rgb(image: Image.Image) -> UInt8Array:
         image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
     rgb: UInt8Array = np.asarray(image.convert("RGB"))
     return rgb
-
-
-def _is_heic(source: Path | io.BytesIO) -> bool:
-    if isinstance(source, io.BytesIO):
-        head = source.getvalue()[:12]
-    else:
-        with source.open("rb") as file:
-            head = file.read(12)
-    return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS

@@ -54,8 +54,11 @@ def model_skyline(image: UInt8Array, session: Any) -> QuerySkyline:
 
     A column's skyline is its topmost crossing of one half; its confidence is the fall of the
     probability there within a hundredth of the rows. Raises `InputError` if the model breaks the
-    contract, or no column has sky above ground.
+    contract, or no column has sky above ground. ``session`` is the file of a model, or as of
+    `load_sky_model`.
     """
+    if isinstance(session, str | Path):
+        session = load_sky_model(session)
     content = content_of(image)
     photo = content.crop(image)
     probability = _probability(photo, session)
@@ -66,8 +69,7 @@ def model_skyline(image: UInt8Array, session: Any) -> QuerySkyline:
     left = np.floor(at).astype(np.intp)
     right = np.minimum(left + 1, len(row_px) - 1)
     # Beside a masked column the row is NaN, since there is nothing to interpolate to.
-    share = at - left
-    row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
+    row = np.interp(at, np.arange(len(row_px)), row_px)
     query = content.skyline(row, np.minimum(confidence[left], confidence[right]))
     if not query.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")

@@ -136,8 +136,5 @@ def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array
     row = np.concatenate([[np.nan], row, [np.nan]])
     whole = np.arange(width)
     left = np.searchsorted(column, whole, side="right") - 1
-    gap = column[left + 1] - column[left]
-    weight = (whole - column[left]) / gap
-    joined = (1.0 - weight) * row[left] + weight * row[left + 1]
-    joined[gap > max(MAX_GAP_SHARE * width, 1.0)] = np.nan
-    return np.where(weight == 0.0, row[left], joined)
+    is_far = np.diff(column)[left] > max(MAX_GAP_SHARE * width, 1.0)
+    return np.where(is_far & (column[left] != whole), np.nan, np.interp(whole, column, row))
