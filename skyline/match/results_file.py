@@ -60,24 +60,9 @@ CREATE TABLE photos (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom POINT,
 class ResultsFile:
     """A file with the results of one search, made if there is none.
 
-    Parameters
-    ----------
-    path : Path
-        Its suffix is one of `RESULTS`.
-    search : str
-        Identifies the store and the options: a file holds the results of one search.
-
-    Attributes
-    ----------
-    path : Path
-    queries : set of str
-        The names of the queries that are in the file.
-
-    Raises
-    ------
-    InputError
-        The suffix is unknown, the file holds other data or the results of another search, or it
-        cannot be written.
+    ``search`` identifies the store and the options. ``queries`` are the names of the queries in the
+    file. Raises `InputError` where the suffix is unknown, the file holds other data or the results
+    of another search, or it cannot be written.
     """
 
     def __init__(self, path: Path, search: str) -> None:
@@ -88,8 +73,8 @@ class ResultsFile:
                 f"--results {path}: the suffix is {path.suffix!r}; expected {' or '.join(RESULTS)}"
             )
         with self._input_errors():
-            self._table = kind(path)
-            rows = self._table.read()
+            read, self._append = kind
+            rows = read(path)
         if any(of_search != search for _, of_search in rows):
             raise InputError(
                 f"--results {path} has results of another store or other options; name another file"
@@ -100,7 +85,7 @@ class ResultsFile:
         """Write a row, of `MatchResult.to_row`; it is kept whatever happens afterwards."""
         with self._input_errors():
             values = {name: row.get(name) for name in _TYPES}
-            self._table.append(values | {"search": self._search})
+            self._append(self.path, values | {"search": self._search})
         self.queries.add(str(row["query"]))
 
     @contextmanager
@@ -113,64 +98,56 @@ class ResultsFile:
             ) from error
 
 
-class _Csv:
-    """Rows of a CSV file; the beginning of a row whose writing was interrupted is cut off."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def read(self) -> list[tuple[str, str]]:
-        """Return the query and the search of each row."""
-        held = self._path.read_bytes() if self._path.exists() else b""
-        whole = held[: held.rfind(b"\n") + 1] or ",".join(_TYPES).encode() + b"\n"
-        if whole != held:
-            self._path.write_bytes(whole)
-        rows = csv.DictReader(io.StringIO(whole.decode()))
-        if rows.fieldnames != list(_TYPES):
-            raise InputError(f"--results {self._path} is no file of results; name another one")
-        return [(row["query"], row["search"]) for row in rows]
-
-    def append(self, row: Row) -> None:
-        line = io.StringIO()
-        csv.DictWriter(line, list(_TYPES), lineterminator="\n").writerow(row)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line.getvalue())
-            file.flush()
-            os.fsync(file.fileno())
+def _read_csv(path: Path) -> list[tuple[str, str]]:
+    """Return the query and the search of each row; cut off a row whose writing was interrupted."""
+    held = path.read_bytes() if path.exists() else b""
+    whole = held[: held.rfind(b"\n") + 1] or ",".join(_TYPES).encode() + b"\n"
+    if whole != held:
+        path.write_bytes(whole)
+    rows = csv.DictReader(io.StringIO(whole.decode()))
+    if rows.fieldnames != list(_TYPES):
+        raise InputError(f"--results {path} is no file of results; name another one")
+    return [(row["query"], row["search"]) for row in rows]
 
 
-class _GeoPackage:
-    """Rows of a table of points; SQLite writes each as a whole."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        if not path.exists():
-            with closing(sqlite3.connect(":memory:")) as made:
-                made.executescript(_GEOPACKAGE)
-                write_whole(path, made.serialize())
-
-    def read(self) -> list[tuple[str, str]]:
-        """Return the query and the search of each row."""
-        with closing(self._connection()) as opened:
-            return opened.execute("SELECT query, search FROM photos").fetchall()
-
-    def append(self, row: Row) -> None:
-        names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
-        marks = ", ".join("?" * (len(_TYPES) + 1))
-        point = None
-        if row["lon"] is not None:
-            # A GeoPackage's header without an envelope, then WKB.
-            head = (b"GP", 0, 1, 4326, 1, 1)
-            point = struct.pack("<2sBBiBIdd", *head, row["lon"], row["lat"])
-        values = (point, *(row[name] for name in _TYPES))
-        with closing(self._connection()) as opened, opened:
-            opened.execute(f"INSERT INTO photos ({names}) VALUES ({marks})", values)
-
-    def _connection(self) -> sqlite3.Connection:
-        """Open the table, without locks in a folder that has none."""
-        options = "" if has_locks(self._path) else "?nolock=1"
-        return sqlite3.connect(f"{self._path.absolute().as_uri()}{options}", uri=True)
+def _append_csv(path: Path, row: Row) -> None:
+    line = io.StringIO()
+    csv.DictWriter(line, list(_TYPES), lineterminator="\n").writerow(row)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(line.getvalue())
+        file.flush()
+        os.fsync(file.fileno())
 
 
-RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
-"""Files of results by suffix."""
+def _read_points(path: Path) -> list[tuple[str, str]]:
+    """Return the query and the search of each row of a GeoPackage, made if there is none."""
+    if not path.exists():
+        with closing(sqlite3.connect(":memory:")) as made:
+            made.executescript(_GEOPACKAGE)
+            write_whole(path, made.serialize())
+    with closing(_connection(path)) as opened:
+        return opened.execute("SELECT query, search FROM photos").fetchall()
+
+
+def _append_point(path: Path, row: Row) -> None:
+    """Add a row to a GeoPackage; SQLite writes it as a whole."""
+    names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
+    marks = ", ".join("?" * (len(_TYPES) + 1))
+    point = None
+    if row["lon"] is not None:
+        # A GeoPackage's header without an envelope, then WKB.
+        head = (b"GP", 0, 1, 4326, 1, 1)
+        point = struct.pack("<2sBBiBIdd", *head, row["lon"], row["lat"])
+    values = (point, *(row[name] for name in _TYPES))
+    with closing(_connection(path)) as opened, opened:
+        opened.execute(f"INSERT INTO photos ({names}) VALUES ({marks})", values)
+
+
+def _connection(path: Path) -> sqlite3.Connection:
+    """Open a GeoPackage, without locks in a folder that has none."""
+    options = "" if has_locks(path) else "?nolock=1"
+    return sqlite3.connect(f"{path.absolute().as_uri()}{options}", uri=True)
+
+
+RESULTS = {".csv": (_read_csv, _append_csv), ".gpkg": (_read_points, _append_point)}
+"""Files of results by suffix: the functions that read their queries, and append a row."""
