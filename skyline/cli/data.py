@@ -145,9 +145,7 @@ def cache(
         print_line(json.dumps(about | {"bytes": total}))
         return
     for one in areas:
-        store = f"store {one.store_bytes / 1e6:.1f} MB" + (
-            "" if one.is_finished else ", unfinished"
-        )
+        store = f"store {one.store_bytes / 1e6:.1f} MB" + ("" if one.finished else ", unfinished")
         tiles = f"{one.tiles} tiles {one.tile_bytes / 1e6:.1f} MB, " if one.tiles else ""
         box = ",".join(f"{side:g}" for side in one.bounds_deg)
         print_line(f"{one.origin} {box}: {tiles}{store}, {one.changed:%Y-%m-%d %H:%M}")

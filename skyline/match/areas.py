@@ -15,7 +15,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -85,7 +85,7 @@ class CachedArea:
     folder: Path
     origin: str
     bounds_deg: Bounds
-    is_finished: bool
+    finished: bool
     tiles: int
     tile_bytes: int
     store_bytes: int
@@ -93,16 +93,8 @@ class CachedArea:
 
     def to_dict(self) -> dict[str, object]:
         """Return the area as JSON can hold it."""
-        return {
-            "folder": str(self.folder),
-            "origin": self.origin,
-            "bounds_deg": list(self.bounds_deg),
-            "finished": self.is_finished,
-            "tiles": self.tiles,
-            "tile_bytes": self.tile_bytes,
-            "store_bytes": self.store_bytes,
-            "changed": self.changed.isoformat(timespec="seconds"),
-        }
+        changed = self.changed.isoformat(timespec="seconds")
+        return asdict(self) | {"folder": str(self.folder), "changed": changed}
 
 
 def cache_folder() -> Path:
@@ -143,8 +135,7 @@ def prepare_area(
     check_bounds(area.built)
     files = tuple(_dem_files(dem))
     source = source or os.environ.get("SKYLINE_DEM_SOURCE") or DEFAULT_SOURCE
-    origin = _origin_of_files(files) if files else _origin_of_source(source)
-    home = _areas() / origin
+    home = _areas() / _origin(files, source)
     with _explained():
         serving = _serving(home, area.needed)
         if serving is not None:
@@ -238,18 +229,14 @@ _STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE
 _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
-def _origin_of_source(source: str) -> str:
-    template = SOURCES.get(source, source)
-    name = source if source in SOURCES else urlsplit(template).hostname or "source"
-    return f"{name}-{_digest(template)}"
-
-
-def _origin_of_files(files: Sequence[str]) -> str:
-    about: list[object] = []
-    for file in files:
-        path = Path(file)
-        facts = path.stat() if path.is_file() else None
-        about.append((file, facts and (facts.st_size, facts.st_mtime_ns)))
+def _origin(files: Sequence[str], source: str) -> str:
+    """Return the name of the folder of all areas of some files, or else of a source."""
+    if not files:
+        template = SOURCES.get(source, source)
+        name = source if source in SOURCES else urlsplit(template).hostname or "source"
+        return f"{name}-{_digest(template)}"
+    facts = [(file, Path(file).stat() if Path(file).is_file() else None) for file in files]
+    about = [(file, known and (known.st_size, known.st_mtime_ns)) for file, known in facts]
     return f"dem-{_digest(*about)}"
 
 
