@@ -121,9 +121,8 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
         return float(np.logaddexp(0.0, -logit).mean() + 0.5 * ridge @ parameters[:-1]), gradient
 
     best = minimize(loss, np.zeros(len(names) + 1), jac=True, method="L-BFGS-B").x
-    return Logistic(
-        names, tuple(mean.tolist()), tuple(scale.tolist()), tuple(best[:-1]), float(best[-1])
-    )
+    weight, bias = best[:-1].tolist(), float(best[-1])
+    return Logistic(list(names), mean.tolist(), scale.tolist(), weight, bias)
 
 
 def probabilities(model: Logistic, examples: Sequence[Example]) -> Float64Array:

@@ -183,11 +183,6 @@ class Hypotheses(Rows):
     """(M,) float64. Lower is better; the unit depends on the step that gave it. Infinite for a
     pose that does not fit."""
 
-    @classmethod
-    def of_pose(cls, *pose: float) -> "Hypotheses":
-        """Return one pose, given as the attributes in order, without the score, which is 0."""
-        return cls(*(np.array([float(value)]) for value in (*pose, 0.0)))
-
     def distances_m(self) -> Float64Array:
         """Return the horizontal distances (M, M) between the poses."""
         place = self.easting_m + 1j * self.northing_m

@@ -34,7 +34,7 @@ from skyline.match.candidate import (
     Hypotheses,
     RefinedPoses,
 )
-from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays
+from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays, level
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.query import QuerySkyline
 
@@ -55,9 +55,8 @@ photos: wrong slopes fit as well (docs/accuracy.md)."""
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the searched range if its distance from the end is less
 than this share of the range: fits that are held to a bound miss it by rounding."""
-_MODELS, _ORIENTATION = "confidence.json", "orientation.json"
 ORIENTED = "oriented, 1 degree"
-"""Name of the model of headings at a known place."""
+"""Name of the model of headings at a known place, in ``orientation.json``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +99,10 @@ class MatchConfig:
 class Logistic:
     """A logistic model of F figures."""
 
-    names: tuple[str, ...]
-    mean: tuple[float, ...]
-    scale: tuple[float, ...]
-    weight: tuple[float, ...]
+    names: Sequence[str]
+    mean: Sequence[float]
+    scale: Sequence[float]
+    weight: Sequence[float]
     """``names``, ``mean``, ``scale``, ``weight``: F each."""
     bias: float
 
@@ -200,38 +199,15 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
     } | _query_figures(query, len(found))
 
 
-def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:
-    """Return the means of the figures (M,) of several queries at the same places.
-
-    Queries of one place share the errors of the terrain model there, to an unknown degree. Together
-    they therefore count as one query with the mean figures.
-    """
-    return {name: np.mean([figures[name] for figures in each], axis=0) for name in each[0]}
-
-
 def model_name(stage: str, within_m: float) -> str:
     """Return the name of the model of a stage, refined or retrieved, for a distance."""
     return f"{stage}, {within_m:g} m"
 
 
-def orientation_model() -> Logistic:
-    """Return the learned model of headings at a known place: right within 1 degree."""
-    return models(_ORIENTATION)[ORIENTED]
-
-
-def models(file: str = _MODELS) -> dict[str, Logistic]:
-    """Return the learned models of a packaged file by name; see `model_name`."""
+def models(file: str = "confidence.json") -> dict[str, Logistic]:
+    """Return the learned models of a packaged file by name; see `model_name`, `ORIENTED`."""
     text = resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
-    return {
-        name: Logistic(
-            tuple(model["names"]),
-            tuple(model["mean"]),
-            tuple(model["scale"]),
-            tuple(model["weight"]),
-            float(model["bias"]),
-        )
-        for name, model in json.loads(text)["models"].items()
-    }
+    return {name: Logistic(**model) for name, model in json.loads(text)["models"].items()}
 
 
 def shared_probabilities(
@@ -285,7 +261,7 @@ def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Fl
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
     """Return the figures of the width and of the relief of the query's skyline."""
-    azimuth, y = query.levelled(0.0, 0.0)
+    azimuth, y = level(query.u, query.v, 0.0, 0.0, is_panorama=query.is_panorama)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
     relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))
@@ -325,7 +301,15 @@ def refusal_of(
     refusal = unsure(candidates, config)
     if refusal is None:
         return at_bound(candidates[0], rays)
-    return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
+    if not candidates or query.fov_deg is None:
+        return refusal
+    found_deg = candidates[0].fov_deg
+    if abs(found_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return refusal
+    return (
+        f"{refusal}; it has a field of view of {found_deg:.1f} degrees, and {query.fov_deg:.1f} "
+        "was expected: check that"
+    )
 
 
 def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
@@ -379,16 +363,6 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
         if confidence is not None and confidence >= least:
             return within_m
     return None
-
-
-def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
-    """Return a hint if the best field of view is two standard deviations off; empty if not."""
-    if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
-        return ""
-    return (
-        f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
-        "expected: check that"
-    )
 
 
 def at_bound(best: Candidate, rays: QueryRays) -> str | None:

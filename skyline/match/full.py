@@ -13,7 +13,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.match import confidence
 from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
-from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.prior import Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
@@ -49,10 +49,8 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-@cache
-def _blas() -> ThreadpoolController:
-    # Finding the libraries takes milliseconds.
-    return ThreadpoolController()
+_blas = cache(ThreadpoolController)
+"""The libraries' controls, which take milliseconds to find."""
 
 
 class FullMatcher:
@@ -113,17 +111,25 @@ class FullMatcher:
         near, roughly = confidence.shared_probabilities(self._models, allowed, figures)
         return candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
 
+    @one_blas_thread()
     def found(
         self, query: QueryRays, prior: Prior, screened: Alike | None = None
     ) -> tuple[Hypotheses, RefinedPoses | None]:
         """Return the poses retrieved for a query, and the refined ones; None without a scene.
 
-        Raises as `rank`.
+        A quick refinement comes first, and is enough where one place fits far better than any
+        other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
+        `rank`.
         """
         found = self.retrieve(query, prior, screened)
-        if not len(found):
+        if not len(found) or self._scene is None:
             return found, None
-        return found, self.refine(self._with_noted(found, query, prior), query, prior)
+        start = self._with_noted(found, query, prior)
+        known = prior.narrowing.eye_height_m, prior.noted
+        poses = Refinement(query, self._scene, QUICK, *known).run(start)
+        if not len(poses) or poses.margin[0] <= _SURE_MARGIN:
+            poses = Refinement(query, self._scene, WHOLE, *known).run(start)
+        return found, poses
 
     @one_blas_thread()
     def rank_together(
@@ -162,7 +168,9 @@ class FullMatcher:
         ]
         near = roughly = np.zeros(len(cost))
         if figures:
-            mean = confidence.mean_figures(figures)
+            # Queries of one place share the errors of the terrain model there, to an unknown
+            # degree: together they count as one query with the mean figures.
+            mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
             near, roughly = confidence.shared_probabilities(self._models, standing, mean)
         return [
             candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
@@ -176,29 +184,9 @@ class FullMatcher:
         """Return the places of a part of the store that are most like a query."""
         return self._retriever.screened(query, prior, part)
 
-    @one_blas_thread()
-    def retrieve(
-        self, query: QueryRays, prior: Prior = NOTHING_KNOWN, screened: Alike | None = None
-    ) -> Hypotheses:
+    def retrieve(self, query: QueryRays, prior: Prior, screened: Alike | None = None) -> Hypotheses:
         """Return the poses retrieved for a query."""
         return self._retriever.shortlist(query, _SHORTLIST, prior, screened)
-
-    @one_blas_thread()
-    def refine(
-        self, found: Hypotheses, query: QueryRays, prior: Prior = NOTHING_KNOWN
-    ) -> RefinedPoses | None:
-        """Return retrieved poses refined; None without a scene.
-
-        A quick refinement comes first, and is enough where one place fits far better than any
-        other, as with most skylines. Otherwise the poses are refined with more effort.
-        """
-        if self._scene is None:
-            return None
-        known = prior.narrowing.eye_height_m, prior.noted
-        poses = Refinement(query, self._scene, QUICK, *known).run(found)
-        if len(poses) and poses.margin[0] > _SURE_MARGIN:
-            return poses
-        return Refinement(query, self._scene, WHOLE, *known).run(found)
 
     @one_blas_thread()
     def fit_from(self, query: QueryRays, start: Hypotheses) -> tuple[Candidate, ...]:
@@ -226,7 +214,6 @@ class FullMatcher:
             raise InputError(BY_RENDERING)
         return self._scene
 
-    @one_blas_thread()
     def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:
         """Return retrieved poses with those around the place that the photo's EXIF notes.
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from skyline.errors import InputError, named
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
@@ -286,7 +288,7 @@ class Matcher:
             The matcher does not render, or the pose is off the map.
         """
         started = time.perf_counter()
-        given = Hypotheses.of_pose(
+        given = (
             start.easting_m,
             start.northing_m,
             start.eye_elevation_m,
@@ -296,10 +298,11 @@ class Matcher:
             start.fov_deg,
             start.distortion,
         )
+        poses = Hypotheses(*(np.array([float(value)]) for value in (*given, 0.0)))
         rays = self._rays(query.with_fov(start.fov_deg))
         fitted: tuple[Candidate, ...] = ()
         refusal: str | None = "nothing near this pose fits"
-        for alone in self._full().fit_from(rays, given):
+        for alone in self._full().fit_from(rays, poses):
             refusal = misfit(alone, self._config)
             pose = replace(alone, rank=None, confidence=None, confidence_1km=None)
             fitted = (pose if refusal is None else replace(pose, covariance_m2=None),)

@@ -202,10 +202,9 @@ def likelihood(
         Query minus terrain. NaN where the terrain is unknown; such a column is as likely as one
         that does not show terrain.
     trust : (R,) float64
-        Trust in each column of the query.
     errors : HeightErrors
     angle_deg, height_m : (M,) float64
-        Standard deviations of the photo's error and of the model's heights, for each curve.
+        Standard deviations of the photo's error and of the model's heights.
     odds : (M, R) float64
         Probability that a column shows terrain, to start from.
     magnified : (M,) float64, optional
@@ -239,7 +238,9 @@ def likelihood(
     odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
-    each = _entropy(odds) - odds * terrain - (1.0 - odds) * other
+    rest = 1.0 - odds
+    entropy = odds * np.log(np.maximum(odds, _LEAST)) + rest * np.log(np.maximum(rest, _LEAST))
+    each = entropy - odds * terrain - rest * other
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     cost = each @ trust + half_log_det + fit
     return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
@@ -292,9 +293,3 @@ def _explained(
     error = inner @ (across @ (weight * residual)[..., np.newaxis])
     half_log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     return (factor @ error)[..., 0], inner, half_log_det
-
-
-def _entropy(odds: Float64Array) -> Float64Array:
-    """Return p log p + (1 - p) log(1 - p)."""
-    rest = 1.0 - odds
-    return odds * np.log(np.maximum(odds, _LEAST)) + rest * np.log(np.maximum(rest, _LEAST))

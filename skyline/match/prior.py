@@ -118,24 +118,21 @@ class PlacePrior:
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
         across = pull / (_WRONG_SHARE + self._peak * tail**-1.5)
-        offset_m = np.column_stack([self._offset_m(place_m), np.zeros_like(eye_m)])
+        off = place_m - complex(self.easting_m, self.northing_m)
+        offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
             precision[:, 2] = 2.0 / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
         return precision, offset_m
 
-    def _offset_m(self, place_m: Complex128Array) -> Float64Array:
-        """Return the offsets (M, 2) of places to the east and north of the noted one."""
-        off = place_m - complex(self.easting_m, self.northing_m)
-        return np.stack([off.real, off.imag], axis=-1)
-
     @property
     def _peak(self) -> float:
         return (1.0 - _WRONG_SHARE) * _ANYWHERE_M2 / (2.0 * np.pi * self.sd_m**2)
 
     def _tail(self, place_m: Complex128Array) -> Float64Array:
-        return np.asarray(1.0 + (self._offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)
+        off = place_m - complex(self.easting_m, self.northing_m)
+        return np.asarray(1.0 + (off.real**2 + off.imag**2) / self.sd_m**2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,10 +150,6 @@ class QueryRays:
             self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg, fov_sd_deg=math.inf
         )
 
-    def levelled(self, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
-        """Return azimuths and elevation tangents (W,) at an attitude; see `level`."""
-        return level(self.u, self.v, pitch_deg, roll_deg, is_panorama=self.is_panorama)
-
     def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
         """Return the rays with a normally distributed field of view.
 
@@ -181,12 +177,11 @@ def level(
 
     Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
     elevation tangent is up over horizontal distance. The pitch is the axis's angle above the
-    horizon; the roll turns the camera clockwise as seen from behind it, its right side down. u and
-    v are as in `QueryRays`.
+    horizon; the roll turns the camera clockwise as seen from behind it. u and v are as in
+    `QueryRays`.
     """
-    right, up, forward = level_axes(
-        u, v, np.radians(pitch_deg), np.radians(roll_deg), is_panorama=is_panorama
-    )
+    attitude = np.radians(pitch_deg), np.radians(roll_deg)
+    right, up, forward = level_axes(u, v, *attitude, is_panorama=is_panorama)
     return np.arctan2(right, forward), up / np.hypot(right, forward)
 
 
@@ -280,35 +275,28 @@ def level_with_changes(
 
 def _axes_with_changes(
     u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array, is_panorama: bool
-) -> tuple[list[Float64Array], list[Float64Array]]:
+) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
     """Return the components of `level_axes`, with the derivatives (M, R, 3) of each component.
 
     They are by pitch, by roll, and by the logarithm of the scale.
     """
-    cos_roll, sin_roll = np.cos(roll), np.sin(roll)
-    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    right, up, forward = axes = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
+    cos_roll, sin_roll, cos_pitch = np.cos(roll), np.sin(roll), np.cos(pitch)
     if is_panorama:
-        across, forward = np.sin(u), np.cos(u)
-        above = v + sin_pitch / cos_pitch
-        right = across * cos_roll + above * sin_roll
-        up = above * cos_roll - across * sin_roll
         raised, turned, none = np.ones_like(u) / cos_pitch**2, u * forward, np.zeros_like(u)
         changes = [
             [raised * sin_roll, up, turned * cos_roll + v * sin_roll],
             [raised * cos_roll, -right, v * cos_roll - turned * sin_roll],
-            [none, none, -u * across],
+            [none, none, -u * np.sin(u)],
         ]
     else:
-        right = u * cos_roll + v * sin_roll
-        above = v * cos_roll - u * sin_roll
-        forward = cos_pitch - above * sin_pitch
-        up = above * cos_pitch + sin_pitch
+        above, sin_pitch = v * cos_roll - u * sin_roll, np.sin(pitch)
         changes = [
             [np.zeros_like(up), above, right],
             [forward, -right * cos_pitch, above * cos_pitch],
             [-up, right * sin_pitch, -above * sin_pitch],
         ]
-    return [right, up, forward], [np.stack(change, axis=-1) for change in changes]
+    return axes, [np.stack(change, axis=-1) for change in changes]
 
 
 def thinned(query: QueryRays, bins: int) -> QueryRays:
@@ -375,7 +363,7 @@ def _on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Arra
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
     slope. Values at bin centres are interpolated linearly between these averages.
     """
-    azimuth, y = query.levelled(pitch_deg, 0.0)
+    azimuth, y = level(query.u, query.v, pitch_deg, 0.0, is_panorama=query.is_panorama)
     position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
     nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
     weight = np.bincount(nearest, query.weight, bins)

@@ -82,30 +82,17 @@ _BEYOND = 2.0
 """The same for a ray above the profile where terrain past the data's edge may rise as high."""
 
 
-@dataclass(frozen=True, slots=True)
-class FitStage:
-    """The precision of one stage of fitting."""
-
-    rays: int
-    """Number of runs of the query's columns whose means are fitted."""
-    scales_deg: tuple[float, ...]
-    """Scales of the Cauchy weights, beside the expected error, from round to round."""
-
-
-_ROUGHLY = FitStage(40, (0.5, 0.35, 0.25))
-_WELL = FitStage(100, (0.5, 0.35, 0.25, 0.2, 0.2))
+_ROUGHLY = 40, (0.5, 0.35, 0.25)
+_WELL = 100, (0.5, 0.35, 0.25, 0.2, 0.2)
+"""Stages of fitting: the number of runs of the query's columns whose means are fitted, and the
+scales of the Cauchy weights, degrees, beside the expected error, from round to round."""
 
 
 class Retriever:
     """Finds short lists of poses among places.
 
-    Parameters
-    ----------
-    places : PlaceSource
-    ground : Ground, optional
-        Heights of the terrain; without it the ground around each place is taken to be level.
-    edge : DataEdge, optional
-        Edge of the terrain's data; without it no terrain is taken to lie past the data.
+    Without ``ground`` the ground around each place is taken to be level; without ``edge`` no
+    terrain is taken to lie past the data.
     """
 
     def __init__(
@@ -234,22 +221,28 @@ class Retriever:
     def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""
         rough = [
-            self._fits(query, start, _ROUGHLY) for query, start in zip(queries, starts, strict=True)
+            self._fits(query, start, *_ROUGHLY)
+            for query, start in zip(queries, starts, strict=True)
         ]
         best = np.sort(np.argsort(_total(rough), kind="stable")[:_FITTED])
         return [
-            self._fits(query, start[best], _WELL)
+            self._fits(query, start[best], *_WELL)
             for query, start in zip(queries, starts, strict=True)
         ]
 
-    def _fits(self, query: QueryRays, start: "_Start", stage: FitStage) -> Hypotheses:
+    def _fits(
+        self, query: QueryRays, start: "_Start", runs: int, scales_deg: tuple[float, ...]
+    ) -> Hypotheses:
         """Return the poses fitted from starts, in order."""
-        rays = in_runs(query, stage.rays)
+        rays = in_runs(query, runs)
 
         def fitted(first: int) -> Hypotheses:
             part = start[slice(first, first + _FITS_AT_ONCE)]
-            places, slope = part.places, self._slope(part.places)
-            fit = _CurveFit(places, slope, rays, stage, self._edge)
+            places, slope = part.places, np.zeros((len(part), 2), dtype=np.float32)
+            if self._ground is not None:
+                rise = ground_slope(self._ground, places.easting_m, places.northing_m)
+                slope = rise.astype(np.float32)
+            fit = _CurveFit(places, slope, rays, runs, scales_deg, self._edge)
             pose, score = fit.fit(part.heading_rad, part.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
@@ -279,13 +272,6 @@ class Retriever:
                 pool.shutdown(cancel_futures=True)
                 raise
         return Hypotheses.concatenate(found)
-
-    def _slope(self, places: Places) -> Float32Array:
-        """Return the rise of the ground (N, 2) to the east and to the north; 0 where unknown."""
-        if self._ground is None:
-            return np.zeros((len(places), 2), dtype=np.float32)
-        slope = ground_slope(self._ground, places.easting_m, places.northing_m)
-        return slope.astype(np.float32)
 
 
 def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
@@ -362,9 +348,10 @@ class _CurveFit:
     """(M, 2) float32. Rise of the ground to the east and to the north."""
     rays: QueryRays
     """R means of runs of the query's rays; see `in_runs`."""
-    stage: FitStage
+    runs: int
+    scales_deg: tuple[float, ...]
+    """``runs``, ``scales_deg``: see `_ROUGHLY`."""
     edge: DataEdge | None
-    """Edge of the terrain's data; without it no terrain is taken to lie past the data."""
 
     @property
     def _deviation_m(self) -> Float32Array:
@@ -383,7 +370,7 @@ class _CurveFit:
         misses = self._misses(pose, y, nearness)
         pose[:, _PITCH] = -np.median(misses.miss, axis=1)
         prior = self._prior()
-        for scale_deg in self.stage.scales_deg:
+        for scale_deg in self.scales_deg:
             misses = self._misses(pose, y, nearness)
             variance = self._variance(pose, misses.nearness)
             weight = self.rays.weight.astype(np.float32) * misses.known
@@ -482,7 +469,7 @@ class _CurveFit:
         most = np.where(self._may_hide(misses), np.float32(_BEYOND), outlier)
         cost = np.where(misses.known, np.minimum(miss, most), outlier)
         cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
-        unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.stage.rays
+        unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.runs
         mean = (cost * self.rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
 

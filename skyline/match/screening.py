@@ -170,7 +170,9 @@ class Screen:
         sums = self._sums(phase, slice(None) if len(parts) == len(opened) else parts)
         if not opened.all():
             sums += np.where(opened[parts], np.float32(0.0), -np.inf)[:, np.newaxis, np.newaxis]
-        peak = _peaks(sums.max(axis=0, initial=-np.inf))
+        # The copy puts the turns first, along which numpy then finds maxima ten times as fast.
+        best = np.ascontiguousarray(sums.max(axis=0, initial=-np.inf).T)
+        peak = best.max(axis=0).T
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
@@ -220,14 +222,6 @@ def _at_turns(waves: Complex128Array) -> Float32Array:
         matrices[:, turn : turn + span, 0, :, turn] = waves.real.swapaxes(1, 2)
         matrices[:, turn : turn + span, 1, :, turn] = waves.imag.swapaxes(1, 2)
     return matrices.reshape(kinds, 2 * bins, -1)
-
-
-def _peaks(sums: Float32Array) -> Float32Array:
-    """Return the maxima (N, F) of sums (N, F, T) along the last axis.
-
-    The copy puts that axis first, where numpy finds maxima ten times as fast.
-    """
-    return np.asarray(np.ascontiguousarray(sums.T).max(axis=0).T)
 
 
 def query_waves(query: QueryRays) -> Complex128Array:

@@ -128,16 +128,10 @@ class Curves(Rows):
         eye_height_m: Float64Array,
         surface_y: Float64Array | None = None,
     ) -> "Curves":
-        """Return the curves of skylines all the way round.
+        """Return the curves of skylines all the way round, as of `joined_views`.
 
-        Parameters
-        ----------
-        y, distance_m : (M, B) float64
-            Elevation tangents and horizontal distances; see `joined_views`.
-        ground_slope : (M, 2) float64
-            Rise of the ground a metre to the east and to the north.
-        surface_y : (M, B) float64, optional
-            Elevation tangents of the surface model, seen by the same eyes.
+        ``ground_slope`` (M, 2) is the rise of the ground a metre to the east and to the north,
+        ``surface_y`` (M, B) the elevation tangents of the surface model, seen by the same eyes.
         """
         step = 2.0 * np.pi / y.shape[1]
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
@@ -203,18 +197,9 @@ class Linearization:
 class Solver:
     """Fits the pose of one query to curves.
 
-    Parameters
-    ----------
-    query : QueryRays
-        Averaged within the mode's steps of azimuth.
-    mode : SolverMode
-    eye : EyeHeightPrior
-    height_sd_m : float
-        Expected standard deviation of the terrain model's heights.
-    noted : PlacePrior, optional
-        Prior from the photo's EXIF.
-    edge : DataEdge, optional
-        Edge of the terrain's data; without it no terrain is taken to lie past the data.
+    The query is averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
+    standard deviation of the terrain model's heights, ``noted`` the prior from the photo's EXIF.
+    Without ``edge`` no terrain is taken to lie past the data.
     """
 
     def __init__(
