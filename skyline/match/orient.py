@@ -35,7 +35,6 @@ from skyline.match.retrieval import Retriever
 from skyline.match.scene import VIEW_WIDTH, RenderedScene
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture
-from skyline.render.context import RenderThread
 from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
@@ -170,6 +169,8 @@ class Orientation:
 class Orienter:
     """Finds how cameras were held at one place, for any number of photos from there.
 
+    Only the thread that makes it may use it.
+
     Parameters
     ----------
     dem : path, paths or HeightField
@@ -181,9 +182,6 @@ class Orienter:
         the fit may correct.
     within_m : float
         Standard error of the place.
-    config : MatchConfig, optional
-    render_thread : RenderThread, optional
-        A thread that renders; without one only the thread that makes the orienter may use it.
 
     Raises
     ------
@@ -201,8 +199,6 @@ class Orienter:
         lat: float,
         elevation_m: float | None = None,
         within_m: float = DEFAULT_WITHIN_M,
-        config: MatchConfig | None = None,
-        render_thread: RenderThread | None = None,
     ) -> None:
         if not 0.0 < within_m <= _MOST_WITHIN_M:
             raise InputError(
@@ -211,17 +207,14 @@ class Orienter:
             )
         self.terrain, self.curvature = read_dem(dem), Curvature()
         self.frame = self.terrain.frame
-        self._config = config or MatchConfig(min_confidence=LEAST_CONFIDENCE)
         self._within_m = within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m = elevation_m
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
-        self._scene = RenderedScene(self.terrain, views, render_thread)
+        self._scene = RenderedScene(self.terrain, views)
         # Kept, since it holds the terrain's textures, which the scene shares.
-        self._panoramas = self._scene.run(
-            lambda: PanoramaRenderer(self.terrain, BINS, self.curvature)
-        )
+        self._panoramas = PanoramaRenderer(self.terrain, BINS, self.curvature)
         places = self._rendered_places()
         self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
@@ -229,7 +222,7 @@ class Orienter:
     def release(self) -> None:
         """Free the orienter's GPU memory."""
         self._scene.release()
-        self._scene.run(self._panoramas.release)
+        self._panoramas.release()
 
     def __enter__(self) -> Self:
         return self
@@ -264,7 +257,7 @@ class Orienter:
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = QueryRays.of(skyline, self._config.fov_slack, finds_fov=True)
+        rays = QueryRays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
@@ -305,7 +298,7 @@ class Orienter:
                 f"the skyline fits best {moved_m[0]:.0f} m from the place, which is known to "
                 f"{self._within_m:g} m; check the place"
             )
-        if sure < self._config.min_confidence:
+        if sure < LEAST_CONFIDENCE:
             refusal = self._doubt(poses, pose, sure)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
@@ -321,8 +314,7 @@ class Orienter:
 
     def _doubt(self, poses: RefinedPoses, pose: Candidate, sure: float) -> str:
         """Return the refusal of a pose of too little confidence, with what speaks against it."""
-        least = self._config.min_confidence
-        doubt = f"the heading has confidence {sure:.2f}, {least:.2f} is needed"
+        doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         score = poses.hypotheses.score
         if len(poses) > 1 and score[1] - score[0] < _CLOSE:
             other_deg = (poses.hypotheses.heading_deg[1] + pose.convergence_deg) % 360.0
@@ -336,8 +328,7 @@ class Orienter:
         eyes, _ = stand_where_possible(self.terrain, place.real, place.imag)
         if self._elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
-        skylines = self._scene.run(lambda: self._panoramas.render(eyes))
-        return Places.of(skylines, self._within_m / 2.0)
+        return Places.of(self._panoramas.render(eyes), self._within_m / 2.0)
 
 
 @contextmanager

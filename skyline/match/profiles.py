@@ -126,16 +126,14 @@ class Profiles:
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
 
     @classmethod
-    def from_views(
-        cls, chunks: Iterable[tuple[Views, KeypointTable]], bins: int = DEFAULT_BINS
-    ) -> "Profiles":
+    def from_views(cls, chunks: Iterable[tuple[Views, KeypointTable]]) -> "Profiles":
         """Join views by location; a location may have views in any of the four headings.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
         `skyline.store.keypoints.polyline_keypoints`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
-        eyes, curves, keypoints = [], [], []
+        eyes, curves, keypoints, bins = [], [], [], DEFAULT_BINS
         count = 0
         for views, table in chunks:
             place = views.easting_m, views.northing_m, views.eye_elevation_m

@@ -51,7 +51,7 @@ class RenderedScene:
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
-        self._renderers = self.run(lambda: [HorizonRenderer.of(one, config) for one in fields])
+        self._renderers = self._run(lambda: [HorizonRenderer.of(one, config) for one in fields])
 
     @cached_property
     def edge(self) -> DataEdge | None:
@@ -72,7 +72,7 @@ class RenderedScene:
         parts = [slice(start, start + step) for start in starts]
         return [
             Views.concatenate(
-                [self.run(partial(one.render, viewpoints[p], along[p]), urgent) for p in parts]
+                [self._run(partial(one.render, viewpoints[p], along[p]), urgent) for p in parts]
             )
             for one in self._renderers
         ]
@@ -80,10 +80,9 @@ class RenderedScene:
     def release(self) -> None:
         """Free the GPU memory of the scene."""
         for renderer in self._renderers:
-            self.run(renderer.release)
+            self._run(renderer.release)
 
-    def run(self, task: Callable[[], T], urgent: bool = False) -> T:
-        """Run a task on the thread that renders; return its result."""
+    def _run(self, task: Callable[[], T], urgent: bool = False) -> T:
         return task() if self._thread is None else self._thread.run(task, urgent)
 
 
