@@ -280,9 +280,12 @@ def _axes_with_changes(
 
     They are by pitch, by roll, and by the logarithm of the scale.
     """
-    right, up, forward = axes = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
-    cos_roll, sin_roll, cos_pitch = np.cos(roll), np.sin(roll), np.cos(pitch)
+    cos_roll, sin_roll = np.cos(roll), np.sin(roll)
+    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
     if is_panorama:
+        # Its pitch raises the image by the tangent.
+        axes = level_axes(u, v + sin_pitch / cos_pitch, 0.0, roll, is_panorama=True)
+        right, up, forward = axes
         raised, turned, none = np.ones_like(u) / cos_pitch**2, u * forward, np.zeros_like(u)
         changes = [
             [raised * sin_roll, up, turned * cos_roll + v * sin_roll],
@@ -290,7 +293,8 @@ def _axes_with_changes(
             [none, none, -u * np.sin(u)],
         ]
     else:
-        above, sin_pitch = v * cos_roll - u * sin_roll, np.sin(pitch)
+        right, up, forward = axes = level_axes(u, v, pitch, roll)
+        above = v * cos_roll - u * sin_roll
         changes = [
             [np.zeros_like(up), above, right],
             [forward, -right * cos_pitch, above * cos_pitch],
