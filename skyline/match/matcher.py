@@ -46,6 +46,7 @@ PROFILE_MATCHERS: Mapping[str, str] = {
 }
 """The module and the class of each matcher of renderings: the paper's, and a baseline. A class is
 imported when it is first used, so that a matcher may lie in a layer above this one."""
+_MATCHERS = {FULL: "", **PROFILE_MATCHERS}
 
 
 class Matcher:
@@ -91,11 +92,10 @@ class Matcher:
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        self._config = config or MatchConfig()
-        is_full, refine = matcher == FULL, self._config.refine
-        if surface is not None and not (is_full and refine):
+        kind, self._config = named("matcher", matcher, _MATCHERS), config or MatchConfig()
+        refine = self._config.refine
+        if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
-        kind = named("matcher", matcher, {FULL: "", **PROFILE_MATCHERS})
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
             self.rows, self.holds = len(file), header.holds
@@ -104,7 +104,7 @@ class Matcher:
             self.frame, self._scene = Frame(header.frame_wkt), None
             self.terrain = None if dem is None else header.read_dem(dem)
             self._ranker: FullMatcher | ProfileMatcher
-            if not is_full:
+            if matcher != FULL:
                 self._ranker = resolve_name(kind).open(file)
             else:
                 places, curvature = file.places(), header.curvature
