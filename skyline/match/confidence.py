@@ -285,7 +285,7 @@ def too_little(query: QuerySkyline) -> str | None:
     widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
     if query.lens is not None and query.lens.most_deg is not None:
         widest_deg = query.lens.most_deg
-    visible_deg = query.visible_deg(widest_deg)
+    visible_deg = query.with_fov(widest_deg).visible_deg()
     if visible_deg >= _MIN_VISIBLE_DEG:
         return None
     return (

@@ -32,7 +32,7 @@ _FOV_DEVIATIONS = 4.0
 class QueryRays:
     """The trusted columns of a query skyline in the camera's frame.
 
-    Raises `InputError` where all weights are 0, or the field of view is not in its range.
+    Raises `InputError` where all weights are 0.
     """
 
     u: Float64Array
@@ -88,13 +88,6 @@ class QueryRays:
     def __post_init__(self) -> None:
         if not self.weight.any():
             raise InputError("all weights of the query are 0, so there is nothing to match")
-        low, high = self.fov_bounds_deg
-        most_deg = MAX_PANORAMA_DEG if self.is_panorama else np.nextafter(180.0, 0.0)
-        if not 0.0 < low <= self.fov_deg <= high <= most_deg:
-            raise InputError(
-                f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
-                f"{high:g}; expected a range within 0 to {most_deg:.0f} degrees that contains it"
-            )
 
     @property
     def fov_bounds_deg(self) -> tuple[float, float]:

@@ -237,24 +237,23 @@ class QuerySkyline:
         columns = np.flatnonzero(self.trusted)
         across = (2.0 * columns + 1.0) / self.width_px - 1.0
         above = (self.height_px - 1.0 - 2.0 * self.row_px[columns]) / self.width_px
-        return self.projection.rays(across, above, self._known_fov_deg(None))
+        return self.projection.rays(across, above, self._known_fov_deg())
 
-    def visible_deg(self, fov_deg: float | None = None) -> float:
+    def visible_deg(self) -> float:
         """Return the degrees of azimuth that the trusted columns span with the camera held level.
 
-        ``fov_deg`` overrides the query's own field of view.
+        Raises as `image_plane`.
         """
-        spans = self.projection.column_deg(self.width_px, self._known_fov_deg(fov_deg))
+        spans = self.projection.column_deg(self.width_px, self._known_fov_deg())
         return float(spans[self.trusted].sum())
 
-    def _known_fov_deg(self, fov_deg: float | None) -> float:
-        known = self.fov_deg if fov_deg is None else fov_deg
-        if known is None:
+    def _known_fov_deg(self) -> float:
+        if self.fov_deg is None:
             raise InputError(
                 "the photo's field of view is not known; give its horizontal field of view, "
                 f"from {MIN_FOV_DEG:g} degrees on (--fov-deg)"
             )
-        return self.projection.check_fov_deg(known)
+        return self.fov_deg
 
 
 def check_of_image(query: QuerySkyline, shape: tuple[int, ...]) -> None:
