@@ -117,20 +117,10 @@ def prepare_area(
 ) -> ReadyArea:
     """Return the store of an area from the cache, where it is built if it is not there.
 
-    Parameters
-    ----------
-    area : Area
-    dem : sequence of paths
-        Elevation files, or folders of them; by default tiles of the source are fetched.
-    source : str, optional
-        As of `fetch_dem`; by default ``$SKYLINE_DEM_SOURCE``, else Copernicus.
-
-    Raises
-    ------
-    InputError
-        The DEM does not cover the area, there is only sea, or the cache cannot be written.
-    FetchError
-        A server fails.
+    ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
+    source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
+    where the DEM does not cover the area, there is only sea, or the cache cannot be written, and
+    `FetchError` where a server fails.
     """
     check_bounds(area.built)
     files = tuple(_dem_files(dem))

@@ -140,8 +140,7 @@ class FullMatcher:
         A query that was likely taken at another place has none. A place lies within the narrowings
         of all queries that agree. Raises as `rank`, and `InputError` without a scene.
 
-        Each query is first matched by itself: its cost where it fits best shows whether it was
-        taken at the place of the others.
+        Each query is first matched by itself: its least cost shows whether it was taken there.
         """
         scene = self._rendered_scene()
         queries = _with_one_noted_place(queries)

@@ -196,20 +196,12 @@ def likelihood(
 ) -> Likelihood:
     """Return the likelihood of residuals, with the odds of each column improved once.
 
-    Parameters
-    ----------
-    residual_rad : (M, R) float64
-        Query minus terrain. NaN where the terrain is unknown; such a column is as likely as one
-        that does not show terrain.
-    trust : (R,) float64
-    errors : HeightErrors
-    angle_deg, height_m : (M,) float64
-        Standard deviations of the photo's error and of the model's heights.
-    odds : (M, R) float64
-        Probability that a column shows terrain, to start from.
-    magnified : (M,) float64, optional
-        Size of a pixel, as an angle, over that of the query's assumed lens. The photo's error is a
-        number of pixels, and the likelihood a density of pixels.
+    ``residual_rad`` (M, R) is query minus terrain, NaN where the terrain is unknown; such a column
+    is as likely as one that does not show terrain. ``trust`` (R,) is in the query's columns,
+    ``odds`` (M, R) are the probabilities that they show terrain, to start from. ``angle_deg`` and
+    ``height_m`` (M,) are the standard deviations of the photo's error and of the model's heights.
+    ``magnified`` (M,) is the size of a pixel, as an angle, over that of the query's assumed lens:
+    the photo's error is a number of pixels, and the likelihood a density of pixels.
     """
     magnified = np.broadcast_to(magnified, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)

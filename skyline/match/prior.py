@@ -109,11 +109,8 @@ class PlacePrior:
     ) -> tuple[Float64Array, Float64Array]:
         """Return the normal distribution that pulls eyes as strongly as this density does.
 
-        Returns
-        -------
-        precision, offset_m : (M, 3) float64
-            Precisions along easting, northing and elevation, and the offsets of the eyes from the
-            noted place; precision times offset is the gradient of `cost`.
+        Its precisions (M, 3) along easting, northing and elevation, and the offsets (M, 3) of the
+        eyes from the noted place, metres; precision times offset is the gradient of `cost`.
         """
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2

@@ -166,13 +166,8 @@ def match_many(
     """Match queries on workers; yields results in the queries' order, each as soon as it is there.
 
     In place of a query's result stands the error that refuses it; the others are still matched.
-
-    Parameters
-    ----------
-    runner : Runner
-        Runs the jobs. Workers need the store, the DEM and the queries under the same paths.
-    matcher : tuple
-        The arguments of `Matcher`, in order: the store's path first, or the paths of several.
+    ``matcher`` are the arguments of `Matcher`, in order: the store's path first, or the paths of
+    several. Workers need the store, the DEM and the queries under the same paths.
     """
     stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
     # A worker that outlives this command must not take a store for the one it has replaced.

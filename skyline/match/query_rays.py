@@ -233,13 +233,9 @@ def level_with_changes(
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
     """Level a query's R rays at M attitudes, scales and distortions, with derivatives.
 
-    Returns
-    -------
-    azimuth_rad, y : (M, R) float64
-        As of `level`.
-    azimuth_change, y_change : (M, R, 3 or 4) float64
-        Derivatives by pitch and roll, in radians, by the logarithm of the scale, and, if
-        ``distortion`` is given, by the distortion.
+    Returns azimuths and elevation tangents (M, R), as `level`, and the derivatives (M, R, 3 or 4)
+    of both by pitch and roll, in radians, by the logarithm of the scale, and by the distortion, if
+    it is given.
     """
     scale = np.exp(log_scale)[:, np.newaxis]
     stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach

@@ -383,23 +383,14 @@ class JointRefinement:
     def run(
         self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
     ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
-        """Return the places where the N queries fit together, best first.
+        """Return the M places where the N queries fit together, best first, and which agree there.
 
-        Parameters
-        ----------
-        found : N Hypotheses
-            Poses of each query, at the same places in the same order, best first.
-        alone : N Hypotheses
-            The best pose that each query was refined to by itself, if any.
-
-        Returns
-        -------
-        poses : N RefinedPoses
-            M poses of each query, at the same places; scores are the costs of the places. Margins
-            and covariances are joint ones, with the information of one average query, not the sum:
-            queries of one place share the terrain model's errors.
-        agrees : (N, M) bool
-            Whether each query was more likely taken at the place than somewhere else.
+        ``found`` has the poses of each query, at the same places in the same order, best first;
+        ``alone`` the best pose that each query was refined to by itself, if any. The poses of each
+        query are at the same places; their scores are the costs of the places. Margins and
+        covariances are joint ones, with the information of one average query, not the sum: queries
+        of one place share the terrain model's errors. A query agrees, (N, M) bool, where it was
+        more likely taken than somewhere else.
         """
         effort = self._effort
         particles = [
