@@ -138,7 +138,7 @@ class Content:
     def skyline(
         self, row_px: Float64Array, confidence: Float64Array, crests: Float64Array | None = None
     ) -> QuerySkyline:
-        """Return the skyline of the image from the rows (w,) and crests (2, 3, w) of its photo.
+        """Return the skyline of the image from the rows (w,) and crests (3, w) of its photo.
 
         Columns without a row (NaN) and columns beside the photo are masked.
         """
@@ -148,9 +148,8 @@ class Content:
         confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
         whole = None
         if crests is not None:
-            whole = np.full((2, CRESTS, self.width), np.nan)
-            whole[:, :, inside] = crests
-            whole[0] += self.top
+            whole = np.full((CRESTS, self.width), np.nan)
+            whole[:, inside] = crests + self.top
         return QuerySkyline(rows, confidences, self.width, self.height, crests=whole)
 
 
@@ -178,20 +177,19 @@ class Evidence:
         return np.where((row <= 1) | (row >= height - 2), 0.0, inside)
 
     def crests(self) -> Float64Array:
-        """Return rows (0) and probabilities (1) of each column's crests, (2, 3, w).
+        """Return the rows (3, w) of each column's crests, the likeliest first.
 
-        The likeliest comes first; crests that are not likely are NaN.
+        Crests that are not likely are NaN.
         """
         height, width = self.share.shape
         near, apart = max(2, round(_SAME_SHARE * height)), round(_APART_SHARE * height)
         left, rows = self.share.copy(), np.arange(height)[:, np.newaxis]
         left[:2] = left[-2:] = 0.0
-        found = np.full((2, CRESTS, width), np.nan)
+        found = np.full((CRESTS, width), np.nan)
         for rank in range(CRESTS):
             row = cv2.GaussianBlur(left, (1, 2 * near + 1), 0).argmax(axis=0)
             likely = np.where(np.abs(rows - row) <= near, left, 0.0).sum(axis=0)
-            is_crest = likely >= _LEAST_PROBABILITY
-            found[:, rank, is_crest] = row[is_crest], np.minimum(likely[is_crest], 1.0)
+            found[rank] = np.where(likely >= _LEAST_PROBABILITY, row, np.nan)
             left[np.abs(rows - row) <= apart] = 0.0
         return found
 
@@ -225,10 +223,9 @@ class Extraction:
     def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
         """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
         trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
-        crests = self.evidence.crests()
-        crests[0] = (crests[0] + 0.5) / self.evidence.row_scale - 0.5
+        crests = (self.evidence.crests() + 0.5) / self.evidence.row_scale - 0.5
         at = np.rint(to_work_columns(self.photo.shape[1], self.evidence)).astype(np.intp)
-        return self.content.skyline(trusted_px, confidence, crests[:, :, at])
+        return self.content.skyline(trusted_px, confidence, crests[:, at])
 
 
 def on_photo(

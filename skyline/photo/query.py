@@ -150,9 +150,8 @@ class QuerySkyline:
         Accuracy of `fov_deg`, if it comes from the photo's EXIF or XMP.
     eye_height_m : float, optional
         Height of the camera above the ground, None if unknown.
-    crests : (2, 3, W) float64, optional
-        Rows (0) and probabilities (1) of up to three crests a column, the likeliest first, NaN
-        where there are fewer; their sum falls short of 1 by the probability of no skyline. None if
+    crests : (3, W) float64, optional
+        Rows of up to three crests a column, the likeliest first, NaN where there are fewer. None if
         the skyline was not extracted.
     """
 
@@ -173,7 +172,7 @@ class QuerySkyline:
             "confidence": (self.width_px,),
         }
         if self.crests is not None:
-            shapes["crests"] = (2, 3, self.width_px)
+            shapes["crests"] = (3, self.width_px)
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != shape:
@@ -210,7 +209,7 @@ class QuerySkyline:
         """
         if self.crests is None:
             return np.full(self.width_px, np.nan)
-        rows = self.crests[0]
+        rows = self.crests
         other = np.isfinite(rows) & ~(np.abs(rows - self.row_px) < _SAME_ROWS * self.height_px)
         likeliest = rows[other.argmax(axis=0), np.arange(self.width_px)]
         return np.where(other.any(axis=0), likeliest, np.nan)
