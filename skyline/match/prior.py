@@ -146,14 +146,10 @@ class EyeHeightPrior:
     """Scale of the distribution; 0 for a known height."""
 
     @property
-    def least_m(self) -> float:
-        """The smallest height that is tried."""
-        return self.usual_m if self.sd_m == 0.0 else 0.0
-
-    @property
-    def most_m(self) -> float:
-        """The greatest height that is tried."""
-        return self.usual_m + _GREATEST_SD * self.sd_m
+    def range_m(self) -> tuple[float, float]:
+        """The smallest and the greatest height that are tried."""
+        least_m = self.usual_m if self.sd_m == 0.0 else 0.0
+        return least_m, self.usual_m + _GREATEST_SD * self.sd_m
 
     def cost(self, height_m: Float64Array) -> Float64Array:
         """Return the negative log density of heights (M,), up to a constant."""

@@ -219,8 +219,8 @@ class Solver:
         self.size = size = DISTORTION + (query.distortion_sd > 0.0)
         """Unknowns P of a state."""
         self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
-        self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
-        self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
+        self._low[LOG_SCALE], self._high[LOG_SCALE] = low, high
+        self._low[EYE_HEIGHT], self._high[EYE_HEIGHT] = eye.range_m
         # The uniform distribution over the range of fields of view has this deviation.
         range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
         self._prior = np.zeros(size)
