@@ -64,19 +64,18 @@ class Candidate:
     refined : bool
         Whether the pose was fitted by rendering.
     covariance_m2 : ((float, float), (float, float)) or None
-        Covariance of easting and northing, square metres; None for a pose that was not refined.
+        Covariance of easting and northing, square metres. This and the next four are None for a
+        pose that was not refined.
     beyond_share : float or None
         Share of the query's skyline in which terrain past the elevation model's edge may rise
-        above the model's skyline; None for a pose that was not refined.
+        above the model's skyline.
     residual_deg : float or None
         Root mean square difference in elevation between the query's skyline and the rendered one,
-        over the part of the query that shows terrain; None for a pose that was not refined.
+        over the part of the query that shows terrain.
     terrain_share : float or None
-        Share of the query's skyline that shows terrain, as against trees or houses; None for a
-        pose that was not refined.
+        Share of the query's skyline that shows terrain, as against trees or houses.
     skyline_m : float or None
-        Harmonic mean distance of the rendered skyline, in the query's columns; None for a pose that
-        was not refined.
+        Harmonic mean distance of the rendered skyline, in the query's columns.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
         found.
