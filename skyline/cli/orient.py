@@ -32,8 +32,7 @@ from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
-from skyline.photo.query import Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer

@@ -27,8 +27,8 @@ COLUMNS = {
 
 _JSON = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
-    "pitch_deg", "roll_deg", "fov_deg", "distortion", "score", "confidence", "confidence_1km",
-    "refined", "beyond_share",
+    "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "score", "confidence",
+    "confidence_1km", "refined", "beyond_share",
 )  # fmt: skip
 
 
@@ -50,6 +50,9 @@ class Candidate:
     distortion : float
         Radial distortion k of a wide lens: a point that an ideal lens images at r half widths of
         the photo from its middle appears at ``(1 + k * r**2) * r``. 0 for other lenses.
+    wander : tuple of float
+        How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
+        `skyline.photo.query.wander_of`; empty for a lens, and where it is not known.
     easting_m, northing_m : float
         The same place in the store's frame.
     eye_elevation_m : float
@@ -93,6 +96,7 @@ class Candidate:
     convergence_deg: float
     score: float
     distortion: float = 0.0
+    wander: tuple[float, ...] = ()
     confidence: float | None = None
     confidence_1km: float | None = None
     refined: bool = False
@@ -255,6 +259,8 @@ class RefinedPoses(Rows):
     `DISTANCES_M`; below 0 for all but the best pose."""
     angle_sd_deg: Float64Array
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
+    wander: Float64Array
+    """(M, 4) float64, or (M, 0). As in `Candidate`."""
 
 
 def candidates_of(
@@ -291,5 +297,6 @@ def candidates_of(
         covariance_m2 = refined.covariance_m2.tolist()
         columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
         columns["refined"] = [True] * len(standing)
+        columns["wander"] = [tuple(row) for row in refined.wander.tolist()]
     rows = zip(*columns.values(), strict=True)
     return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)

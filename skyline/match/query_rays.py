@@ -9,7 +9,13 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.photo.query import MAX_PANORAMA_DEG, Lens, QuerySkyline
+from skyline.photo.query import (
+    MAX_PANORAMA_DEG,
+    WANDER_DEGREES,
+    Lens,
+    QuerySkyline,
+    wander_of,
+)
 
 REFERENCE_FOV_DEG = 60.0
 """Field of view to which sizes of pixels are compared."""
@@ -24,6 +30,11 @@ _WIDE_DEG = 75.0
 """Lenses of a wider field of view may distort; phones correct the distortion of others."""
 _DISTORTION_SD = 0.05
 """Standard deviation of the distortion that remains."""
+_WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
+_WANDER_FOV_DEG = 240.0
+"""Standard deviations of the ways in which the rows of a panorama of this field of view wander.
+They drop as a random walk's do, with the inverse of the degree, and grow with the root of the
+angle."""
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
 
@@ -51,8 +62,9 @@ class QueryRays:
     distribution over the range."""
     is_panorama: bool = False
     distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about 0; 0 for a lens without any. A distortion k
-    moves a ray outwards by k times its `reach`; see `skyline.photo.query.undistorted`."""
+    """Standard deviation of the lens's distortion about 0; 0 for a lens without any, and for a
+    panorama. A distortion k moves a ray outwards by k times its `reach`; see
+    `skyline.photo.query.undistorted`."""
 
     @classmethod
     def of(cls, query: QuerySkyline, fov_slack: float, *, finds_fov: bool) -> "QueryRays":
@@ -122,6 +134,25 @@ class QueryRays:
         half_width = self._half_width(self.fov_deg) * np.exp(log_scale)
         half_rad = half_width if self.is_panorama else np.arctan(half_width)
         return np.asarray(np.degrees(2.0 * half_rad))
+
+    @property
+    def warp_sd(self) -> Float64Array:
+        """Standard deviations (K,) of how an image may be warped.
+
+        One of the distortion of a lens that may distort, one for each column of a panorama's
+        `wander`, and none for other lenses.
+        """
+        if self.is_panorama:
+            grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)
+            return np.radians(_WANDER_SD_DEG) * grown
+        return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
+
+    @property
+    def wander(self) -> Float64Array:
+        """Ways (W, 4) in which the rows of a panorama wander; (W, 0) for a lens."""
+        if not self.is_panorama:
+            return np.zeros((len(self.u), 0))
+        return wander_of(self.u / self._half_width(self.fov_deg))
 
     @property
     def reach(self) -> Float64Array:
@@ -229,26 +260,29 @@ def level_with_changes(
     pitch_rad: Float64Array,
     roll_rad: Float64Array,
     log_scale: Float64Array,
-    distortion: Float64Array | None = None,
+    warp: Float64Array,
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Level a query's R rays at M attitudes, scales and distortions, with derivatives.
+    """Level a query's R rays at M attitudes, scales and warps (M, K), with derivatives.
 
-    Returns azimuths and elevation tangents (M, R), as `level`, and the derivatives (M, R, 3 or 4)
-    of both by pitch and roll, in radians, by the logarithm of the scale, and by the distortion, if
-    it is given.
+    Returns azimuths and elevation tangents (M, R), as `level`, and the derivatives (M, R, 3 + K) of
+    both by pitch and roll, in radians, by the logarithm of the scale, and by the warps; see
+    `QueryRays.warp_sd`.
     """
     scale = np.exp(log_scale)[:, np.newaxis]
-    stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach
-    (right, up, forward), changes = _axes_with_changes(
-        query.u * scale * stretch,
-        query.v * scale * stretch,
-        pitch_rad[:, np.newaxis],
-        roll_rad[:, np.newaxis],
-        query.is_panorama,
-    )
-    if distortion is not None:
+    u, v, share = query.u * scale, query.v * scale, None
+    if query.is_panorama:
+        v = v + scale * (warp @ query.wander.T)
+    elif warp.shape[1]:
+        stretch = 1.0 + warp * query.reach
+        u, v, share = u * stretch, v * stretch, (query.reach / stretch)[..., np.newaxis]
+    attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
+    (right, up, forward), changes = _axes_with_changes(u, v, *attitude, query.is_panorama)
+    if query.is_panorama:
+        # Rows that wander move rays up the image, as a pitch does.
+        raised = (scale * np.square(np.cos(attitude[0])))[..., np.newaxis] * query.wander
+        changes = [np.concatenate([one, one[..., :1] * raised], axis=-1) for one in changes]
+    elif share is not None:
         # Distortion moves rays outwards like the scale, but the more the farther out they are.
-        share = (query.reach / stretch)[..., np.newaxis]
         changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
     right_change, up_change, forward_change = changes
     flat = np.hypot(right, forward)

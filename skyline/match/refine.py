@@ -334,6 +334,7 @@ class Refinement:
             hypotheses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
             hypotheses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
             self._angle_sd_deg(particles, covariance),
+            solver.wander(particles.fit),
         )
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:

@@ -61,12 +61,15 @@ _UNLIKELY = 0.25
 _SLOPE_REACH_M = 15.0
 """Half the distance over which the ground's slope is taken."""
 
-_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
+_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH, _WANDER = range(7)
 """Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
-`QueryRays.log_scale` of the field of view; metres east and north of the stored place."""
+`QueryRays.log_scale` of the field of view; metres east and north of the stored place. The columns
+from `_WANDER` on are those of a panorama's `QueryRays.wander`, and there are none for a lens."""
+_MOVE = slice(_EAST, _WANDER)
 _DAMPING = np.float32(1e-3)
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
-"""Longest step of a round; moves in standard deviations of the place."""
+"""Longest step of a round; moves in standard deviations of the place. Rows of a panorama wander at
+most as far as a pitch goes."""
 _MIN_FORWARD = np.float32(0.05)
 """Rays nearer to a quarter turn from straight ahead are taken to lie there."""
 _QUERY_ERROR_DEG = 0.06
@@ -245,7 +248,7 @@ class Retriever:
             fit = _CurveFit(places, slope, rays, runs, scales_deg, self._edge)
             pose, score = fit.fit(part.heading_rad, part.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
-            move = pose[:, 4:].astype(np.float64)
+            move = pose[:, _MOVE].astype(np.float64)
             return Hypotheses(
                 places.easting_m + move[:, 0],
                 places.northing_m + move[:, 1],
@@ -327,7 +330,7 @@ class _Misses:
     miss: Float32Array
     """(M, R) float32. 0 where the profile is unknown."""
     change: Float32Array
-    """(M, 6, R) float32. Derivatives of the miss by the columns of a pose."""
+    """(M, P, R) float32. Derivatives of the miss by the columns of a pose."""
     nearness: Float32Array
     """(M, R) float32. Inverse distance of the profile, 1 / m."""
     known: BoolArray
@@ -354,16 +357,22 @@ class _CurveFit:
     edge: DataEdge | None
 
     @property
+    def _wander(self) -> Float32Array:
+        """Ways (R, K) in which the rows of a panorama may wander; see `QueryRays.wander`."""
+        return self.rays.wander.astype(np.float32)
+
+    @property
     def _deviation_m(self) -> Float32Array:
         """Standard deviation (M,) of a query's easting, and northing, from the place's."""
         return self.places.tolerance_m / np.float32(np.sqrt(3.0))
 
     def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
-        """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
+        """Return poses (M, P) fitted from headings, radians, and zooms (M,), and scores (M,).
 
         A score is the mean over rays of the negative log likelihood, up to a constant.
         """
-        pose = np.zeros((len(heading), 6), dtype=np.float32)
+        columns = _WANDER + self._wander.shape[1]
+        pose = np.zeros((len(heading), columns), dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
         y, nearness = self.places.elevation_tan(), 1.0 / self.places.distance_m()
         nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
@@ -379,7 +388,7 @@ class _CurveFit:
         return pose, self._score(pose, self._misses(pose, y, nearness), prior)
 
     def _misses(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Misses:
-        """Return the misses of poses (M, 6) from profiles y (M, B), and their derivatives."""
+        """Return the misses of poses (M, P) from profiles y (M, B), and their derivatives."""
         azimuth, tangent = self._project(pose)
         bins = y.shape[1]
         toward = azimuth + pose[:, :1]
@@ -411,6 +420,9 @@ class _CurveFit:
             pitch = own_cosine
             zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
         change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
+        if self.rays.is_panorama:
+            wander = self._wander.T
+            change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
         miss = np.where(known, miss, np.float32(0.0))
         return _Misses(miss, change, near, known, toward, tangent)
 
@@ -420,6 +432,8 @@ class _CurveFit:
         scale = np.exp(zoom)
         u, v = (ray.astype(np.float32) * scale for ray in (self.rays.u, self.rays.v))
         is_panorama = self.rays.is_panorama
+        if is_panorama:
+            v = v + pose[:, _WANDER:] @ self._wander.T
         right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
         if is_panorama:
             return np.arctan2(right, forward), up / np.hypot(right, forward)
@@ -443,23 +457,28 @@ class _CurveFit:
         return np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
 
     def _prior(self) -> Float32Array:
-        """Return the inverse variances (M, 6) of the columns of a pose."""
-        prior = np.zeros((len(self.places), 6), dtype=np.float32)
+        """Return the inverse variances (M, P) of the columns of a pose."""
+        columns = _WANDER + self._wander.shape[1]
+        prior = np.zeros((len(self.places), columns), dtype=np.float32)
         prior[:, _PITCH] = np.radians(_PITCH_SD_DEG) ** -2.0
         prior[:, _ROLL] = np.radians(_ROLL_SD_DEG) ** -2.0
         prior[:, _ZOOM] = self.rays.log_scale_sd**-2.0
-        prior[:, _EAST:] = self._deviation_m[:, np.newaxis] ** -2.0
+        prior[:, _MOVE] = self._deviation_m[:, np.newaxis] ** -2.0
+        if self.rays.is_panorama:
+            prior[:, _WANDER:] = self.rays.warp_sd**-2.0
         return prior
 
     def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
         """Return poses less a step, within the bounds of a step and of a pose."""
         deviation_m = self._deviation_m[:, np.newaxis]
         limit = np.tile(_LONGEST_STEP, (len(pose), 1))
-        limit[:, _EAST:] *= deviation_m
+        limit[:, _MOVE] *= deviation_m
+        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)
+        limit = np.concatenate([limit, wander], axis=1)
         pose = pose - np.clip(step, -limit, limit)
         pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.rays.log_scale_bounds)
         farthest = 2.0 * deviation_m
-        pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
+        pose[:, _MOVE] = np.clip(pose[:, _MOVE], -farthest, farthest)
         return pose
 
     def _score(self, pose: Float32Array, misses: _Misses, prior: Float32Array) -> Float32Array:
@@ -487,7 +506,7 @@ class _CurveFit:
 def _step(
     pose: Float32Array, misses: _Misses, weight: Float32Array, prior: Float32Array
 ) -> Float32Array:
-    """Return the damped Gauss-Newton step (M, 6) that is subtracted from poses."""
+    """Return the damped Gauss-Newton step (M, P) that is subtracted from poses."""
     weighted = misses.change * weight[:, np.newaxis]
     normal = weighted @ misses.change.transpose(0, 2, 1)
     gradient = (weighted @ misses.miss[:, :, np.newaxis])[:, :, 0] + prior * pose

@@ -33,10 +33,10 @@ from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.query_rays import QueryRays, level_with_changes, thinned
 from skyline.terrain.edge import DataEdge
 
-EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)
+EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
 """Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,
-radians; `QueryRays.log_scale` of the field of view; and, for lenses that may distort, the
-distortion."""
+radians; `QueryRays.log_scale` of the field of view. The columns from `WARP` on are the warps of the
+image, see `QueryRays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error, from which the most likely is chosen."""
@@ -160,8 +160,7 @@ class Fit(Rows):
     """M states of the camera, and how well they fit the query."""
 
     state: Float64Array
-    """(M, P) float64, P 7 or 8. See `EAST` to `DISTORTION`; displacements are from the eye of the
-    curve."""
+    """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
     angle: IntArray
     height: IntArray
     """``angle``, ``height``: (M,) intp. Chosen deviations of the errors, as indices into
@@ -216,7 +215,7 @@ class Solver:
         self.heights_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
         low, high = query.log_scale_bounds
-        self.size = size = DISTORTION + (query.distortion_sd > 0.0)
+        self.size = size = WARP + len(query.warp_sd)
         """Unknowns P of a state."""
         self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
         self._low[LOG_SCALE], self._high[LOG_SCALE] = low, high
@@ -229,9 +228,9 @@ class Solver:
         free = np.full(size, np.inf)
         free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
         free[LOG_SCALE] = range_sd
-        if query.distortion_sd > 0.0:
-            self._prior[DISTORTION] = query.distortion_sd**-2.0
-            self._low[DISTORTION], self._high[DISTORTION] = -_MOST_DISTORTION, _MOST_DISTORTION
+        self._prior[WARP:] = query.warp_sd**-2.0
+        if not query.is_panorama:
+            self._low[WARP:], self._high[WARP:] = -_MOST_DISTORTION, _MOST_DISTORTION
         self._information = self._prior + free**-2.0
         off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
         self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
@@ -246,7 +245,8 @@ class Solver:
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
         scale = self.query.log_scale(hypotheses.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
-        state[:, DISTORTION:] = hypotheses.distortion[:, np.newaxis]
+        if not self.query.is_panorama:
+            state[:, WARP:] = hypotheses.distortion[:, np.newaxis]
         angle, height = (np.full(count, index) for index in _WIDEST)
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
@@ -270,9 +270,18 @@ class Solver:
             np.degrees(fit.state[:, PITCH]),
             np.degrees(fit.state[:, ROLL]),
             self.query.fov_at(fit.state[:, LOG_SCALE]),
-            fit.state[:, DISTORTION:].sum(axis=1),
+            fit.state[:, WARP:].sum(axis=1) * (not self.query.is_panorama),
             fit.cost,
         )
+
+    def wander(self, fit: Fit) -> Float64Array:
+        """Return how the rows of a panorama wander, as in `Candidate`, (M, 4); (M, 0) for a lens.
+
+        It is that of the field of view of each fit.
+        """
+        if not self.query.is_panorama:
+            return np.zeros((len(fit.state), 0))
+        return np.asarray(fit.state[:, WARP:] * np.exp(fit.state[:, LOG_SCALE, np.newaxis]))
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Return fits after the mode's steps from one rendering, with newly chosen deviations.
@@ -333,8 +342,9 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
+        pitch, roll, scale = state[:, PITCH:WARP].T
         turned, ray_y, turned_change, ray_change = level_with_changes(
-            self.query, *state[:, PITCH:].T
+            self.query, pitch, roll, scale, state[:, WARP:]
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
@@ -12,6 +13,8 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
 MAX_PANORAMA_DEG = 360.0
+WANDER_DEGREES = range(2, 6)
+"""Degrees of the Legendre polynomials by which the rows of a panorama wander."""
 _NEWTON_STEPS = 30
 _MET = 1e-9
 _SAME_ROWS = 0.02
@@ -263,6 +266,16 @@ def check_of_image(query: QuerySkyline, shape: tuple[int, ...]) -> None:
             f"the skyline is of an image of {query.width_px} x {query.height_px} px, the photo has "
             f"{width} x {height}; expected the same image"
         )
+
+
+def wander_of(across: Float64Array) -> Float64Array:
+    """Return the ways in which the rows of a panorama wander up and down, at places across it.
+
+    A panorama is joined from many exposures, and its horizon is seldom straight. Each of the ways,
+    (..., 4), is a Legendre polynomial of ``across``, which is -1 and 1 at the sides. The lower
+    degrees are left out: they are a shift and a turn of the whole image.
+    """
+    return np.asarray(legendre.legvander(across, WANDER_DEGREES[-1])[..., WANDER_DEGREES])
 
 
 def undistorted(

@@ -17,6 +17,7 @@ from skyline import (
 from skyline.errors import InputError
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.query import Projection, QuerySkyline
+from skyline.report.viewer import pixels_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
@@ -162,8 +163,10 @@ def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("fov_deg", "said_deg"), [(200.0, 203.0), (360.0, 360.0)])
-def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg):
+@pytest.mark.parametrize(
+    ("fov_deg", "said_deg", "sag_deg"), [(200.0, 203.0, 2.0), (360.0, 360.0, 0.0)]
+)
+def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg, sag_deg):
     width, heading_deg, raised_deg = 1800, 250.0, 3.0
     east, north = 0.5 * (MIDDLE[0] + MIDDLE[2]) + 137.0, 0.5 * (MIDDLE[1] + MIDDLE[3]) - 211.0
     seen = horizon(terrain, **at_deg(terrain.frame.to_lonlat(east, north)))[0]
@@ -172,13 +175,20 @@ def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg)
         heading_deg + turn_deg, seen.azimuth_deg, seen.elevation_deg, period=360.0
     )
     up = np.tan(np.radians(elevation_deg)) - np.tan(np.radians(raised_deg))
+    # The rows wander as no turn of the camera explains, and not by polynomials.
+    across = np.linspace(-1.0, 1.0, width)
+    up -= np.radians(sag_deg) * (across**2 + 0.5 * np.sin(4.0 * across + 1.0))
     row_px = 400.0 - width / np.radians(fov_deg) * up
     query = QuerySkyline(row_px, np.ones(width), width, 801, said_deg, Projection.CYLINDRICAL)
     best = Matcher(store, terrain, config=BOLD).match(query).answer
     assert np.hypot(best.easting_m - east, best.northing_m - north) < 10.0
     assert best.heading_deg == pytest.approx(heading_deg, abs=0.2)
-    assert best.pitch_deg == pytest.approx(raised_deg, abs=0.2)
     assert best.fov_deg == pytest.approx(fov_deg, abs=0.5)
+    elevation_tan = np.tan(np.radians(elevation_deg))
+    _, drawn_px = pixels_of(best, query, best.grid_heading_deg + turn_deg, elevation_tan)
+    off_deg = np.abs(drawn_px - row_px) * fov_deg / width
+    assert np.median(off_deg) < 0.1
+    assert off_deg.max() < 0.4
 
 
 def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):

@@ -36,6 +36,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     poses = RefinedPoses(
         retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
         one, 1e3 * one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one, np.ones((4, 4)),
+        np.zeros((4, 0)),
     )  # fmt: skip
     sure = model.probability(confidence.lone_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()

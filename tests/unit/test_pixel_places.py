@@ -43,7 +43,12 @@ def pose_at(field, east_m, north_m, eye_height_m, name, heading_deg=130.0):
     pose = candidate_at(
         east_m, north_m, heading_deg, **angles, eye_elevation_m=ground_m + eye_height_m
     )
-    return replace(pose, distortion=0.06 if "distorted" in name else 0.0), size_of(projection)
+    pose = replace(
+        pose,
+        distortion=0.06 if "distorted" in name else 0.0,
+        wander=(0.03, -0.02, 0.01, 0.02) if name == "panorama" else (),
+    )
+    return pose, size_of(projection)
 
 
 def rays_of(pose, query):

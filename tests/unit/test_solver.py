@@ -9,8 +9,8 @@ from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.query_rays import QueryRays, level, level_with_changes, thinned
-from skyline.match.solver import FINE, Curves, Solver, SolverMode
-from skyline.photo.query import distorted
+from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
+from skyline.photo.query import distorted, wander_of
 from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
@@ -48,7 +48,8 @@ def test_levelled_rays_are_those_of_every_matcher(is_panorama):
     u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
     query = QueryRays(u, v, np.ones(9), 60.0, is_panorama=is_panorama)
     state = np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)])
-    found_azimuth, found_y, *_ = level_with_changes(query, *state)
+    level_image = np.zeros((1, len(query.warp_sd)))
+    found_azimuth, found_y, *_ = level_with_changes(query, *state, level_image)
     angles_deg = np.degrees(0.1), np.degrees(-0.2)
     azimuth, y = level(1.2 * u, 1.2 * v, *angles_deg, is_panorama=is_panorama)
     np.testing.assert_allclose(found_azimuth[0], azimuth, atol=1e-12)
@@ -62,9 +63,11 @@ LENS = rays_of(*seen(hills, **TRUTH), 60.0)
 def test_derivatives_agree_with_differences(query):
     solver = Solver(query, FINE, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
-    state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04, 0.05]])
+    warp = [0.05, 0.02, -0.01, 0.03]
+    state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04, *warp]])
     state = state[:, : solver.size]
-    steps = np.diag([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4, 1e-3])[: solver.size, : solver.size]
+    steps = np.diag([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4, *np.full(4, 1e-3)])
+    steps = steps[: solver.size, : solver.size]
     there = solver.linearize(curves, state)
     for k, move in enumerate(steps):
         step = move[k]
@@ -90,6 +93,20 @@ def test_a_wide_lens_finds_its_distortion():
     assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
     assert straight.distortion[0] == 0.0
     assert found.score[0] < straight.score[0]
+
+
+def test_a_panorama_whose_rows_wander_finds_its_heading():
+    wander = np.radians([1.2, -0.5, 0.3, 0.2])
+    query = swept(hills, *SWEPT)
+    query = replace(query, v=query.v - wander_of(np.linspace(-1.0, 1.0, len(query.u))) @ wander)
+    solver = Solver(query, LONG, EYE, HEIGHT_SD_M)
+    curves = curves_of(*panorama_of(hills))
+    start = poses(heading_deg=203.0, fov_deg=SWEPT[2])
+    fit = solver.settle(curves, solver.start(start))
+    assert np.degrees(fit.state[0, HEADING]) == pytest.approx(SWEPT[0], abs=0.02)
+    assert np.degrees(fit.state[0, PITCH]) == pytest.approx(SWEPT[1], abs=0.1)
+    np.testing.assert_allclose(solver.wander(fit)[0], wander, atol=np.radians(0.1))
+    assert solver.hypotheses(fit, curves.place_m, curves.ground_m).distortion[0] == 0.0
 
 
 def test_attitude_and_field_of_view_are_recovered():
