@@ -24,8 +24,9 @@ from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 
-_SHORTLIST = 400
-"""Poses that retrieval returns."""
+_SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
+"""Poses that retrieval returns, a place of the store, and their least and greatest number: among
+more places there are more that are alike."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
@@ -74,6 +75,8 @@ class FullMatcher:
         self._frame, self._scene = frame, scene
         self._retriever = Retriever(places, ground, edge)
         self._models = confidence.models()
+        share = round(_SHORTLIST_SHARE * len(places))
+        self._shortlist = min(max(share, _SHORTLIST_LEAST), _SHORTLIST_MOST)
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
@@ -185,7 +188,7 @@ class FullMatcher:
 
     def retrieve(self, query: QueryRays, prior: Prior, screened: Alike | None = None) -> Hypotheses:
         """Return the poses retrieved for a query."""
-        return self._retriever.shortlist(query, _SHORTLIST, prior, screened)
+        return self._retriever.shortlist(query, self._shortlist, prior, screened)
 
     @one_blas_thread()
     def fit_from(self, query: QueryRays, start: Hypotheses) -> tuple[Candidate, ...]:
@@ -224,7 +227,7 @@ class FullMatcher:
         alike = self._retriever.screened(query, near_noted)
         if not len(alike):
             return found
-        near = self._retriever.shortlist(query, _SHORTLIST // 4, near_noted, alike)
+        near = self._retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted, alike)
         if not len(near):
             return found
         raised = near.score - near.score.min() + found.score.min()

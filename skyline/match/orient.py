@@ -65,7 +65,7 @@ _APART_DEG = 10.0
 _RIVALS = 6
 """Best poses of other headings that are kept to the end: their fits show how sure a heading is."""
 _EFFORT = Effort(
-    shortlist=80, particles=80, rounds=5, keep_share=0.6, keep_least=10,
+    shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, finalists=8, final_rounds=4,
 )  # fmt: skip
 _FAR_SD = 4.0

@@ -11,6 +11,8 @@ These rounds take the terrain model's errors for independent from column to colu
 and converges from far away. The last rounds model them as correlated (`skyline.match.noise`), which
 gives near and far terrain the right weights, and gives costs and covariances their meaning. Where
 the list of hypotheses is long, one coarse rendering of each first selects those worth following.
+Where terrain is near, even the right place may look wrong until the eye has moved, so the likeliest
+hypotheses by their scores move before they are compared with others.
 
 Several queries of one eye are refined together (`JointRefinement`): each has its own attitude and
 field of view, and they share the eye. A round renders the view of each query from each place, lets
@@ -66,6 +68,8 @@ _SEPARATION_M = 12.0
 _RIVALS = 3
 """Best poses of other answers, and best distant poses, that are kept to the end beside the best
 pose: their fits show how sure an answer is."""
+_LIKELIEST_ROUNDS = 4
+"""Moves of the likeliest hypotheses before they are compared with others."""
 _RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
 """Renderings of each place on the rings from which the search restarts, and the rings' radii: a
 near slope is found from 10 to 20 m away, and a far one from farther."""
@@ -103,6 +107,8 @@ class Effort:
     """Hypotheses taken, the best by their scores."""
     particles: int
     """Hypotheses that are moved, the best by one coarse rendering each."""
+    likeliest: int
+    """Hypotheses that are moved besides, the best by their scores."""
     rounds: int
     """Renderings of a hypothesis that is kept, before the last rounds."""
     keep_share: float
@@ -118,12 +124,12 @@ class Effort:
 
 
 QUICK = Effort(
-    shortlist=64, particles=16, rounds=4, keep_share=0.6, keep_least=6,
+    shortlist=64, particles=16, likeliest=0, rounds=4, keep_share=0.6, keep_least=6,
     restarts=1, finalists=6, final_rounds=3,
 )  # fmt: skip
 """Enough for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
-    shortlist=400, particles=128, rounds=8, keep_share=0.9, keep_least=48,
+    shortlist=1600, particles=128, likeliest=24, rounds=8, keep_share=0.9, keep_least=48,
     restarts=6, finalists=12, final_rounds=5,
 )  # fmt: skip
 """For all other skylines."""
@@ -170,6 +176,7 @@ class Refinement:
         self._rendered = 0
         self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
+        self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
 
     def run(self, hypotheses: Hypotheses) -> RefinedPoses:
         """Return distinct poses that fit, best first; none where none fits.
@@ -183,11 +190,17 @@ class Refinement:
         """
         effort = self._effort
         best = np.argsort(hypotheses.score, kind="stable")[: effort.shortlist]
-        hypotheses = hypotheses[best]
+        hypotheses, likeliest = hypotheses[best], None
         if len(hypotheses) > effort.particles:
+            if effort.likeliest:
+                likeliest = self.started(self.rough, hypotheses[: effort.likeliest])
+                for _ in range(_LIKELIEST_ROUNDS):
+                    likeliest = self._moved(self.rough, likeliest)
             seen = self.started(self.scout, hypotheses).best(effort.particles)
             hypotheses = self.hypotheses(seen, self.scout)
         particles = self.started(self.rough, hypotheses)
+        if likeliest is not None:
+            particles = Particles.concatenate([particles, likeliest])
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
             particles = self._moved(self.rough, self.survivors(particles, kept))

@@ -43,8 +43,11 @@ those that fits start from."""
 _SCREENED_SHARE, _SCREENED_LEAST, _SCREENED_MOST = 0.05, 16_384, 262_144
 """Share of the places to which poses are fitted roughly, and their least and greatest number: they
 are held in memory."""
+_TURNS = 3
+"""Turns of each place from which poses are fitted roughly: screening finds the right place more
+often than the right turn, since it knows neither the pitch nor where the eye stands."""
 _FITTED = 8192
-"""Places to which poses are fitted well."""
+"""Best fits from which poses are fitted well."""
 _SEPARATION_M, _TURN_DEG = 30.0, 20.0
 """Poses nearer to a better one, that look within this angle of it, are left out."""
 _FITS_AT_ONCE = 2048
@@ -142,7 +145,7 @@ class Retriever:
         if not len(alike):
             raise self._no_place_error([prior])
         aim = self._aim(query, prior)
-        start = self._start(query, aim, self.places.take(alike.row), alike.score)
+        start = self._start(query, aim, self.places.take(alike.row), alike.score, _TURNS)
         fitted = self._fitted([query], [start])[0]
         fitted = fitted[prior.allows(fitted)]
         return fitted[fitted.suppress_non_maxima(count, _SEPARATION_M, _TURN_DEG)]
@@ -210,16 +213,22 @@ class Retriever:
         return Screen.of(query, fovs_deg, self._sample, prior.open_turns)
 
     def _start(
-        self, query: QueryRays, aim: Screen, places: Places, score: Float32Array
+        self, query: QueryRays, aim: Screen, places: Places, score: Float32Array, turns: int = 1
     ) -> "_Start":
-        """Return the starts of fits; few places at a time, as each is seen at every turn."""
+        """Return the starts of fits, from some turns of each place.
+
+        Few places are seen at a time, as each is seen at every turn.
+        """
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             parts = range(0, len(places), _PLACES_AT_ONCE)
-            turns = pool.map(
-                lambda first: aim.best_turns(places.phase[first : first + _PLACES_AT_ONCE]), parts
+            best = pool.map(
+                lambda first: aim.best_turns(places.phase[first : first + _PLACES_AT_ONCE], turns),
+                parts,
             )
-            heading_deg, fov = (np.concatenate(part) for part in zip(*turns, strict=True))
-        return _Start(places, score, np.radians(heading_deg), _start_zooms(query)[fov])
+            heading_deg, fov = (np.concatenate(part).ravel() for part in zip(*best, strict=True))
+        row = np.repeat(np.arange(len(places)), turns)
+        zoom = _start_zooms(query)[fov]
+        return _Start(places[row], score[row], np.radians(heading_deg), zoom)
 
     def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""

@@ -54,6 +54,8 @@ ReportProgress = Callable[[str, float], None]
 _TURNS_AT_ONCE = 20
 """Turns scored by one product; must divide the number of bins. With more turns, more of each
 product is wasted; with fewer, the products are too small to be fast."""
+_APART_TURNS = 6
+"""Least difference of the best turns of a place: 12 degrees."""
 _SAMPLE = 2048
 """Places from which the mean and deviation of a query's scores are estimated."""
 _SLACK = 4
@@ -175,17 +177,23 @@ class Screen:
         peak = best.max(axis=0).T
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
-    def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
-        """Return the heading (N,) and the index of the field of view (N,) of the best turns.
+    def best_turns(self, phase: UInt8Array, count: int = 1) -> tuple[Float64Array, IntArray]:
+        """Return headings (N, C) and indices of fields of view (N, C) of the best turns.
 
-        Headings are grid azimuths of the query's optical axis, degrees.
+        The best comes first, and others are at least `_APART_TURNS` from better ones; where no open
+        turn is left, it is the best again. Headings are grid azimuths of the query's optical axis,
+        degrees.
         """
         sums = self._every_turn(phase)
-        sums[:, :, ~self.open_turns] = -np.inf
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        flat = score.reshape(len(phase), len(self.mean) * PHASE_BINS)
-        fov, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
-        return turn_heading_deg(turn), fov
+        fov, best = score.argmax(axis=1), score.max(axis=1)
+        best[:, ~self.open_turns] = -np.inf
+        turn = np.zeros((len(phase), count), dtype=np.intp)
+        near = np.arange(1 - _APART_TURNS, _APART_TURNS)
+        for k in range(count):
+            turn[:, k] = np.where(best.max(axis=1) > -np.inf, best.argmax(axis=1), turn[:, 0])
+            np.put_along_axis(best, (turn[:, [k]] + near) % PHASE_BINS, -np.inf, axis=1)
+        return turn_heading_deg(turn), np.take_along_axis(fov, turn, axis=1)
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""
