@@ -43,9 +43,10 @@ those that fits start from."""
 _SCREENED_SHARE, _SCREENED_LEAST, _SCREENED_MOST = 0.05, 16_384, 262_144
 """Share of the places to which poses are fitted roughly, and their least and greatest number: they
 are held in memory."""
-_TURNS = 3
-"""Turns of each place from which poses are fitted roughly: screening finds the right place more
-often than the right turn, since it knows neither the pitch nor where the eye stands."""
+_TURNS, _STARTS = 3, 1.5
+"""Turns of each place from which poses may be fitted roughly, and the number of fits, a place: the
+turns that screening likes best. It finds the right place more often than the right turn, since it
+knows neither the pitch nor where the eye stands."""
 _FITTED = 8192
 """Best fits from which poses are fitted well."""
 _SEPARATION_M, _TURN_DEG = 30.0, 20.0
@@ -215,20 +216,23 @@ class Retriever:
     def _start(
         self, query: QueryRays, aim: Screen, places: Places, score: Float32Array, turns: int = 1
     ) -> "_Start":
-        """Return the starts of fits, from some turns of each place.
+        """Return the starts of fits: the best turn of each place, or the best of several of each.
 
         Few places are seen at a time, as each is seen at every turn.
         """
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             parts = range(0, len(places), _PLACES_AT_ONCE)
-            best = pool.map(
+            found = pool.map(
                 lambda first: aim.best_turns(places.phase[first : first + _PLACES_AT_ONCE], turns),
                 parts,
             )
-            heading_deg, fov = (np.concatenate(part).ravel() for part in zip(*best, strict=True))
-        row = np.repeat(np.arange(len(places)), turns)
-        zoom = _start_zooms(query)[fov]
-        return _Start(places[row], score[row], np.radians(heading_deg), zoom)
+            heading_deg, fov, peak = (
+                np.concatenate(part).ravel() for part in zip(*found, strict=True)
+            )
+        best = np.argsort(-peak, kind="stable")[: math.ceil(_STARTS * len(places))]
+        best = np.sort(best)
+        row, zoom = best // turns, _start_zooms(query)[fov[best]]
+        return _Start(places[row], score[row], np.radians(heading_deg[best]), zoom)
 
     def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""

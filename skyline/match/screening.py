@@ -177,8 +177,10 @@ class Screen:
         peak = best.max(axis=0).T
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
-    def best_turns(self, phase: UInt8Array, count: int = 1) -> tuple[Float64Array, IntArray]:
-        """Return headings (N, C) and indices of fields of view (N, C) of the best turns.
+    def best_turns(
+        self, phase: UInt8Array, count: int = 1
+    ) -> tuple[Float64Array, IntArray, Float32Array]:
+        """Return headings, indices of fields of view and scores of the best turns, each (N, C).
 
         The best comes first, and others are at least `_APART_TURNS` from better ones; where no open
         turn is left, it is the best again. Headings are grid azimuths of the query's optical axis,
@@ -189,11 +191,13 @@ class Screen:
         fov, best = score.argmax(axis=1), score.max(axis=1)
         best[:, ~self.open_turns] = -np.inf
         turn = np.zeros((len(phase), count), dtype=np.intp)
+        peak = np.zeros(turn.shape, dtype=np.float32)
         near = np.arange(1 - _APART_TURNS, _APART_TURNS)
         for k in range(count):
-            turn[:, k] = np.where(best.max(axis=1) > -np.inf, best.argmax(axis=1), turn[:, 0])
+            peak[:, k] = best.max(axis=1)
+            turn[:, k] = np.where(peak[:, k] > -np.inf, best.argmax(axis=1), turn[:, 0])
             np.put_along_axis(best, (turn[:, [k]] + near) % PHASE_BINS, -np.inf, axis=1)
-        return turn_heading_deg(turn), np.take_along_axis(fov, turn, axis=1)
+        return turn_heading_deg(turn), np.take_along_axis(fov, turn, axis=1), peak
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""

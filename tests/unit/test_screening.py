@@ -122,13 +122,13 @@ def test_only_places_within_are_looked_at(places):
 def test_shut_turns_are_not_looked_at(places):
     turns = turns_within(20.0, 15.0)
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
-    heading_deg, _ = screen.best_turns(places.phase, 4)
+    heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
 
 
 def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
-    heading_deg, fov = screen.best_turns(places.phase, 3)
+    heading_deg, fov, peak = screen.best_turns(places.phase, 3)
     scores = (screen._every_turn(places.phase) - screen.mean[:, None]) * screen.scale[:, None]
     headings_deg = turn_heading_deg(np.arange(PHASE_BINS))
     for row, score in enumerate(scores):
@@ -137,6 +137,7 @@ def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
             best = np.where(left, score.max(axis=0), -np.inf).argmax()
             assert heading_deg[row, k] == headings_deg[best]
             assert fov[row, k] == score[:, best].argmax()
+            assert peak[row, k] == score[:, best].max()
             off_deg = np.abs((headings_deg - headings_deg[best] + 180.0) % 360.0 - 180.0)
             left &= off_deg > 11.0
 
