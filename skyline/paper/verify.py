@@ -11,7 +11,6 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
 from skyline.camera import HEADINGS, columns_u, pixel_size
-from skyline.errors import InputError
 from skyline.paper.reprojection import (
     IDENTITY,
     affine_least_squares,
@@ -122,23 +121,10 @@ def _covering(coverage: Coverage, location: int) -> Int64Array:
 def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
     """Return mean distances (N,) in px of stored skylines from rendered ones after the best warp.
 
-    The warp is affine, and bounded by `MAX_CHANGE`. The distance is vertical, over the columns that
-    land in frame; it is infinite where these are fewer than half of them.
-
-    Raises `InputError` for views that differ in number, width or heading.
-
-    Parameters
-    ----------
-    stored, rendered : Views
-        N views each, row by row of one heading and one width.
+    The N views of either kind have one width, and row by row one heading. The warp is affine, and
+    bounded by `MAX_CHANGE`. The distance is vertical, over the columns that land in frame; it is
+    infinite where these are fewer than half of them.
     """
-    if len(stored) != len(rendered) or stored.width != rendered.width:
-        raise InputError(
-            f"{len(stored)} stored views of {stored.width} columns are compared with "
-            f"{len(rendered)} rendered ones of {rendered.width}; expected as many of one width"
-        )
-    if (stored.heading != rendered.heading).any():
-        raise InputError("stored and rendered views look along different headings")
     errors = np.empty(len(stored), dtype=np.float32)
     for begin in range(0, len(stored), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
@@ -177,15 +163,12 @@ def _starts(stored: Views, rendered: Views) -> Float64Array:
 
 
 def block_means(rows: FloatArray, blocks: int) -> Float32Array:
-    """Return means (..., min(blocks, W)) over runs of the columns of rows (..., W).
+    """Return means (..., blocks) over runs of the columns of rows (..., W), at most W runs.
 
     Runs are as equal as can be. NaN is unknown: left out of the mean; the mean of a run without any
     number is NaN.
     """
-    width = rows.shape[-1]
-    if width <= blocks:
-        return rows.astype(np.float32)
-    starts = np.arange(blocks) * width // blocks
+    starts = np.arange(blocks) * rows.shape[-1] // blocks
     known = np.isfinite(rows)
     count = np.add.reduceat(known, starts, axis=-1, dtype=np.float32)
     total = np.add.reduceat(np.where(known, rows, 0.0), starts, axis=-1)
@@ -300,19 +283,13 @@ def _bounded_step(
 
     The other entries are solved for again: their step was made for the entries before clipping.
     """
-    moved = affine - np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0]
-    held = np.zeros(affine.shape, dtype=bool)
-    for _ in range(2):
-        outside = (moved < _BOUNDS[0]) | (moved > _BOUNDS[1])
-        held |= outside
-        rows = np.flatnonzero(outside.any(axis=1))
-        if not rows.size:
-            break
-        fixed = held[rows]
-        fixed_step = np.where(fixed, affine[rows] - np.clip(moved[rows], *_BOUNDS), 0.0)
-        free = ~(fixed[:, :, np.newaxis] | fixed[:, np.newaxis, :])
-        system = normal[rows] * free + fixed[:, :, np.newaxis] * np.eye(6)
-        rest = gradient[rows] - (normal[rows] @ fixed_step[:, :, np.newaxis])[:, :, 0]
-        step = np.linalg.solve(system, np.where(fixed, fixed_step, rest)[:, :, np.newaxis])
-        moved[rows] = affine[rows] - step[:, :, 0]
-    return np.clip(moved, *_BOUNDS)
+    moved, held = affine, np.zeros(affine.shape, dtype=bool)
+    for _ in range(3):
+        step = np.where(held, affine - moved, 0.0)
+        rest = gradient - (normal @ step[:, :, np.newaxis])[:, :, 0]
+        free = ~(held[:, :, np.newaxis] | held[:, np.newaxis])
+        system = normal * free + held[:, :, np.newaxis] * np.eye(6)
+        step = np.linalg.solve(system, np.where(held, step, rest)[:, :, np.newaxis])[:, :, 0]
+        moved = np.clip(affine - step, *_BOUNDS)
+        held |= moved != affine - step
+    return moved
