@@ -9,6 +9,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.build.spacing import AdaptivePlanner, Prices, blocks_of
+from skyline.camera import pixel_size
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
 from skyline.render.horizon import (
@@ -21,7 +22,7 @@ from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns
-from skyline.store.keypoints import polyline_keypoints
+from skyline.store.keypoints import polyline_vertices
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
@@ -225,7 +226,8 @@ def rendering_header(
 
 def rendering_columns(header: StoreHeader, views: Views) -> Columns:
     """Return views and their keypoints as a store holds them."""
-    return columns_of(header, views, polyline_keypoints(views, _KEYPOINT_TOLERANCE_PX))
+    tolerance = _KEYPOINT_TOLERANCE_PX * pixel_size(views.width)
+    return columns_of(header, views, polyline_vertices(views.elevation_tan, tolerance))
 
 
 def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:

@@ -130,7 +130,7 @@ class Profiles:
         """Join views by location; a location may have views in any of the four headings.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
-        `skyline.store.keypoints.polyline_keypoints`). The views of one location may lie in
+        `skyline.store.keypoints.polyline_vertices`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
         eyes, curves, keypoints, bins = [], [], [], DEFAULT_BINS

@@ -14,11 +14,12 @@ from typing import Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.match.query_rays import QueryCurves
-from skyline.store.keypoints import NO_KEYPOINT, local_patches, polyline_vertices
+from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
 
 _TOLERANCE_PX = 1.0
 """Tolerance of the polyline whose vertices are the query's keypoints; the store's have the same."""
@@ -153,6 +154,21 @@ class StoredCurves:
     def at(self, bins: IntArray) -> Float32Array:
         """Return y in px (C, ...) at bins (C, ...) of each location, which may be off the turn."""
         return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
+
+
+def local_patches(
+    curves: NDArray[np.floating], row: IntArray, column: IntArray, offsets: IntArray
+) -> NDArray[np.floating]:
+    """Return closed curves (N, B) around M keypoints, relative to the keypoint: (M, S).
+
+    Keypoints are at a curve's ``row`` (M,) and ``column`` (M,); ``offsets`` (S,) are columns from
+    there. A value is NaN in a gap.
+    """
+    at = (column[:, np.newaxis] + offsets) % curves.shape[1]
+    patch: NDArray[np.floating] = (
+        curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
+    )
+    return patch
 
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:

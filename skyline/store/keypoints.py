@@ -1,24 +1,14 @@
-"""Skyline features of the paper's section 3: polyline vertices as keypoints, local patches."""
+"""Keypoints of the paper's section 3: the vertices of polylines that approximate skylines."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import pixel_size
-from skyline.skylines import Views
 
 NO_KEYPOINT = 65535
 """Value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
-
-
-def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
-    """Return the `polyline_vertices` of each view's skyline: the paper's key features.
-
-    The tolerance is in px (2 / W in v). N views give (N, DEFAULT_MAX_KEYPOINTS) columns.
-    """
-    return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
 
 
 def polyline_vertices(
@@ -61,31 +51,6 @@ def polyline_vertices(
     run_length = np.concatenate([length, length[bent], np.zeros(len(inner))])
     order = np.lexsort((-run_length, -rank, position // width))
     return _most_significant(position[order], (count, width), max_vertices)
-
-
-def local_patches(
-    curves: NDArray[np.floating], row: IntArray, column: IntArray, offsets: IntArray
-) -> NDArray[np.floating]:
-    """Return closed curves, 360 degree profiles, around keypoints relative to the keypoint.
-
-    Parameters
-    ----------
-    curves : (N, W) floating
-    row, column : (M,) int
-        Curve and column of each keypoint.
-    offsets : (S,) int
-        Columns relative to the keypoint.
-
-    Returns
-    -------
-    (M, S) of the curves' type
-        ``curves[row, column + offset] - curves[row, column]``, NaN in a gap.
-    """
-    at = (column[:, np.newaxis] + offsets) % curves.shape[1]
-    patch: NDArray[np.floating] = (
-        curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
-    )
-    return patch
 
 
 def _runs(curves: NDArray[np.floating]) -> tuple[IntArray, IntArray]:

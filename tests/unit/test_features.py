@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyline.store.keypoints import NO_KEYPOINT, local_patches, polyline_vertices
+from skyline.paper.curves import local_patches
+from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
 
 
 def curves_of(seed, rows=3, width=97, gaps=False):

@@ -10,9 +10,8 @@ from skyline.match.profiles import TANGENT_PER_PX, CorrelationMatcher, Profiles
 from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
-from skyline.paper.matcher import PaperMatcher
-from skyline.paper.shortlist import Shortlist
-from skyline.store.keypoints import NO_KEYPOINT, polyline_keypoints, polyline_vertices
+from skyline.paper.matcher import PaperMatcher, Shortlist
+from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
 from skyline_bench.truth import oracle
 
 MATCHERS = PaperMatcher, CorrelationMatcher
@@ -28,7 +27,7 @@ def viewpoints():
 @pytest.fixture(scope="module")
 def profiles(viewpoints):
     views = oracle.skyline(TERRAIN, viewpoints, 320)
-    return Profiles.from_views([(views, polyline_keypoints(views, 1.0))])
+    return Profiles.from_views([(views, polyline_vertices(views.elevation_tan, 2.0 / views.width))])
 
 
 def panorama(viewpoints, index):
