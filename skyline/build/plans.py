@@ -108,31 +108,28 @@ class PlacePlan:
         """Return a renderer of the parts; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        spacing_m = self.spacing_m
-        if spacing_m is not None:
-            tolerance_m = spacing_m / 2.0
-            return PartRenderer(
-                renderer,
-                header,
-                lambda eyes: columns_of(header, Places.of(renderer.render(eyes), tolerance_m)),
-            )
-        area = map_bounds(terrain, self.bounds_deg)
-        price = self._price(Prices(terrain, area, renderer.render))
-        planner = AdaptivePlanner(terrain, renderer.render, area, price)
+        if self.spacing_m is not None:
+            half_m = self.spacing_m / 2.0
 
-        def columns(block: tuple[int, int]) -> Columns:
-            places = planner.places(block)
-            if places is None:
-                return {name: np.zeros(0, row) for name, row in header.specs.items()}
-            return columns_of(header, places)
+            def columns(part: Any) -> Columns:
+                return columns_of(header, Places.of(renderer.render(part), half_m))
+
+        else:
+            area = map_bounds(terrain, self.bounds_deg)
+            prices = Prices(terrain, area, renderer.render)
+            price = prices.of_number(self.places or DEFAULT_PLACES)
+            if self.places is None:
+                densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
+                price = min(max(price, densest), sparsest)
+            planner = AdaptivePlanner(terrain, renderer.render, area, price)
+
+            def columns(part: Any) -> Columns:
+                places = planner.places(part)
+                if places is None:
+                    return {name: np.zeros(0, row) for name, row in header.specs.items()}
+                return columns_of(header, places)
 
         return PartRenderer(renderer, header, columns)
-
-    def _price(self, prices: Prices) -> float:
-        if self.places is not None:
-            return prices.of_number(self.places)
-        densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
-        return min(max(prices.of_number(DEFAULT_PLACES), densest), sparsest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,20 +236,17 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
     """
     if bounds_deg is None:
         return field.bounds_m
-    clipped = _clipped(field, bounds_deg)
+    clipped, swapped = _clipped(field, bounds_deg), ""
     if clipped is None:
         west, south, east, north = bounds_deg
+        other = south, west, north, east
+        if are_bounds(*other) and _clipped(field, other) is not None:
+            swapped = f"; {swapped_in_words(*bounds_deg)}"
         data = field.bounds_m
-        swapped = south, west, north, east
-        is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
+        covered = field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
         raise InputError(
             f"bounds {west:.6g},{south:.6g},{east:.6g},{north:.6g} do not meet the DEM, which "
-            "covers "
-            + ",".join(
-                f"{side:.4f}"
-                for side in field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
-            )
-            + (f"; {swapped_in_words(*bounds_deg)}" if is_swapped else "")
+            f"covers {','.join(f'{side:.4f}' for side in covered)}{swapped}"
         )
     return clipped
 
@@ -284,7 +278,7 @@ def uniform_grid(
             "choose a larger spacing or smaller bounds"
         )
     easting, northing = (grid.ravel() for grid in np.meshgrid(easting_m, northing_m))
-    eyes, _ = stand_where_possible(field, easting, northing, DEFAULT_EYE_HEIGHT_M)
+    eyes, _ = stand_where_possible(field, easting, northing)
     if not len(eyes):
         raise InputError(
             f"no viewpoint of a {spacing_m} m grid falls on the surface in easting {west:.0f} to "

@@ -14,7 +14,7 @@ views, 60 degrees wide; docs/method.md has the terrain, and the fit on other ter
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +25,7 @@ from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
+from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
 Look = Callable[[Viewpoints], Horizons]
 """A function that renders viewpoints."""
@@ -143,7 +143,7 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
         share = (0.5 + (tried + np.arange(1, _SAMPLE + 1))[:, None] * step) % 1.0
         easting = west + share[:, 0] * (east - west)
         northing = south + share[:, 1] * (north - south)
-        found.append(stand_where_possible(terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)[0])
+        found.append(stand_where_possible(terrain, easting, northing)[0])
         tried += _SAMPLE
     eyes = Viewpoints.concatenate(found)
     if not len(eyes):
@@ -154,51 +154,48 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
     return eyes, (east - west) * (north - south) * len(eyes) / tried
 
 
+@dataclass(frozen=True, slots=True)
 class AdaptivePlanner:
-    """Lays out and renders places, block by block; those outside the area are not kept.
+    """Lays out and renders places, block by block; those outside the area are not kept."""
 
-    The price is one of `Prices`.
-    """
-
-    def __init__(self, terrain: HeightField, look: Look, area: Rectangle, price: float) -> None:
-        self._terrain = terrain
-        self._look = look
-        self._area = area
-        self._price = price
+    terrain: HeightField
+    look: Look
+    area: Rectangle
+    price: float
+    """One of `Prices`."""
 
     def places(self, block: tuple[int, int]) -> Places | None:
         """Return the places of a block, row by row from the north-west.
 
         None where no eye can stand.
         """
-        seen = _Seen(block[0] * BLOCK_M, block[1] * BLOCK_M)
+        seen = _Seen(self.terrain, self.look, block)
         # Nodes around the block are included, for the squares at its sides.
-        self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
-        nodes, kept = _lattice_of_roots(0, _ROOTS), []
+        seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
+        nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
         for level in range(_LEVELS):
             nodes = nodes[self._in_reach(seen, nodes, level)]
-            if not len(nodes):
-                break
-            self._fill(seen, nodes)
+            seen.fill(nodes)
             halved = self._pays(seen, nodes, level)
-            kept.append(seen.places(nodes[~halved], float(_SPACING_M[level])))
+            rows.append(seen.rows(nodes[~halved]))
+            tolerances_m.append(np.full(len(rows[-1]), _SPACING_M[level] / 2.0, np.float32))
             nodes = _next_lattice(nodes[halved], level)
-        return self._inside([places for places in kept if places is not None])
-
-    def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
-        """Render those of nodes (N, 2) that have not been rendered."""
-        untried = seen.untried(nodes)
-        easting, northing = seen.position_m(untried)
-        eyes, stands = stand_where_possible(self._terrain, easting, northing, DEFAULT_EYE_HEIGHT_M)
-        seen.mark_bare(untried[~stands])
-        if len(eyes):
-            seen.add(untried[stands], self._look(eyes))
+        kept = np.concatenate(rows)
+        if not len(kept):
+            return None
+        some = Places.concatenate(seen.places)[kept]
+        places = replace(some, tolerance_m=np.concatenate(tolerances_m))
+        west, south, east, north = self.area
+        order = np.lexsort((places.easting_m, -places.northing_m))
+        east_m, north_m = places.easting_m[order], places.northing_m[order]
+        order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
+        return places[order] if len(order) else None
 
     def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
         """Return a mask of the nodes (N, 2) at which a denser lattice pays."""
         if level == _LEVELS - 1:
             return np.zeros(len(nodes), dtype=bool)
-        cost = seen.lost_around(nodes, level) + self._price * _DENSITY
+        cost = seen.lost_around(nodes, level) + self.price * _DENSITY
         denser = cost[:, level + 1 :].min(axis=1) < cost[:, level]
         return np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, denser)
 
@@ -207,7 +204,7 @@ class AdaptivePlanner:
         side = _side(level)
         west, south = seen.position_m(nodes - nodes % side)
         reach_m = side * _FINEST_M
-        area = self._area
+        area = self.area
         return np.asarray(
             (west <= area[2])
             & (west + reach_m > area[0])
@@ -215,54 +212,44 @@ class AdaptivePlanner:
             & (south + reach_m > area[1])
         )
 
-    def _inside(self, parts: list[Places]) -> Places | None:
-        """Return those of places that lie in the area, in order."""
-        if not parts:
-            return None
-        places = Places.concatenate(parts)
-        west, south, east, north = self._area
-        order = np.lexsort((places.easting_m, -places.northing_m))
-        east_m, north_m = places.easting_m[order], places.northing_m[order]
-        order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
-        return places[order] if len(order) else None
+
+_UNTRIED, _BARE = -2, -1
+"""Rows of nodes that were not tried, and of those without a surface to stand on."""
 
 
 class _Seen:
-    """The nodes in and around a block that were tried, and the places at some of them.
+    """The nodes in and around a block, and the places at those that were tried and can be stood on.
 
-    Nodes are columns and rows of the finest lattice, from the block's south-western corner. A node
-    that was tried has a place or no surface to stand on; only places have a row.
+    Nodes are columns and rows of the finest lattice, from the block's south-western corner.
     """
 
-    def __init__(self, west_m: float, south_m: float) -> None:
-        self._corner_m = np.array([west_m, south_m])
-        shape = 2 * ((_ROOTS + 2) * _UNITS,)
-        self._looked_at: BoolArray = np.zeros(shape, dtype=bool)
-        self._has_place: BoolArray = np.zeros(shape, dtype=bool)
-        self._row: Int64Array = np.zeros(shape, dtype=np.int64)
-        self._places: list[Places] = []
+    def __init__(self, terrain: HeightField, look: Look, block: tuple[int, int]) -> None:
+        self._terrain, self._look = terrain, look
+        self._corner_m = np.array(block) * BLOCK_M
+        self._row: Int64Array = np.full(2 * ((_ROOTS + 2) * _UNITS,), _UNTRIED)
         self._lost: Float64Array = np.zeros((0, _LEVELS))
-
-    def untried(self, nodes: Int64Array) -> Int64Array:
-        """Return the nodes, of (N, 2), that were not tried."""
-        return nodes[~self._looked_at[_index(nodes)]]
+        self.places: list[Places] = []
 
     def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
         """Return the eastings and northings of nodes (N, 2)."""
         position = self._corner_m + nodes * _FINEST_M
         return position[:, 0], position[:, 1]
 
-    def mark_bare(self, nodes: Int64Array) -> None:
-        """Note that there is no surface to stand on at nodes (N, 2)."""
-        self._looked_at[_index(nodes)] = True
+    def fill(self, nodes: Int64Array) -> None:
+        """Render those of nodes (N, 2) that were not tried."""
+        nodes = nodes[self._row[_index(nodes)] == _UNTRIED]
+        eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
+        self._row[_index(nodes)] = _BARE
+        if len(eyes):
+            self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
+            horizons = self._look(eyes)
+            self.places.append(Places.of(horizons, 0.0))
+            self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
 
-    def add(self, nodes: Int64Array, horizons: Horizons) -> None:
-        """Keep the skylines of nodes (N, 2)."""
-        at = _index(nodes)
-        self._looked_at[at] = self._has_place[at] = True
-        self._row[at] = len(self._lost) + np.arange(len(nodes))
-        self._places.append(Places.of(horizons, 0.0))
-        self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
+    def rows(self, nodes: Int64Array) -> Int64Array:
+        """Return the rows, in `places`, of those of nodes (N, 2) that have a place."""
+        row = self._row[_index(nodes)]
+        return row[row >= 0]
 
     def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
         """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
@@ -275,21 +262,12 @@ class _Seen:
         if level % 2:
             steps = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)]) * (side // 2)
         around = nodes[:, None] + np.concatenate([np.zeros((1, 2), np.int64), steps])
-        known = self._has_place[_index(around)]
+        row = self._row[_index(around)]
+        known = row >= 0
         lost = np.zeros((*known.shape, _LEVELS))
-        lost[known] = self._lost[self._row[_index(around[known])]]
+        lost[known] = self._lost[row[known]]
         number = known.sum(axis=1)[:, None]
         return np.where(number > 0, lost.sum(axis=1) / np.maximum(number, 1), np.nan)
-
-    def places(self, nodes: Int64Array, spacing_m: float) -> Places | None:
-        """Return the places at nodes (N, 2), of a lattice of a spacing; None without any."""
-        at = _index(nodes[self._has_place[_index(nodes)]])
-        if not len(at[0]):
-            return None
-        self._places = [Places.concatenate(self._places)]
-        row = self._row[at]
-        half_m = np.full(len(row), spacing_m / 2.0, dtype=np.float32)
-        return replace(self._places[0][row], tolerance_m=half_m)
 
 
 def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
