@@ -116,11 +116,7 @@ class PlacePlan:
 
         else:
             area = map_bounds(terrain, self.bounds_deg)
-            prices = Prices(terrain, area, renderer.render)
-            price = prices.of_number(self.places or DEFAULT_PLACES)
-            if self.places is None:
-                densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
-                price = min(max(price, densest), sparsest)
+            price = self._price(Prices(terrain, area, renderer.render))
             planner = AdaptivePlanner(terrain, renderer.render, area, price)
 
             def columns(part: Any) -> Columns:
@@ -130,6 +126,12 @@ class PlacePlan:
                 return columns_of(header, places)
 
         return PartRenderer(renderer, header, columns)
+
+    def _price(self, prices: Prices) -> float:
+        if self.places is not None:
+            return prices.of_number(self.places)
+        densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
+        return min(max(prices.of_number(DEFAULT_PLACES), densest), sparsest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

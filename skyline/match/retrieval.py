@@ -33,7 +33,8 @@ from skyline.match.candidate import Hypotheses
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
 from skyline.match.screening import Alike, Screen, report_progress, sample_of, screen_places
-from skyline.store.places import Places, PlaceSource
+from skyline.store.places import Places
+from skyline.store.read import PlaceSource
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 

@@ -42,7 +42,8 @@ from skyline.arrays import (
 )
 from skyline.geodesy import in_turn
 from skyline.match.query_rays import QueryCurves, QueryRays
-from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
+from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
+from skyline.store.read import PlaceSource
 
 Contains = Callable[[Places], BoolArray]
 """Returns which places (N,) of a block are searched."""

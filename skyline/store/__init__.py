@@ -5,6 +5,7 @@ A store is written once, takes its name when its bytes are on disk, and is never
 """
 
 from skyline.store.format import StoreHeader, columns_of
+from skyline.store.hdf5 import write_store
 from skyline.store.merge import (
     StoreReport,
     check_store,
@@ -13,7 +14,6 @@ from skyline.store.merge import (
     repair_store,
 )
 from skyline.store.read import PlaceMap, Store, is_store, open_store
-from skyline.store.write import write_store
 
 __all__ = [
     "PlaceMap",

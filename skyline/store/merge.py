@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.geodesy import Bounds
 from skyline.store.format import Columns, StoreHeader, refuse_mismatch, row_checksums
+from skyline.store.hdf5 import check_folder, explained, write_store
 from skyline.store.read import Store, open_hdf5, open_store
-from skyline.store.write import check_folder, explained, write_store
 
 _BLOCK_ROWS = 1024
 """Rows that are read at a time, a whole number of chunks."""

@@ -29,7 +29,7 @@ rises is a product of matrices. A phase takes a byte.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -205,22 +205,9 @@ class Places(Rows):
         return looked_up(self.distance, _DISTANCES)
 
     def blocks(self) -> Iterator["Places"]:
-        """Yield these places; see `PlaceSource`."""
+        """Yield these places; as `skyline.PlaceMap` does."""
         yield self
 
     def take(self, rows: IntArray) -> "Places":
-        """Return some places, in order; see `PlaceSource`."""
+        """Return some places, in order; as `skyline.PlaceMap` does."""
         return self[rows]
-
-
-class PlaceSource(Protocol):
-    """Places that need not be in memory: those of a store, or `Places`."""
-
-    def __len__(self) -> int:
-        """Return the number of places."""
-
-    def blocks(self) -> Iterator[Places]:
-        """Yield all places in order, in blocks whose arrays may be mapped from a file."""
-
-    def take(self, rows: IntArray) -> Places:
-        """Return copies of the places ``rows``, in order."""

@@ -17,7 +17,6 @@ from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
-from skyline.store.checks import checked_dataset, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
 from skyline.store.format import (
     EYE,
@@ -30,9 +29,9 @@ from skyline.store.format import (
     StoreHeader,
     checksums_of_bytes,
 )
+from skyline.store.hdf5 import REBUILD, UNREADABLE, checked_dataset, explained, read_header
 from skyline.store.keypoints import NO_KEYPOINT
 from skyline.store.places import Places
-from skyline.store.write import REBUILD, UNREADABLE, explained
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -47,7 +46,7 @@ _VIEWS_AT_ONCE = 1024
 
 
 class PlaceMap:
-    """The places of a store, a `skyline.store.places.PlaceSource`; see `Store.places`.
+    """The places of a store; see `Store.places`.
 
     It keeps the file open, so the store may be closed, replaced or removed. Pages that are read
     belong to the system's cache; the map itself takes 72 bytes for 1024 places.
@@ -59,24 +58,19 @@ class PlaceMap:
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
         """Map the places of a file, given as a descriptor, whose chunks lie ``at`` offsets."""
-        self._path = path
-        self._places = places
-        self._at = at
-        self._types = header.specs
+        self._path, self._header, self._places, self._at = path, header, places, at
         self._size = header.chunk_rows(places)
-        self._checksum = header.checksum
-        # The datasets are in the order in which checksums are computed.
-        self._fields = sorted(header.fields.items(), key=lambda item: item[1])
-        self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
-        ends = [
-            int(offsets.max()) + self._size * self._types[name].itemsize
+        self._types = header.specs
+        # Checksums are computed over the datasets in order of name.
+        self._fields = {name: field for field, name in header.fields.items()}
+        self._record = np.dtype([(name, self._types[name]) for name in sorted(self._fields)])
+        self._end = max(
+            int(offsets.max(initial=0)) + self._size * self._types[name].itemsize
             for name, offsets in at.items()
-            if places
-        ]
-        self._end = max(ends, default=0)
+        )
         # The system maps no empty file, but even an empty store has a superblock.
         self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
-        self._check_length(len(self._map))
+        self._check_length()
         data = np.frombuffer(self._map, dtype=np.uint8)
         # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
         self._rows = {
@@ -100,11 +94,11 @@ class PlaceMap:
         """
         size = self._size
         for chunk in range(-(-self._places // size)):
-            self._check_length(self._map.size())
+            self._check_length()
             rows = min(size, self._places - chunk * size)
             fields: Any = {
                 field: np.ndarray((rows,), self._types[name], self._map, self._at[name][chunk])
-                for field, name in self._fields
+                for name, field in self._fields.items()
             }
             yield Places(**fields)
 
@@ -124,26 +118,25 @@ class PlaceMap:
                 f"rows to take from store {self._path} are not a list of numbers from 0 to "
                 f"{self._places - 1}"
             )
-        taken: Any = {
-            field: np.empty(len(wanted), self._types[name]) for field, name in self._fields
-        }
+        taken = np.empty(len(wanted), self._record)
         # Rows are read in the order of the file, so that a disk is read forwards and each page
         # once.
         order = np.argsort(wanted, kind="stable")
         for first in range(0, len(wanted), _TAKEN_AT_ONCE):
-            self._check_length(self._map.size())
+            self._check_length()
             to = order[first : first + _TAKEN_AT_ONCE]
-            gathered = self._gathered(wanted[to])
-            for field, name in self._fields:
-                taken[field][to] = gathered[name]
-        return Places(**taken)
+            taken[to] = self._gathered(wanted[to])
+        fields: Any = {
+            field: np.ascontiguousarray(taken[name]) for name, field in self._fields.items()
+        }
+        return Places(**fields)
 
     def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
         """Return some places (M,), each by the names of its datasets; verified."""
         chunk, row = np.divmod(rows, self._size)
         bytes_of = [
             self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
-            for name in (*(self._record.names or ()), self._checksum)
+            for name in (*sorted(self._fields), self._header.checksum)
         ]
         together = np.concatenate(bytes_of[:-1], axis=1)
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
@@ -155,12 +148,16 @@ class PlaceMap:
             )
         return together.view(self._record)[:, 0]
 
-    def _check_length(self, size: int) -> None:
-        if size < self._end:
+    def _check_length(self) -> None:
+        if (size := self._map.size()) < self._end:
             raise StoreError(
                 f"store {self._path} is truncated: {size} bytes, of which places need "
                 f"{self._end}; {REBUILD}"
             )
+
+
+PlaceSource = PlaceMap | Places
+"""Places in a file or in memory."""
 
 
 class Store:

@@ -43,7 +43,7 @@ from skyline.store import (
     repair_store,
     write_store,
 )
-from skyline.store.checks import PLACE_CODING
+from skyline.store.format import PLACE_CODING
 from skyline.store.merge import examine
 from skyline.store.places import BINS, Places
 from skyline.store.read import part_name, parts_folder
@@ -147,7 +147,6 @@ class TestHeader:
                 ),
             ),
             ({"config": {"planner": "rov"}}, ("planner is 'uniform' in", "'rov' in b.h5")),
-            ({"frame_wkt": "nonsense"}, ("EPSG:32632", "(nonsense, digest")),
             ({"holds": "places", "width": 0}, ("'renderings' in a.h5", "'places' in b.h5")),
         ],
     )
