@@ -118,18 +118,19 @@ class PlaceMap:
                 f"rows to take from store {self._path} are not a list of numbers from 0 to "
                 f"{self._places - 1}"
             )
-        taken = np.empty(len(wanted), self._record)
+        taken: Any = {
+            field: np.empty(len(wanted), self._types[name]) for name, field in self._fields.items()
+        }
         # Rows are read in the order of the file, so that a disk is read forwards and each page
         # once.
         order = np.argsort(wanted, kind="stable")
         for first in range(0, len(wanted), _TAKEN_AT_ONCE):
             self._check_length()
             to = order[first : first + _TAKEN_AT_ONCE]
-            taken[to] = self._gathered(wanted[to])
-        fields: Any = {
-            field: np.ascontiguousarray(taken[name]) for name, field in self._fields.items()
-        }
-        return Places(**fields)
+            gathered = self._gathered(wanted[to])
+            for name, field in self._fields.items():
+                taken[field][to] = gathered[name]
+        return Places(**taken)
 
     def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
         """Return some places (M,), each by the names of its datasets; verified."""
