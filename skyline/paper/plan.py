@@ -7,7 +7,7 @@ batch. All random choices follow from the seed.
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -211,30 +211,25 @@ def plan(
     """
     started = time.perf_counter()
     candidates = lay_out(terrain, config, bounds_m)
-    headings = [_Heading(terrain, config, candidates, heading) for heading in HEADINGS]
     coarse, squares = _coarse_grid(candidates, config)
-    problems = [(one, strategy) for one in headings for strategy in _started(one, squares, config)]
-    requests = [(one, coarse) for one in headings]
+    headings = [_Heading(terrain, config, candidates, squares, heading) for heading in HEADINGS]
+    requests = [coarse for _ in headings]
     views: list[Views] = []
     render_s = 0.0
-    while requests:
+    while any(map(len, requests)):
         rendering = time.perf_counter()
-        views.append(
-            render(
-                _viewpoints(terrain, candidates, np.concatenate([asked for _, asked in requests])),
-                np.repeat(
-                    np.array([one.heading for one, _ in requests], np.uint8),
-                    [len(asked) for _, asked in requests],
-                ),
-            )
-        )
+        eyes = _viewpoints(terrain, candidates, np.concatenate(requests))
+        asked = [len(some) for some in requests]
+        views.append(render(eyes, np.repeat(np.array(HEADINGS, np.uint8), asked)))
         render_s += time.perf_counter() - rendering
-        for one in headings:
-            asked = [some for other, some in requests if other is one]
-            if asked:
-                one.add(np.concatenate(asked), views[-1][views[-1].heading == one.heading])
-        _report(headings, len(views), progress)
-        requests, problems = _next_requests(problems, config.coverage)
+        for one, some in zip(headings, requests, strict=True):
+            if len(some):
+                one.add(some, views[-1][views[-1].heading == one.heading])
+        share = float(np.mean([one.coverage.fraction() for one in headings]))
+        _log.info("batch %d: coverage %.4f, %d renderings", len(views), share, sum(map(len, views)))
+        if progress:
+            progress(int(100 * share), 100)
+        requests = [one.requests() for one in headings]
     plan_s = time.perf_counter() - started - render_s
     coverages = tuple(one.coverage for one in headings)
     joined = Views.concatenate(views)
@@ -242,16 +237,34 @@ def plan(
 
 
 class _Heading:
-    """The views rendered along one heading: their coverage and their skyline points."""
+    """The views rendered along one heading, and a strategy at work in each square of it."""
 
     def __init__(
-        self, field: HeightField, config: PlanConfig, candidates: Candidates, heading: int
+        self,
+        field: HeightField,
+        config: PlanConfig,
+        candidates: Candidates,
+        squares: Int64Array,
+        heading: int,
     ) -> None:
         self.heading = heading
         self.coverage = Coverage(candidates)
         self._field, self._config = field, config
         self._points: list[Float64Array] = []
         self._width = 0
+        self._strategies = []
+        for number, square in enumerate(np.unique(squares[candidates.valid])):
+            region = candidates.valid & (squares == square)
+            problem = Problem(self.coverage, region, config.coverage, self.projected_areas)
+            generator = np.random.default_rng([config.seed, heading, number])
+            self._strategies.append(STRATEGIES[config.strategy](problem, generator))
+
+    def requests(self) -> Int64Array:
+        """Return the candidates that strategies ask for; none where the heading is covered."""
+        asked = [np.zeros(0, dtype=np.int64)]
+        if self.coverage.fraction() < self._config.coverage:
+            asked += [some for one in self._strategies if (some := next(one, None)) is not None]
+        return np.concatenate(asked)
 
     def add(self, viewpoints: Int64Array, views: Views) -> None:
         """Add views (N) rendered at candidates (N)."""
@@ -291,44 +304,6 @@ class _Heading:
             width=self._width,
         )
         return np.asarray(errors <= self._config.threshold_px)
-
-
-_Running = tuple[_Heading, Iterator[Int64Array]]
-"""A heading, and a strategy at work in one of its squares."""
-
-
-def _started(
-    one: _Heading, squares: Int64Array, config: PlanConfig
-) -> Iterator[Iterator[Int64Array]]:
-    """Yield a strategy for each square of a heading, which has not begun."""
-    valid = one.coverage.candidates.valid
-    for number, square in enumerate(np.unique(squares[valid])):
-        region = valid & (squares == square)
-        problem = Problem(one.coverage, region, config.coverage, one.projected_areas)
-        generator = np.random.default_rng([config.seed, one.heading, number])
-        yield STRATEGIES[config.strategy](problem, generator)
-
-
-def _next_requests(
-    running: list[_Running], target: float
-) -> tuple[list[tuple[_Heading, Int64Array]], list[_Running]]:
-    """Return the candidates that strategies ask for, and the strategies that are not done."""
-    requests, left = [], []
-    for one, strategy in running:
-        if one.coverage.fraction() < target:
-            asked = next(strategy, None)
-            if asked is not None:
-                requests.append((one, asked))
-                left.append((one, strategy))
-    return requests, left
-
-
-def _report(headings: list[_Heading], batches: int, progress: Progress | None) -> None:
-    share = float(np.mean([one.coverage.fraction() for one in headings]))
-    renderings = sum(len(one.coverage.viewpoints) for one in headings)
-    _log.info("batch %d: coverage %.4f, %d renderings", batches, share, renderings)
-    if progress:
-        progress(int(100 * share), 100)
 
 
 def lay_out(
