@@ -43,9 +43,7 @@ _REACH_M = 300.0
 
 _MOST_CANDIDATES = 20_000_000
 
-Headings = NDArray[np.uint8]
-
-Render = Callable[[Viewpoints, Headings], Views]
+Render = Callable[[Viewpoints, NDArray[np.uint8]], Views]
 """Renders N viewpoints along N headings; returns N views in the same order."""
 
 

@@ -9,8 +9,7 @@ distance (K = I), so that a pixel measures 2 / W. A warp is (2, 3): it takes (u,
 abscissa and ordinate in the other image.
 """
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -171,14 +170,12 @@ def affine_least_squares(points_m: Float64Array, displacements_m: Float64Array) 
     return np.asarray(IDENTITY + np.swapaxes(change, 2, 3), dtype=np.float64)
 
 
-WARPS: Mapping[str, Warp] = MappingProxyType(
-    {
-        "non-affine": non_affine,
-        "affine-mean": affine_mean,
-        "affine-median": affine_median,
-        "affine-least-squares": affine_least_squares,
-    }
-)
+WARPS: dict[str, Warp] = {
+    "non-affine": non_affine,
+    "affine-mean": affine_mean,
+    "affine-median": affine_median,
+    "affine-least-squares": affine_least_squares,
+}
 """By name: ``affine-mean`` is the paper's and the planners', the others are compared with it."""
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.errors import InputError
 
 _DRAWN = 10
 """Candidates that ROV and AROV draw for each viewpoint they select."""
@@ -27,10 +26,7 @@ _INTERPOLATED_FROM = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Locations of a grid at which viewpoints may be placed.
-
-    Raises `InputError` where no candidate is valid.
-    """
+    """Locations of a grid at which viewpoints may be placed."""
 
     valid: BoolArray
     """(rows, cols) bool. False where no eye can stand: holes, the map's border."""
@@ -40,19 +36,6 @@ class Candidates:
     """(rows,) float64. Descending."""
     reach: int
     """Greatest extent of a tolerance area from its view, in candidates; at least 1."""
-
-    def __post_init__(self) -> None:
-        if not self.valid.any():
-            raise InputError(
-                f"none of the {self.valid.size} candidate locations can be stood on: the area lies "
-                "wholly in holes or off the map; choose another area"
-            )
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, cols = self.valid.shape
-        return rows, cols
 
     @property
     def window(self) -> int:
@@ -188,7 +171,7 @@ def hov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
     candidates of a level are a fixed pattern: their areas are interpolated once, as the level
     begins, and AROV's choice among those uncovered follows until the level is covered.
     """
-    spacing = 1 << (max(problem.coverage.candidates.shape) // 2).bit_length() - 1
+    spacing = 1 << (max(problem.coverage.candidates.valid.shape) // 2).bit_length() - 1
     while not problem.is_covered:
         yield from _level(problem, spacing)
         spacing = max(1, spacing // 2)
@@ -197,7 +180,7 @@ def hov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
 def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
     """Select among the region's candidates at whole multiples of a spacing, from half of it on."""
     coverage = problem.coverage
-    chosen = np.zeros(problem.coverage.candidates.shape, dtype=bool)
+    chosen = np.zeros(problem.coverage.candidates.valid.shape, dtype=bool)
     chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
     lattice = np.flatnonzero(chosen & problem.region)
     # At spacing 1 the strategy stops at the region's own target.
@@ -294,7 +277,7 @@ def _preselected(
     If there are more than ``ranked``, that number of them is drawn at random.
     """
     coverage = problem.coverage
-    marked = np.zeros(problem.coverage.candidates.shape, dtype=bool)
+    marked = np.zeros(problem.coverage.candidates.valid.shape, dtype=bool)
     known = 0
     while not problem.is_covered:
         mark(problem, known, marked)

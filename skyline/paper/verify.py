@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from skyline.paper.plan import Plan, Render
 
 _Z_95 = 1.959963984540054
-_VIEWS_COMPARED = 4
+_SAMPLE, _VIEWS_COMPARED = 400, 4
 
 MAX_CHANGE = 0.25
 """Greatest change of the warp's linear part from the identity, each entry: with any warp
@@ -74,14 +74,14 @@ class Verification:
         return self.predicted * self.share
 
 
-def verify_coverage(plan: "Plan", render: "Render", sample: int = 400) -> Verification:
+def verify_coverage(plan: "Plan", render: "Render") -> Verification:
     """Render a random sample of covered locations and compare them with the views that cover them.
 
     Locations that were rendered themselves may be in the sample. Of the views whose tolerance areas
     hold a location, the nearest four are compared.
     """
     covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
-    drawn = np.sort(np.random.default_rng(0).choice(covered, min(sample, len(covered)), False))
+    drawn = np.sort(np.random.default_rng(0).choice(covered, min(_SAMPLE, len(covered)), False))
     heading, location = np.divmod(drawn, plan.candidates.valid.size)
     rendered = render(plan.viewpoints(location), heading.astype(np.uint8))
     # The views of a heading are in the order of its viewpoints.
@@ -111,7 +111,8 @@ def _covering(coverage: Coverage, location: int) -> Int64Array:
     """Return the rows of the views whose areas hold a location, nearest first, at most four."""
     grid, reach = coverage.candidates, coverage.candidates.reach
     row, col = grid.row_col(coverage.viewpoints)
-    down, across = location // grid.shape[1] - row, location % grid.shape[1] - col
+    at_row, at_col = divmod(location, len(grid.easting_m))
+    down, across = at_row - row, at_col - col
     near = np.flatnonzero(np.maximum(np.abs(down), np.abs(across)) <= reach)
     holds = near[coverage.areas[near, down[near] + reach, across[near] + reach]]
     apart = np.hypot(down[holds], across[holds])

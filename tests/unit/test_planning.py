@@ -97,7 +97,7 @@ ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
         (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
-        (lambda t: lay_out(t, PlanConfig(**SPACING), ON_THE_HOLE), "can be stood on"),
+        (lambda t: plan(t, views_at, PlanConfig(**SPACING), ON_THE_HOLE), "falls on the surface"),
     ],
 )
 def test_bad_input_is_refused(terrain, make, said):

@@ -100,7 +100,7 @@ class Simulation:
 
     def corners(self) -> Int64Array:
         """Return the four corners of the square, which are rendered to begin with."""
-        rows, cols = self.candidates.shape
+        rows, cols = self.candidates.valid.shape
         return np.array([0, cols - 1, (rows - 1) * cols, rows * cols - 1])
 
     def render(self, candidates: Int64Array) -> Float64Array:
