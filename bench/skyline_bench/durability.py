@@ -37,7 +37,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
 from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.measuring.record import Row, write_record
-from skyline_bench.search.specs import middle_deg
+from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
 """Of the area that is built again and again."""

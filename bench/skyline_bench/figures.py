@@ -27,8 +27,8 @@ from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row, shown
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.search.specs import UNIFORM
-from skyline_bench.search.summary import ALL, interpolated
+from skyline_bench.search.stores import UNIFORM
+from skyline_bench.search.trials import ALL, interpolated
 
 _WAYS = {
     "horizon": ("Skyline, four views", "crimson", "o"),

@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
-from skyline.cli.console import parse_bounds
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 
@@ -47,11 +46,6 @@ Folder = Annotated[
     Path | None, Option(help="Keep stores here; those that are there are not built again.")
 ]
 Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")]
-
-
-def bounds_of(bounds: str | None) -> tuple[float, float, float, float] | None:
-    """Return west, south, east, north of the option `Bounds`; raises as `parse_bounds`."""
-    return None if bounds is None else parse_bounds(bounds)
 
 
 @contextmanager

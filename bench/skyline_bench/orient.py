@@ -33,8 +33,8 @@ from skyline_bench.queries.made_photos import Scenery, distance_along, photograp
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
-from skyline_bench.search.specs import middle_deg
-from skyline_bench.search.summary import ALL, groups
+from skyline_bench.search.stores import middle_deg
+from skyline_bench.search.trials import ALL, groups
 from skyline_bench.sights import Posed, label_row, pixel_row
 
 BESIDE_M = 50.0

@@ -37,7 +37,7 @@ from skyline.terrain.dem import DemOptions
 from skyline_bench import options
 from skyline_bench.measuring.record import Row, shown, write_record
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
-from skyline_bench.search.specs import StoreSpec
+from skyline_bench.search.stores import StoreSpec
 
 _COLUMNS = """photo kind trusted right_columns=right error_m rank
     heading_error_deg=heading_off confidence answered gps_off_m=GPS_off_m lost=lost_by seconds=s"""

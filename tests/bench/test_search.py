@@ -13,8 +13,7 @@ from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.search.summary import against_uniform, groups, summarize
-from skyline_bench.search.trials import Trial, trial_of
+from skyline_bench.search.trials import Trial, against_uniform, groups, summarize, trial_of
 
 # --- commands, each run small ---------------------------------------------------------------
 
@@ -44,7 +43,7 @@ def kept(tmp_path_factory):
 def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
     asked = (
         "matching", dem, "--spacing", 600, "--spacing", 300, "--places", 400, "--queries", 3,
-        "--matcher", "correlation", "--matcher", "retrieved", "--folder", kept,
+        "--matcher", "correlation", "--matcher", "unrefined", "--folder", kept,
     )  # fmt: skip
     rows = run(*asked)["rows"]
     every = [row for row in rows if row["group"] == "all"]
@@ -53,9 +52,9 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
         for store, matcher in (
             ("uniform-600", "correlation"),
             ("uniform-300", "correlation"),
-            ("places-600", "retrieved"),
-            ("places-300", "retrieved"),
-            ("planned-400", "retrieved"),
+            ("places-600", "unrefined"),
+            ("places-300", "unrefined"),
+            ("planned-400", "unrefined"),
         )
         for kind in ("plain", "white", "other-dem", "occluded", "aligned")
     ]
@@ -84,7 +83,7 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
 def test_uniform_and_adaptive_stores_are_compared(run, dem):
     record = run(
         "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--places", 400,
-        "--queries", 3, "--matcher", "paper", "--matcher", "retrieved",
+        "--queries", 3, "--matcher", "paper", "--matcher", "unrefined",
     )  # fmt: skip
     rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
     assert rows == [
@@ -92,8 +91,8 @@ def test_uniform_and_adaptive_stores_are_compared(run, dem):
         for store, matcher in (
             ("uniform-600", "paper"),
             ("lpov-40px", "paper"),
-            ("places-600", "retrieved"),
-            ("planned-400", "retrieved"),
+            ("places-600", "unrefined"),
+            ("planned-400", "unrefined"),
         )
         for group in ("close", "medium", "far", "all")
     ]
@@ -119,12 +118,12 @@ def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("refined_once")
 def test_growing_areas_are_searched(run, dem, store, caplog):
-    asked = ("scale", dem, "--store", store, "--area", 2, "--area", 900, "--near", 0.9)
+    asked = ("scale", dem, "--store", store, "--area", 2, "--area", 900)
     rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
-    assert [row["search"] for row in rows] == ["2 km2", "near 0.9 km", "all"]
+    assert [row["search"] for row in rows] == ["2 km2", "all"]
     assert "900 km2" in caplog.text
     for row in rows:
-        assert 1.0 >= row["screened"] >= row["retrieved"] >= row["refined"]
+        assert 1.0 >= row["screened"] >= row["unrefined"] >= row["refined"]
         assert 0.0 < row["screen_s"] < row["query_s"]
 
 

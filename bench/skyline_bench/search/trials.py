@@ -1,83 +1,42 @@
-"""Trials: the error of a matcher that searches a store for a query."""
+"""Trials: the error of a matcher that searches a store for a query; and the figures of trials.
+
+Shares have Wilson's intervals. Adaptive stores are held to the uniform ones.
+"""
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
-from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
-from skyline.arrays import Float64Array
+from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
-from skyline.geodesy import Rectangle, in_turn
-from skyline.match.candidate import Hypotheses
+from skyline.geodesy import in_turn
 from skyline.match.confidence import MatchConfig
-from skyline.match.full import FullMatcher
 from skyline.match.matcher import FULL
-from skyline.store import open_store
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
+from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import Query, distance_m
-from skyline_bench.queries.synthetic import QueryConfig, Truth
+from skyline_bench.queries.synthetic import QueryConfig
+from skyline_bench.search.stores import UNIFORM
 
-PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
-MATCHERS = (PAPER, CORRELATION, RETRIEVED, FULL)
-"""The matchers of Skyline, and ``retrieved``, the full one without its refinement."""
-
-STAGES = ("screened", "retrieved", "refined")
-"""Stages of the full matcher: the places most alike, the short list of poses, the candidates."""
+PAPER, UNREFINED = "paper", "unrefined"
+MATCHERS = (PAPER, "correlation", UNREFINED, FULL)
+"""The matchers of Skyline, and the full one without its refinement."""
 
 MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
 """The field of view of synthetic queries is known to 5 %."""
 _TOP = 5
-_TURN_DEG = 10.0
-_SAMPLE = 100_000
-"""Number of places from which the median spacing is taken."""
 
 
 def searched_by(matcher: str) -> str:
     """Return the kind of rows, places or renderings, that a matcher searches."""
-    return PLACES if matcher in {FULL, RETRIEVED} else RENDERINGS
-
-
-@dataclass(frozen=True, slots=True)
-class Area:
-    """A square or a circle that holds a query's place anywhere, or everything."""
-
-    name: str
-    km2: float
-    side_m: float | None = None
-    radius_m: float | None = None
-
-    def about(
-        self, truth: Truth, area_m: Rectangle, terrain: HeightField, seed: int
-    ) -> Narrowing | None:
-        """Return the area about a place, squares within the whole area; None for everything."""
-        place = np.array([truth.easting_m, truth.northing_m])
-        entropy = [seed, round(1e6 * self.km2), *np.abs(place).astype(int).tolist()]
-        generator = np.random.default_rng(entropy)
-        if self.side_m is not None:
-            low, high = np.array(area_m).reshape(2, 2)
-            side_m = np.minimum(self.side_m, high - low)
-            corner = generator.uniform(
-                np.maximum(low, place - side_m), np.minimum(high - side_m, place)
-            )
-            lon, lat = terrain.frame.to_lonlat(*np.stack([corner, corner + side_m], axis=1))
-            return Narrowing(
-                bounds_deg=(float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1]))
-            )
-        if self.radius_m is not None:
-            off_m = self.radius_m * math.sqrt(generator.uniform())
-            turn = generator.uniform(0.0, 2.0 * np.pi)
-            lon, lat = terrain.frame.to_lonlat(
-                place[0] + off_m * math.sin(turn), place[1] + off_m * math.cos(turn)
-            )
-            return Narrowing(near=(float(lon), float(lat), self.radius_m / 1000.0))
-        return None
+    return PLACES if matcher in {FULL, UNREFINED} else RENDERINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,101 +53,25 @@ class Trial:
     named: bool = False
     seconds: float = 0.0
     cpu_s: float = 0.0
-    screen_s: float | None = None  # Of the seconds, those of screening
-    # Whether a place within one spacing of the truth was there after each of the `STAGES`; since
-    # retrieval, looking within 10 degrees of the right way. None where stages are not known.
-    screened: bool | None = None
-    retrieved: bool | None = None
-    refined: bool | None = None
 
 
-class Searcher:
-    """A matcher on a store; of the full matcher the stages are followed."""
-
-    def __init__(self, matcher: Matcher, store: Path, follows: bool) -> None:
-        self._matcher = matcher
-        self._follows = follows
-        self._retrieved: Hypotheses | None = None
-        if follows:
-            with open_store(store) as opened:
-                self._places = opened.places()
-            step = max(1, len(self._places) // _SAMPLE)
-            some = self._places.take(np.arange(0, len(self._places), step, dtype=np.intp))
-            self._spacing_m = 2.0 * float(np.median(some.tolerance_m))
-            ranker = matcher._ranker
-            assert isinstance(ranker, FullMatcher)
-            retrieve = ranker.retrieve
-
-            def noting(*arguments: Any, **named: Any) -> Hypotheses:
-                self._retrieved = retrieve(*arguments, **named)
-                return self._retrieved
-
-            ranker.retrieve = noting  # type: ignore[method-assign]
-
-    def trial(self, query: Query, narrowing: Narrowing | None = None, *, strange: bool) -> Trial:
-        """Match a query; a query that is refused has no candidate."""
-        first = query[0].skyline
-        wall, cpu, screened, screen_s = time.perf_counter(), time.process_time(), None, None
-        result: MatchResult | JointResult | None = None
-        try:
-            if len(query) > 1:
-                result = self._matcher.match_together([one.skyline for one in query], top=_TOP)
-            else:
-                if self._follows:
-                    self._retrieved = None
-                    screened = self._matcher.screen(first, narrowing)
-                    screen_s = time.perf_counter() - wall
-                result = self._matcher.match(
-                    first, top=_TOP, narrowing=narrowing, screened=screened
-                )
-        except InputError:  # No place lies within the narrowing.
-            result = None
-        taken = time.perf_counter() - wall, time.process_time() - cpu
-        trial = replace(
-            trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1], screen_s=screen_s
-        )
-        if not self._follows or len(query) > 1 or strange:
-            return trial
-        truth, found = query[0].truth, self._retrieved
-        candidates = [] if result is None else _places_of(result)
-        east_m, north_m, heading_deg = (
-            np.array([getattr(one, name) for one in candidates])
-            for name in ("easting_m", "northing_m", "grid_heading_deg")
-        )
-        return replace(
-            trial,
-            screened=screened is not None and self._near(screened.row, truth),
-            retrieved=found is not None
-            and self._is_there(found.easting_m, found.northing_m, found.heading_deg, truth),
-            refined=self._is_there(east_m, north_m, heading_deg, truth),
-        )
-
-    def _near(self, rows: np.ndarray, truth: Truth) -> bool:
-        places = self._places.take(rows)
-        off_m = truth.off_m(places.easting_m, places.northing_m)
-        return bool((off_m <= self._spacing_m).any())
-
-    def _is_there(
-        self,
-        easting_m: Float64Array,
-        northing_m: Float64Array,
-        heading_deg: Float64Array,
-        truth: Truth,
-    ) -> bool:
-        near = truth.off_m(easting_m, northing_m) <= self._spacing_m
-        return bool((near & (_turn_deg(heading_deg, truth) <= _TURN_DEG)).any())
-
-
-@contextmanager
-def open_searcher(name: str, store: Path, terrain: HeightField) -> Iterator[Searcher]:
+def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
     """Open a store for a matcher of `MATCHERS`; raises as `Matcher`."""
-    if searched_by(name) == RENDERINGS:
-        with Matcher(store, terrain, name, MATCHING) as matcher:
-            yield Searcher(matcher, store, follows=False)
-        return
-    config = replace(MATCHING, refine=name == FULL)
-    with Matcher(store, terrain, FULL, config) as matcher:
-        yield Searcher(matcher, store, follows=True)
+    config = replace(MATCHING, refine=name != UNREFINED)
+    return Matcher(store, terrain, FULL if name == UNREFINED else name, config)
+
+
+def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strange: bool) -> Trial:
+    """Match a query; a query that is refused has no candidate."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    result: MatchResult | JointResult | None = None
+    with suppress(InputError):  # No place lies within the narrowing.
+        if len(query) > 1:
+            result = matcher.match_together([one.skyline for one in query], top=_TOP)
+        else:
+            result = matcher.match(query[0].skyline, top=_TOP, narrowing=narrowing)
+    taken = time.perf_counter() - wall, time.process_time() - cpu
+    return replace(trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1])
 
 
 def trial_of(
@@ -196,19 +79,21 @@ def trial_of(
 ) -> Trial:
     """Return the trial of a result, None for a refusal; nothing is right for a stranger."""
     trial = Trial(distance_m(query))
-    best = next(iter(_places_of(result)), None) if result is not None else None
-    if result is None or best is None:
+    if result is None:
         return trial
-    error_m, turn_deg = (math.inf, math.nan) if strange else errors(best, query[0].truth)
-    named = False
+    places = result.places if isinstance(result, JointResult) else result.candidates
+    if not places:
+        return trial
+    best, truth, named = places[0], query[0].truth, False
+    turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.heading_deg)))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
         named = not (result.agrees[-1] if has_stranger else all(result.agrees))
     answered = result.answer is not None
     return replace(
         trial,
-        error_m=error_m,
-        heading_error_deg=turn_deg,
+        error_m=math.inf if strange else float(truth.off_m(best.easting_m, best.northing_m)),
+        heading_error_deg=math.nan if strange else turn_deg,
         confidence=best.confidence,
         radius_m=best.radius_m,
         within_m=result.within_m or 200.0 if answered else None,
@@ -216,15 +101,121 @@ def trial_of(
     )
 
 
-def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
-    """Return a candidate's distance from the truth, metres, and its turn from it, 0 to 180 deg."""
-    turn_deg = _turn_deg(np.array(candidate.grid_heading_deg), truth)
-    return float(truth.off_m(candidate.easting_m, candidate.northing_m)), float(turn_deg)
+# --- figures of trials ----------------------------------------------------------------------
 
 
-def _turn_deg(heading_deg: Float64Array, truth: Truth) -> Float64Array:
-    return np.abs(in_turn(heading_deg - truth.heading_deg))
+ALL = "all"
+THIRDS = ("close", "medium", "far")
+CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400.0, math.inf)}
+"""Distances of skylines, harmonic means in metres: how much a skyline moves with the eye."""
+
+_RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
+_RESAMPLES = 2000
+_LEAST_M = 1e-3
+"""Smaller errors count as this, so that they have a logarithm."""
 
 
-def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:
-    return result.candidates if isinstance(result, MatchResult) else result.places
+def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
+    """Return the numbers of queries by the distance of their skylines; all of them come last.
+
+    Queries are split at 150 and 400 m, or into thirds of equal size, as in the paper.
+    """
+    every = list(range(len(distance_m)))
+    if not by_thirds:
+        members: dict[str, Sequence[int]] = {
+            name: [index for index in every if low <= distance_m[index] < high]
+            for name, (low, high) in CLASSES.items()
+        }
+        return {name: some for name, some in members.items() if some} | {ALL: every}
+    order = np.argsort(distance_m, kind="stable")
+    parts = zip(THIRDS, np.array_split(order, len(THIRDS)), strict=True)
+    return {name: sorted(part.tolist()) for name, part in parts} | {ALL: every}
+
+
+def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
+    """Return the figures of trials; a query without a candidate is wrong by ``miss_m``.
+
+    The interval of the mean is a percentile bootstrap over the queries. One seed draws the same
+    queries for every row, so that rows can be compared.
+    """
+    found = np.array([trial.error_m for trial in trials])
+    error_m = np.where(np.isfinite(found), found, miss_m)
+    within_m = np.array([trial.within_m for trial in trials], dtype=np.float64)
+    right, answered = found <= _RIGHT_M, np.isfinite(within_m)
+    share = binomtest(int(right.sum()), len(trials)).proportion_ci(0.95, "wilson")
+    draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
+    mean_low, mean_high = np.percentile(error_m[draws].mean(axis=1), (2.5, 97.5))
+    turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
+    distance_m = [trial.distance_m for trial in trials]
+    radius_m = np.array([trial.radius_m for trial in trials], dtype=np.float64)
+    sized = right & np.isfinite(radius_m)
+    return {
+        "n": len(trials),
+        "from_m": min(distance_m),
+        "to_m": max(distance_m),
+        "within_200m": float(right.mean()),
+        "within_200m_low": float(share.low),
+        "within_200m_high": float(share.high),
+        "within_1km": float((found <= _ROUGHLY_M).mean()),
+        "median_m": float(np.median(error_m)),
+        "mean_m": float(error_m.mean()),
+        "mean_m_low": float(mean_low),
+        "mean_m_high": float(mean_high),
+        "p90_m": float(np.percentile(error_m, 90.0)),
+        "heading_median_deg": float(np.median(turn_deg)) if right.any() else None,
+        "answered": float(answered.mean()),
+        "answered_200m": float((within_m <= _RIGHT_M).mean()),
+        "precision": float((found <= within_m)[answered].mean()) if answered.any() else None,
+        "radius_holds": float((found <= radius_m)[sized].mean()) if sized.any() else None,
+        "highest_confidence": max((trial.confidence or 0.0 for trial in trials), default=0.0),
+        "named": float(np.mean([trial.named for trial in trials])),
+        "query_s": float(np.median([trial.seconds for trial in trials])),
+        "query_cpu_s": float(np.mean([trial.cpu_s for trial in trials])),
+    }
+
+
+def against_uniform(rows: Iterable[Row]) -> list[Row]:
+    """Hold each adaptive store to the uniform ones that the same matcher searches.
+
+    ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
+    ``gain`` is that over the store's own; ``uniform_renderings`` is how many renderings a uniform
+    store would take to be as accurate, and ``share`` the store's own over those. They are
+    interpolated between the uniform stores on logarithmic axes, and None outside their range.
+    """
+    stores = [row for row in rows if row["group"] == ALL]
+    held: list[Row] = []
+    for store in stores:
+        if store["planner"] == UNIFORM:
+            continue
+        key = store["matcher"], store["queries"]
+        grids = [
+            row
+            for row in stores
+            if row["planner"] == UNIFORM and (row["matcher"], row["queries"]) == key
+        ]
+        grids.sort(key=lambda row: float(row["renderings"]))
+        renderings = [float(row["renderings"]) for row in grids]
+        mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
+        own_m = max(float(store["mean_m"]), _LEAST_M)
+        uniform_m = interpolated(renderings, mean_m, float(store["renderings"]))
+        # Errors of finer grids are less; where noise has it otherwise, the least so far counts.
+        falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
+        as_good = interpolated(falling[::-1], renderings[::-1], own_m)
+        names = ("store", "matcher", "queries", "renderings", "mean_m")
+        held.append(
+            {name: store[name] for name in names}
+            | {
+                "uniform_mean_m": uniform_m,
+                "gain": None if uniform_m is None else uniform_m / own_m,
+                "uniform_renderings": as_good,
+                "share": None if as_good is None else store["renderings"] / as_good,
+            }
+        )
+    return held
+
+
+def interpolated(x: Sequence[float], y: Sequence[float], at: float) -> float | None:
+    """Return y at a place between increasing x, on logarithmic axes; None outside their range."""
+    if not x or not x[0] <= at <= x[-1]:
+        return None
+    return float(np.exp(np.interp(np.log(at), np.log(x), np.log(y))))

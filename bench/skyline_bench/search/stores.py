@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from skyline.build.plans import map_bounds, uniform_grid
 from skyline.build.spacing import expected_finds
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
-from skyline.geodesy import Bounds, Rectangle
+from skyline.geodesy import Bounds
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.store import open_store
 from skyline.store.format import PLACES, RENDERINGS
@@ -100,9 +100,7 @@ class StoreSpec:
                     terrain, path, self.spacing_m, bounds_deg, progress, places=self.places
                 )
             taken = time.perf_counter() - wall, time.process_time() - cpu
-            note = dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
-            if resumed:
-                note = dict.fromkeys(note, math.nan)
+            note = {} if resumed else dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
             text = json.dumps({**note, "settings": settings}) + "\n"
             path.with_suffix(_NOTE).write_text(text, encoding="utf-8")
         return BuiltStore.read(self, path)
@@ -115,55 +113,37 @@ class BuiltStore:
     spec: StoreSpec
     path: Path
     holds: str  # Renderings or places
-    rows: int
-    size_bytes: int
-    # By the clock and of processor time; NaN where a build was interrupted or was not noted.
-    build_s: float
-    build_cpu_s: float
+    bounds_deg: Bounds | None  # Around the boxes it was built for; None for all of the DEM
+    figures: dict[str, object]  # The columns of rows that describe the store
 
     @classmethod
     def read(cls, spec: StoreSpec, path: Path) -> "BuiltStore":
-        """Return a store that exists."""
+        """Return a store that exists; times are NaN where a build was interrupted or not noted."""
         note = _noted(path)
-        taken = (note.get(key, math.nan) for key in ("build_s", "build_cpu_s"))
         with open_store(path) as store:
-            return cls(spec, path, store.header.holds, len(store), path.stat().st_size, *taken)
-
-    @property
-    def renderings(self) -> int:
-        """Views along a heading; a place counts as four, since it looks all the way round."""
-        return len(HEADINGS) * self.rows if self.holds == PLACES else self.rows
-
-    def figures(self) -> dict[str, object]:
-        """Return the columns of rows that describe the store."""
-        return {
-            "store": self.spec.name,
-            "planner": self.spec.planner,
-            "renderings": self.renderings,
-            "places": self.renderings / len(HEADINGS),
-            "bytes": self.size_bytes,
-            "build_s": self.build_s,
-            "build_cpu_s": self.build_cpu_s,
+            rows, holds, boxes_deg = len(store), store.header.holds, store.header.boxes_deg
+        # A place counts as four renderings, since it looks all the way round.
+        renderings = len(HEADINGS) * rows if holds == PLACES else rows
+        figures = {
+            "store": spec.name,
+            "planner": spec.planner,
+            "renderings": renderings,
+            "places": renderings / len(HEADINGS),
+            "bytes": path.stat().st_size,
+            "build_s": note.get("build_s", math.nan),
+            "build_cpu_s": note.get("build_cpu_s", math.nan),
         }
+        bounds_deg = None
+        if boxes_deg is not None:
+            west, south, east, north = zip(*boxes_deg, strict=True)
+            bounds_deg = min(west), min(south), max(east), max(north)
+        return cls(spec, path, holds, bounds_deg, figures)
 
-    def area_m(self, terrain: HeightField) -> Rectangle:
-        """Return the part of a terrain that the store was built for; all of it by default."""
+    def claimed_loss(self) -> float:
+        """Return the share of views that is expected to be lost over the area of the places."""
         with open_store(self.path) as store:
-            bounds_deg = cast(list[float] | None, store.header.config.get("bounds_deg"))
-        if bounds_deg is None:
-            return map_bounds(terrain, None)
-        west, south, east, north = bounds_deg
-        return map_bounds(terrain, (west, south, east, north))
-
-    def read_places(self) -> Places:
-        """Return all places of a store of places."""
-        with open_store(self.path) as store:
-            return Places.concatenate(list(store.places().blocks()))
-
-
-def claimed_loss(places: Places) -> float:
-    """Return the share of views that is expected to be lost over the area of the places."""
-    return 1.0 - sum(share * found for _, share, found in expected_finds(places))
+            places = Places.concatenate(list(store.places().blocks()))
+        return 1.0 - sum(share * found for _, share, found in expected_finds(places))
 
 
 def middle_deg(
