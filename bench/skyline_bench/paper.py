@@ -6,17 +6,28 @@ least number of viewpoints of a strategy, ``bound``, is the number of locations 
 the mean area of its views.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 from scipy.stats import spearmanr
 from typer import Option
 
-from skyline.arrays import BoolArray
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.camera import DEFAULT_WIDTH, columns_u
 from skyline.errors import InputError
-from skyline.paper.reprojection import WARPS, displacements_m, errors_px, skyline_points_m
-from skyline.paper.strategies import STRATEGIES
+from skyline.paper.reprojection import (
+    WARPS,
+    affine_mean,
+    displacements_m,
+    errors_px,
+    moved,
+    non_affine,
+    skyline_points_m,
+)
+from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, Strategy
 from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.dem import DemOptions, read_dem
@@ -24,7 +35,6 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
 from skyline_bench.measuring.record import Row
-from skyline_bench.truth.simulation import PAPERS_FIGURES, TABLE_1, Run, Simulation, simulate
 
 _RESAMPLES = 1000
 
@@ -54,34 +64,204 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
         simulation = Simulation(row)
         for name, strategy in STRATEGIES.items():
             runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
-            measured = _summary(runs)
+            figures: dict[str, list[float]] = {
+                "A": [len(coverage.viewpoints) for coverage, _ in runs],
+                "B": [coverage.overlap for coverage, _ in runs],
+                "mean_area": [np.count_nonzero(one.areas) / len(one.areas) for one, _ in runs],
+                "seconds": [seconds for _, seconds in runs],
+            }
+            measured = {key: float(np.mean(values)) for key, values in figures.items()}
+            measured |= {f"{key}_std": float(np.std(values)) for key, values in figures.items()}
+            measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
             bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
-            papers = dict(
-                zip(("paper_A", "paper_B"), PAPERS_FIGURES[number - 1][name], strict=True)
-            )
+            papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
             rows.append({"row": number, "strategy": name, **papers, **measured, "bound": bound})
     return rows
 
 
-def _summary(runs: Sequence[Run]) -> dict[str, float]:
-    figures: dict[str, list[float]] = {
-        "A": [len(run.coverage.viewpoints) for run in runs],
-        "B": [run.coverage.overlap for run in runs],
-        "mean_area": [
-            np.count_nonzero(run.coverage.areas) / len(run.coverage.areas) for run in runs
-        ],
-        "seconds": [run.seconds for run in runs],
-    }
-    summary = {name: float(np.mean(values)) for name, values in figures.items()}
-    summary |= {f"{name}_std": float(np.std(values)) for name, values in figures.items()}
-    summary["coverage"] = float(np.mean([run.coverage.fraction() for run in runs]))
-    return summary
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """One row of the paper's Table 1."""
+
+    peaks: int
+    rotation_deg: float
+    threshold_px: float
+    coverage: float
+    affine: bool  # Whether the reprojection error is taken after the affine warp of Equation 4
+    papers: dict[str, tuple[int, int]]  # The paper's (A) and (B) of each strategy
+
+
+TABLE_1 = (
+    Setup(1, 0.0, 15.0, 0.90, False, {
+        "rov": (240, 1545), "arov": (286, 1636), "hov": (324, 1210), "sov": (275, 1941),
+        "lpov": (325, 1515),
+    }),
+    Setup(1, 0.0, 3.0, 0.98, True, {
+        "rov": (81, 6664), "arov": (80, 5824), "hov": (98, 6723), "sov": (100, 10043),
+        "lpov": (86, 5489),
+    }),
+    Setup(2, 30.0, 3.0, 0.98, True, {
+        "rov": (239, 9028), "arov": (217, 6991), "hov": (252, 7226), "sov": (245, 9148),
+        "lpov": (191, 5943),
+    }),
+)  # fmt: skip
+
+_DISTANCE, _BREADTH, _HEIGHT, _SETBACK = 9.0, 150.0, 17.0, 18.0
+"""Of the mountain, in candidates: from the front row to its near end, end to end, its peaks above
+the eyes, and how far behind the foot they stand. One set serves all rows and strategies."""
+_SIDE, _REACH, _COLUMNS = 100, 15, 64
+"""Rows and columns of candidates, the reach of a tolerance area, and, of a view's 640 columns, how
+many are looked at, evenly spread."""
+_CURVE_POINTS = 513
+
+
+def mountain_curve(row: Setup) -> Float32Array:
+    """Return the skyline of the mountain in space, (P, 3): right, up, forward.
+
+    Over the width of the mountain stand equal peaks; a point higher on the mountain also stands
+    further back, since a mountain has a slope. At rotation 0 the foot is parallel to the camera
+    plane; a rotation turns the mountain about its near end, so that it recedes to the right.
+    """
+    along = np.linspace(0.0, _BREADTH, _CURVE_POINTS)
+    one_peak = _BREADTH / row.peaks
+    rise = 1.0 - np.abs(2.0 * (along % one_peak) / one_peak - 1.0)
+    across = along - _BREADTH / 2.0 + _SIDE / 2.0
+    back = _SETBACK * rise
+    turn = np.radians(row.rotation_deg)
+    right = across * np.cos(turn) - back * np.sin(turn) - _SIDE / 2.0
+    forward = across * np.sin(turn) + back * np.cos(turn) + _DISTANCE
+    return np.stack([right, _HEIGHT * rise, forward], axis=1).astype(np.float32)
+
+
+class Simulation:
+    """A square of candidates before a parametric mountain, for one row of Table 1.
+
+    Lengths are in candidates (the pitch of the grid), and stand for metres in `skyline.paper`. The
+    eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
+    in the columns of a view. Tolerance areas, and what ROV knows of a candidate, are those of the
+    package: `skyline.paper.reprojection`.
+    """
+
+    def __init__(self, row: Setup) -> None:
+        self.row = row
+        steps = np.arange(_SIDE, dtype=np.float64)
+        # Row 0 is the front, and the square is centred before the mountain.
+        east, north = steps - (_SIDE - 1) / 2.0, -steps
+        self.candidates = Candidates(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
+        columns = (np.arange(_COLUMNS) + 0.5) * (DEFAULT_WIDTH / _COLUMNS)
+        self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
+        self._curve = mountain_curve(row)
+        step = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+        right, back = np.meshgrid(step, step)
+        self._around = np.stack([right, np.zeros_like(right), -back], axis=-1).reshape(1, -1, 3)
+
+    def render(self, candidates: Int64Array) -> Float64Array:
+        """Return the skyline points (N, Q, 3) of views at candidates (N): right, up, forward."""
+        v, depth = envelope(self._curve - self.eyes(candidates)[:, None, :], self._u)
+        return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
+
+    def areas(self, points: Float64Array) -> BoolArray:
+        """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
+        window = self.candidates.window
+        around = np.broadcast_to(self._around, (len(points), window**2, 3))
+        warp = affine_mean if self.row.affine else non_affine
+        errors = errors_px(points, around, DEFAULT_WIDTH, warp).reshape(-1, window, window)
+        areas = errors <= self.row.threshold_px
+        areas[:, window // 2, window // 2] = True
+        return np.asarray(areas)
+
+    def eyes(self, candidates: Int64Array) -> Float32Array:
+        """Return right, up, forward (N, 3) of eyes."""
+        row, col = self.candidates.row_col(candidates)
+        east, north = self.candidates.easting_m[col], self.candidates.northing_m[row]
+        return np.stack([east, np.zeros(len(row)), north], axis=1).astype(np.float32)
+
+
+def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return the upper envelope of curves in space as views see it.
+
+    Points (N, P, 3) are right, up and forward of each view's curve; abscissas ``u`` (Q,) of the
+    columns are evenly spaced. Returned are ordinates and depths (N, Q), NaN where there are none.
+    """
+    views, columns = len(points), len(u)
+    v = np.full(views * columns, -np.inf, dtype=np.float32)
+    inverse_depth = np.full(views * columns, np.nan, dtype=np.float32)
+    crossings = list(_crossings(points, u))
+    for place, ordinate, _ in crossings:
+        np.maximum.at(v, place, ordinate)
+    for place, ordinate, inverse in crossings:
+        top = ordinate == v[place]
+        inverse_depth[place[top]] = inverse[top]
+    v = np.where(np.abs(v) < 1.0, v, np.float32(np.nan))
+    depth = np.where(np.isnan(v), v, np.float32(1.0) / inverse_depth)
+    return v.reshape(views, columns), depth.reshape(views, columns)
+
+
+def _crossings(
+    points: Float32Array, u: Float32Array
+) -> Iterator[tuple[Int64Array, Float32Array, Float32Array]]:
+    """Yield where curves cross columns: flat (view, column) places, ordinates, inverse depths.
+
+    Each edge meets its first column in the first arrays, its second in the second, and so on.
+    """
+    depth = points[..., 2]
+    inverse = np.float32(1.0) / np.where(depth > 0.0, depth, np.float32(np.nan))
+    abscissa, ordinate = points[..., 0] * inverse, points[..., 1] * inverse
+    position = (abscissa - u[0]) / (u[1] - u[0])
+    one, other = position[:, :-1], position[:, 1:]
+    # Clipped to the frame; an edge with a NaN end never starts before it stops.
+    start = np.clip(np.nan_to_num(np.ceil(np.minimum(one, other)), nan=1e6), 0, 1e6)
+    stop = np.clip(np.nan_to_num(np.floor(np.maximum(one, other)), nan=-1.0), -1, len(u) - 1)
+    view, edge = np.nonzero(start <= stop)
+    column, last = start[view, edge].astype(np.int64), stop[view, edge].astype(np.int64)
+    while len(view):
+        share = (column - one[view, edge]) / (other[view, edge] - one[view, edge])
+        share = np.nan_to_num(share).astype(np.float32)
+        yield (
+            view * len(u) + column,
+            ordinate[view, edge] * (1 - share) + ordinate[view, edge + 1] * share,
+            # Along an edge 1 / z is linear in u.
+            inverse[view, edge] * (1 - share) + inverse[view, edge + 1] * share,
+        )
+        more = column < last
+        view, edge, column, last = view[more], edge[more], column[more] + 1, last[more]
+
+
+def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> tuple[Coverage, float]:
+    """Run a strategy on a simulation until the row's coverage is reached.
+
+    Return the coverage, whose viewpoints are in the order rendered, the corners first, and the
+    processor time of the strategy with all it asked for: renderings and areas.
+    """
+    started = time.process_time()
+    coverage = Coverage(simulation.candidates)
+    known: list[Float64Array] = []
+
+    def render(candidates: Int64Array) -> None:
+        points = simulation.render(candidates)
+        known.extend(points)
+        for one, area in zip(candidates, simulation.areas(points), strict=True):
+            coverage.add(one[None], area[None])
+
+    def projected_areas(candidates: Int64Array) -> BoolArray:
+        nearest, _ = simulation.candidates.nearest(candidates, coverage.viewpoints, 1)
+        source = coverage.viewpoints[nearest[:, 0]]
+        move = (simulation.eyes(candidates) - simulation.eyes(source)).astype(np.float64)
+        points = np.stack([known[row] for row in nearest[:, 0].tolist()])
+        return simulation.areas(moved(points, move[:, None])[:, 0])
+
+    render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
+    everywhere = simulation.candidates.valid
+    problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
+    for asked in strategy(problem, np.random.default_rng(seed)):
+        render(asked)
+    return coverage, time.process_time() - started
 
 
 # --- predictors on real terrain -------------------------------------------------------------
 
 
-_DISPLACEMENTS, _REACH_M = 12, 300.0
+_DISPLACEMENTS, _AWAY_M = 12, 300.0
 """Other eyes around each viewpoint, uniform in a disc of this radius."""
 _THRESHOLD_PX = 3.0
 """Two skylines are alike within this."""
@@ -146,7 +326,7 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
     """Return the viewpoints, and all displaced ones, those of one viewpoint together."""
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
-    margin = _MARGIN_M + _REACH_M
+    margin = _MARGIN_M + _AWAY_M
     if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
         raise InputError(
             f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "
@@ -155,7 +335,7 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
     tried = 10 * viewpoints
     easting = generator.uniform(west + margin, east - margin, tried)[:, np.newaxis]
     northing = generator.uniform(south + margin, north - margin, tried)[:, np.newaxis]
-    radius = _REACH_M * np.sqrt(generator.random((tried, _DISPLACEMENTS)))
+    radius = _AWAY_M * np.sqrt(generator.random((tried, _DISPLACEMENTS)))
     bearing = generator.uniform(0.0, 2.0 * np.pi, radius.shape)
     there = easting + radius * np.sin(bearing), northing + radius * np.cos(bearing)
     on_ground = ~np.isnan(field.height_at(easting_m=there[0], northing_m=there[1])).any(axis=1)
