@@ -41,7 +41,6 @@ _FAR_PX = np.float32(1e6)
 _CLOSELY = 4
 """Stored patches, the nearest by squared difference, that a query patch is compared with."""
 
-
 INLIER_PX = 4.0
 """A correspondence agrees with a map that puts its point this near."""
 
@@ -55,8 +54,7 @@ _MAX_SCALE = 1.25
 
 _MAX_TURN_DEG = 15.0
 
-_ALIGN_ROUNDS = 6
-_DAMPING = 1e-3
+_ALIGN_ROUNDS, _DAMPING = 6, 1e-3
 
 
 def patch_offsets(bin_px: float) -> IntArray:
@@ -172,19 +170,12 @@ def local_patches(
 
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:
-    """Return the symmetric Chamfer distances (M,) of pairs of patches.
+    """Return the symmetric Chamfer distances (M,) of pairs of patches, each (M, S), in px.
 
     The samples of a patch are points (step_px * i, value). The distance is the mean over the
     points of either patch of the distance to the nearest point of the other, the two means
-    averaged. Only offsets at which both patches are known take part; it is infinite for a pair
-    without any.
-
-    Parameters
-    ----------
-    a, b : (M, S) float32
-        Patches in px, NaN where unknown.
-    step_px : float
-        Distance between neighbouring samples.
+    averaged. Only offsets at which both patches are known (not NaN) take part; it is infinite for
+    a pair without any.
     """
     return np.concatenate(
         [np.zeros(0, dtype=np.float32)]
@@ -223,23 +214,10 @@ def nearest_patches(
     vertical difference, which products of matrices give. Curves that are near by Chamfer distance
     are near vertically unless they are steep, so the few rarely miss the nearest.
 
-    Parameters
-    ----------
-    query : (Q, S) float32
-        Patches in px, NaN where unknown.
-    stored : (C, K, S) float32
-        The patches of C locations, NaN where unknown, all NaN where a location has fewer.
-    min_known : int
-        Pairs with fewer common offsets are not compared.
-    step_px : float
-        Distance between neighbouring samples.
-
-    Returns
-    -------
-    index : (C, Q) intp
-        Index into the K patches of the location.
-    distance_px : (C, Q) float32
-        Infinite where nothing could be compared.
+    The query has patches (Q, S), the locations (C, K, S), in px; NaN where unknown, all NaN where a
+    location has fewer than K. Pairs with fewer than ``min_known`` common offsets are not compared.
+    Returned are indices (C, Q) into the K patches, and distances (C, Q), infinite where nothing
+    could be compared.
     """
     query_known, stored_known = np.isfinite(query), np.isfinite(stored)
     m, n = query_known.astype(np.float32), stored_known.astype(np.float32)
@@ -269,18 +247,9 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
     that line. Where the affine map is not plausible, the similarity on which most correspondences
     agree is taken instead.
 
-    Parameters
-    ----------
-    source : (P, 2) float64
-    target : (F, P, 2) float64
-        The points in each of F sets of correspondences.
-    used : (F, P) bool
-        True where a correspondence exists; target may be NaN where it does not.
-
-    Returns
-    -------
-    (F, 2, 3) float64
-        NaN where no plausible map is found.
+    Points ``source`` (P, 2) are mapped to ``target`` (F, P, 2), in each of F sets of
+    correspondences; ``used`` (F, P) is true where one exists. Maps are (F, 2, 3), NaN where no
+    plausible one is found.
     """
     maps = np.full((len(target), 2, 3), np.nan)
     for estimate in (cv2.estimateAffine2D, cv2.estimateAffinePartial2D):
@@ -323,16 +292,9 @@ def align_curves(
     Damped Gauss-Newton on the vertical distance between the warped points and the curve at the
     azimuth they land on. A point farther off than about `INLIER_PX` counts less and less.
 
-    Parameters
-    ----------
-    affine : (C, 2, 3) float64
-        Maps to start from; NaN stays NaN.
-    points_px, weight : (R, 2), (R,) float64
-        Points of the curve, x from straight ahead, and the trust in each.
-    y_px : (C, B) float32
-        The other curves, over a whole turn.
-    bin_px : float
-        Width of a bin.
+    Maps to start from are (C, 2, 3); NaN stays NaN. Points (R, 2) of the one curve have x from
+    straight ahead, and a trust (R,) in each; the others are (C, B), over a whole turn, in bins of a
+    width.
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)

@@ -116,7 +116,7 @@ class Plan:
     """Rounds of rendering."""
     render_s: float
     plan_s: float
-    """``render_s``, ``plan_s``: seconds spent in the renderer, and on everything else."""
+    """Seconds on everything but rendering."""
 
     @property
     def coverage(self) -> float:
@@ -146,21 +146,11 @@ def build_planned(
     The store is written at the end of the plan. Returns the build, the plan, and the share of its
     coverage that renderings confirm; None if the store already exists with the same settings.
 
-    Parameters
-    ----------
-    path : str or Path
-        The store.
-    bounds_deg : tuple, optional
-        W, S, E, N in degrees; by default all of the terrain.
-    progress : callable, optional
-        Called after each batch with the share that is covered, of 100.
+    Bounds are W, S, E, N in degrees, by default all of the terrain. ``progress`` is called after
+    each batch with the share that is covered, of 100.
 
-    Raises
-    ------
-    InputError
-        The area cannot be planned.
-    StoreMismatchError
-        The store at ``path`` was built from another DEM or with other settings.
+    Raises `InputError` where the area cannot be planned, and `StoreMismatchError` where the store
+    at ``path`` was built from another DEM or with other settings.
     """
     started = time.perf_counter()
     path, config = Path(path).resolve(), config or RenderConfig()
@@ -198,14 +188,8 @@ def plan(
 ) -> Plan:
     """Choose viewpoints and render them until the coverage asked for is reached.
 
-    Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
-
-    Parameters
-    ----------
-    bounds_m : tuple, optional
-        West, south, east, north of the area, by default all of the terrain.
-    progress : callable, optional
-        Called after each batch with the share that is covered, of 100.
+    The area is west, south, east, north, by default all of the terrain. Raises `InputError` for a
+    spacing larger than the area, or an area wholly in holes.
     """
     started = time.perf_counter()
     candidates = lay_out(terrain, config, bounds_m)

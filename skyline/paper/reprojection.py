@@ -79,19 +79,11 @@ def displacements_m(
 
 
 def moved(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return points from displaced eyes by Equation 1, U2 = U1 + K T.
+    """Return points (N, P, 3) from displaced eyes by Equation 1, U2 = U1 + K T.
 
-    Parameters
-    ----------
-    points_m : (N, P, 3) float64
-    displacements_m : (N, C, 3) float64
-        NaN is no eye.
-
-    Returns
-    -------
-    (N, C, P, 3) float64
-        Right, up, forward of the other eye. Forward is NaN for a point that is not safely in front
-        of it or not in its frame; a frame has sides, but neither top nor bottom.
+    Displacements are (N, C, 3); NaN is no eye. The result (N, C, P, 3) is right, up, forward of the
+    other eye. Forward is NaN for a point that is not safely in front of it or not in its frame; a
+    frame has sides, but neither top nor bottom.
     """
     here = np.moveaxis(points_m[:, np.newaxis], -1, 0)
     right, up, forward = here - np.moveaxis(displacements_m[:, :, np.newaxis], -1, 0)
@@ -109,16 +101,8 @@ def projected(points_m: Float64Array) -> Float64Array:
 def equation_4(depth_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
     """Return the paper's warp A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]].
 
-    Parameters
-    ----------
-    depth_m : (N,) float64
-        The representative depth z.
-    displacements_m : (N, C, 3) float64
-
-    Returns
-    -------
-    (N, C, 2, 3) float64
-        s = z / (z + k3T); NaN where z + k3T is not safely positive.
+    s is z / (z + k3T), and z (N,) the representative depth. Displacements are (N, C, 3). The warps
+    (N, C, 2, 3) are NaN where z + k3T is not safely positive.
     """
     translation = -displacements_m
     z = depth_m[:, np.newaxis]
@@ -184,17 +168,10 @@ def errors_px(
 ) -> Float32Array:
     """Return reprojection errors (N, C): mean distances of warped points from their images.
 
-    Parameters
-    ----------
-    points_m : (N, P, 3) float64
-        Skyline points of N views, NaN where unknown.
-    displacements_m : (N, C, 3) float64
-        To C other eyes from each view; NaN is no eye.
-    width : int
-        Columns W of a view; an error is in px (2 / W in v). It is infinite where the view predicts
-        nothing: no warp, fewer than three points in frame, no eye.
-    warp : callable
-        One of `WARPS`.
+    Skyline points of N views are (N, P, 3), NaN where unknown; displacements to C other eyes from
+    each view (N, C, 3), NaN for no eye. Views have ``width`` columns W, and an error is in px
+    (2 / W in v). It is infinite where the view predicts nothing: no warp, fewer than three points
+    in frame, no eye.
     """
     errors = np.empty(displacements_m.shape[:2], dtype=np.float32)
     some = max(1, _AT_ONCE // max(1, displacements_m.shape[1] * points_m.shape[1]))
@@ -234,20 +211,8 @@ def tolerance_errors_px(
 
     The tolerance area is where these are within a threshold. Row 0 is the northernmost and column 0
     the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error is 0. It
-    is infinite off the map, on holes and where `errors_px` is.
-
-    Parameters
-    ----------
-    points_m : (N, P, 3) float64
-    eyes, heading : N eyes, (N,) int
-    ground : callable
-        Heights at map coordinates: `skyline.terrain.heightfield.ground_of`.
-    size : int
-        K, at least 1; the paper takes 10.
-    spacing_m : float
-        Between neighbouring locations.
-    width : int
-        As in `errors_px`.
+    is infinite off the map, on holes and where `errors_px` is. Locations are ``spacing_m`` apart,
+    and K, ``size``, is 10 in the paper.
     """
     steps = (np.arange(size) - size // 2) * spacing_m
     easting = eyes.easting_m[:, np.newaxis] + np.tile(steps, size)

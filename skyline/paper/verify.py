@@ -41,8 +41,7 @@ _MIN_SHARE = 0.5
 _OUTLIER_PX = 3.0
 """Huber's threshold: a column farther off counts by its distance, a nearer one by its square."""
 
-_ROUNDS, _DAMPING = 6, 1e-3
-_RIDGE = 1e-9
+_ROUNDS, _DAMPING, _RIDGE = 6, 1e-3, 1e-9
 
 _STEEPEST = 0.3
 """Least stretch of the abscissa at which the slope of a warped curve is used."""
@@ -60,10 +59,9 @@ class Verification:
 
     share: float
     """Share of the sample in which the rendering comes within the threshold of some stored view,
-    after the best affine warp."""
+    after the best affine warp; its 95 % interval (Wilson) is from ``low`` to ``high``."""
     low: float
     high: float
-    """``low``, ``high``: 95 % interval of the share (Wilson)."""
     sampled: int
     predicted: float
     """Coverage that the plan predicts."""
@@ -179,23 +177,11 @@ def block_means(rows: FloatArray, blocks: int) -> Float32Array:
 def fitted_warps(
     curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Fit affine maps within bounds that warp curves onto others.
+    """Fit affine maps within bounds that warp curves onto others; return distances and maps.
 
-    Parameters
-    ----------
-    curves, targets : (B, Q) floating
-        elevation_tan at Q column centres; NaN is unknown.
-    starts : (B, 2, 3) float64
-        Warps to begin with. NaN is none.
-    width : int
-        Columns W of the view; a px is 2 / W.
-
-    Returns
-    -------
-    distances_px : (B,) float64
-        Mean vertical distance of the warped columns from the other curve, inf where too few
-        of them land on it.
-    affine : (B, 2, 3) float64
+    Curves and targets (B, Q) are elevation_tan at Q column centres; NaN is unknown. Warps to begin
+    with are (B, 2, 3); NaN is none. A distance (B,) in px, 2 / W, is the mean vertical distance of
+    the warped columns from the other curve; infinite where too few of them land on it.
     """
     pixel = pixel_size(width)
     pair = _Pair(curves, targets, pixel)

@@ -26,19 +26,8 @@ def polyline_vertices(
     splits: the rest is the polyline of a coarser tolerance. The ends of runs come first, those of
     longer runs before others.
 
-    Parameters
-    ----------
-    curves : (N, W) floating
-        NaN marks a gap; W below 65535.
-    tolerance : float
-        Greatest vertical distance, in the unit of ``curves``; 0 keeps every bend.
-    max_vertices : int
-        At least 2.
-
-    Returns
-    -------
-    (N, max_vertices) uint16
-        Ascending columns, padded with `NO_KEYPOINT`.
+    Curves are (N, W), W below 65535; NaN marks a gap. The tolerance is in their unit; 0 keeps every
+    bend. Columns (N, max_vertices) ascend and are padded with `NO_KEYPOINT`.
     """
     count, width = curves.shape
     flat = curves.astype(np.float64).reshape(-1)
