@@ -69,25 +69,19 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         named("strategy", self.strategy, STRATEGIES)
-        if not 0.0 < self.coverage <= 1.0:
-            raise InputError(
-                f"coverage is {self.coverage}; expected a share above 0 and at most 1, for example "
-                "0.98"
-            )
-        if not 0.0 < self.threshold_px < np.inf:
-            raise InputError(
-                f"threshold is {self.threshold_px} px; expected a positive number of pixels, for "
-                "example 3"
-            )
-        if not 0.0 < self.candidate_m <= _REACH_M:
-            raise InputError(
-                f"candidate spacing is {self.candidate_m} m; expected more than 0 and at most "
-                f"{_REACH_M:g} m, as far as a tolerance area may extend"
-            )
-        if not 0.0 < self.coarse_m < np.inf:
-            raise InputError(
-                f"coarse spacing is {self.coarse_m} m; expected a positive number of metres"
-            )
+        for value, words, most, expected in (
+            (self.coverage, "coverage is {}", 1.0, "a share above 0 and at most 1"),
+            (self.threshold_px, "threshold is {} px", np.inf, "a positive number of pixels"),
+            (
+                self.candidate_m,
+                "candidate spacing is {} m",
+                _REACH_M,
+                "more than 0, at most 300 m",
+            ),
+            (self.coarse_m, "coarse spacing is {} m", np.inf, "a positive number of metres"),
+        ):
+            if not 0.0 < value <= most or np.isinf(value):
+                raise InputError(f"{words.format(value)}; expected {expected}")
         if abs(self.coarse_m / self.candidate_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
                 f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
