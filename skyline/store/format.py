@@ -281,11 +281,11 @@ class StoreHeader:
         stored: Any = self.config.get("curvature", {})
         return Curvature(**stored)
 
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the schema's version and all attributes."""
-        text = json.dumps([SCHEMA_VERSION, self.attributes], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+
+def attributes_digest(attributes: Mapping[str, str]) -> str:
+    """Return the SHA-256 of the schema's version and `StoreHeader.attributes`."""
+    text = json.dumps([SCHEMA_VERSION, attributes], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def refuse_mismatch(

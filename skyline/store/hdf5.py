@@ -22,15 +22,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, MissingFileError, SkylineError, StoreError
+from skyline.errors import MissingFileError, SkylineError, StoreError
 from skyline.store.format import (
     PLACE_CODING,
     PLACES,
-    RENDERINGS,
     SCHEMA,
     SCHEMA_VERSION,
     Columns,
     StoreHeader,
+    attributes_digest,
     package_version,
     row_checksums,
 )
@@ -42,17 +42,6 @@ REBUILD = "copy or build it again"
 
 UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 """The exceptions of h5py on files that are damaged or made by another program."""
-
-_ATTRIBUTES = (
-    "frame",
-    "dem_digest",
-    "dem_files",
-    "config",
-    "renderer",
-    "package_version",
-    "rows",
-)
-"""Attributes beside the schema and the digest."""
 
 _FILTERS = {"fletcher32", "shuffle", "compression"}
 """Settings of a layout that are HDF5 filters."""
@@ -142,7 +131,11 @@ def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]
 
 
 def _write_header(file: h5py.File, header: StoreHeader) -> None:
-    texts = {"schema": SCHEMA, **header.attributes, "header_digest": header.digest}
+    texts = {
+        "schema": SCHEMA,
+        **header.attributes,
+        "header_digest": attributes_digest(header.attributes),
+    }
     file.attrs["schema_version"] = SCHEMA_VERSION
     for name, text in texts.items():
         # HDF5 guards texts of a fixed length alone with a checksum.
@@ -190,62 +183,44 @@ class _Target(io.FileIO):
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
     """Return the header of a store; raises `StoreError` where it is damaged or foreign."""
+    foreign = StoreError(
+        f"{path} is an HDF5 file but not a skyline store; "
+        "name one made by `skyline build` or `skyline render`"
+    )
     if file.userblock_size or not {"schema", "schema_version"} <= set(file.attrs):
-        raise _foreign(path)
-    _check_version(path, file)
-    if _text(path, file, "schema") != SCHEMA:
-        raise _foreign(path)
-    texts = {name: _text(path, file, name) for name in (*_ATTRIBUTES, "header_digest")}
-    rows = json.loads(texts["rows"])
-    holds = rows.get("rows") if isinstance(rows, dict) else None
-    if holds not in (RENDERINGS, PLACES):
-        raise StoreError(f"store {path} has rows {rows!r}, which skyline does not read; {REBUILD}")
-    if holds == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
+        raise foreign
+    version = _attribute(path, file, "schema_version")
+    if version != SCHEMA_VERSION:
+        is_newer = isinstance(version, np.integer) and version > SCHEMA_VERSION
+        advice = "upgrade skyline" if is_newer else "build the store again"
         raise StoreError(
-            f"store {path} has places that another release of skyline built, whose bytes mean "
-            "something else; build it again"
+            f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
+            f"version {SCHEMA_VERSION}: {advice}"
         )
-    try:
-        # A value of another JSON type is converted here, and so fails the comparison of digests.
-        header = StoreHeader(
-            frame_wkt=texts["frame"],
-            dem_digest=texts["dem_digest"],
-            dem_files=tuple(map(str, json.loads(texts["dem_files"]))),
-            config=dict(json.loads(texts["config"])),
-            renderer=texts["renderer"],
-            width=int(rows.get("width", 0)),
-            holds=holds,
-            package_version=texts["package_version"],
-        )
-    except InputError as error:
-        raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
-    if texts["header_digest"] != header.digest:
+    texts = {name: _text(path, file, name) for name in file.attrs if name != "schema_version"}
+    if texts.pop("schema") != SCHEMA:
+        raise foreign
+    if texts.pop("header_digest", None) != attributes_digest(texts):
         raise StoreError(
             f"store {path} is damaged: its header (frame, DEM, config, renderer, rows) does not "
             f"have the digest that was written with it; {REBUILD}"
         )
-    return header
-
-
-def _foreign(path: Path) -> StoreError:
-    return StoreError(
-        f"{path} is an HDF5 file but not a skyline store; "
-        "name one made by `skyline build` or `skyline render`"
+    rows = json.loads(texts["rows"])
+    if rows["rows"] == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
+        raise StoreError(
+            f"store {path} has places that another release of skyline built, whose bytes mean "
+            "something else; build it again"
+        )
+    return StoreHeader(
+        frame_wkt=texts["frame"],
+        dem_digest=texts["dem_digest"],
+        dem_files=tuple(json.loads(texts["dem_files"])),
+        config=json.loads(texts["config"]),
+        renderer=texts["renderer"],
+        width=rows.get("width", 0),
+        holds=rows["rows"],
+        package_version=texts["package_version"],
     )
-
-
-def _check_version(path: Path, file: h5py.File) -> None:
-    version = _attribute(path, file, "schema_version")
-    if not isinstance(version, np.integer) or version < SCHEMA_VERSION:
-        raise StoreError(
-            f"store {path} has schema version {version}, of an older skyline; this one "
-            f"({package_version()}) reads version {SCHEMA_VERSION}: build the store again"
-        )
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
-            f"version {SCHEMA_VERSION}: upgrade skyline"
-        )
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> object:
@@ -254,7 +229,7 @@ def _attribute(path: Path, file: h5py.File, name: str) -> object:
     HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
     one.
     """
-    if name not in file.attrs or file.attrs.get_id(name).shape != ():
+    if file.attrs.get_id(name).shape != ():
         raise StoreError(f"store {path} has no single attribute {name!r}; {REBUILD}")
     kind = file.attrs.get_id(name).get_type()
     plain = isinstance(kind, h5py.h5t.TypeIntegerID) or (

@@ -122,9 +122,7 @@ def test_growing_areas_are_searched(run, dem, store, caplog):
     rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
     assert [row["search"] for row in rows] == ["2 km2", "all"]
     assert "900 km2" in caplog.text
-    for row in rows:
-        assert 1.0 >= row["screened"] >= row["unrefined"] >= row["refined"]
-        assert 0.0 < row["screen_s"] < row["query_s"]
+    assert all(row["query_cpu_s"] > 0.0 for row in rows)
 
 
 @pytest.mark.slow

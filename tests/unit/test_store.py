@@ -355,13 +355,12 @@ RAW = [("raw.bin", 0, 64)]
 FORGED = [
     (set_attribute("schema", "skyline-store"), "'schema' that is not text"),  # of variable length
     (set_attribute("schema_version", 5), "schema version 5; .* upgrade skyline"),
-    (set_attribute("config", np.bytes_("[" * 100_000)), "cannot be opened"),
+    (set_attribute("config", np.bytes_("[" * 100_000)), "does not have the digest"),
     (set_attribute("frame", np.bytes_(b"\xff")), "cannot be opened"),
     (set_attribute("renderer", np.bytes_("mine")), "does not have the digest"),
-    (set_attribute("rows", np.bytes_('{"rows": "delta"}')), "'delta'.*, which skyline does not"),
-    (set_attribute("rows", np.bytes_('{"rows": "renderings", "width": 50000}')), "width is 50000"),
+    (set_attribute("rows", np.bytes_('{"rows": "delta"}')), "does not have the digest"),
     (lambda file: file.attrs.__delitem__("schema"), "not a skyline store"),
-    (lambda file: file.attrs.__delitem__("frame"), "'frame'"),
+    (lambda file: file.attrs.__delitem__("frame"), "does not have the digest"),
     (lambda file: file.move("views", "moved"), "lacks views"),
     (link("views", h5py.SoftLink("/moved")), "is a link to another place"),
     (link("views/depth_m", h5py.ExternalLink("other.h5", "views/depth_m")), "is a link to another"),
