@@ -23,9 +23,8 @@ from skyline_bench.queries.made_photos import (
     mixed,
     scene_rgb,
 )
-from skyline_bench.queries.occluders import Occluder
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_bench.queries.synthetic import Occluder, QueryConfig, SyntheticQuery, make_queries
 from skyline_training.covers import dark, put_in_front
 from skyline_training.landscapes import (
     CELL_M,

@@ -81,7 +81,17 @@ def runner_of(workers: str | None) -> Iterator[Runner | None]:
         with local_cluster(int(workers)) as cluster, _distributed().Client(cluster) as client:
             yield Runner(client)
     else:
-        with _connected(workers) as client:
+        try:
+            client = _distributed().Client(workers, timeout=_CONNECT_S)
+        except (OSError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(
+                f"no dask scheduler answers at {workers!r} ({reason}); start one with `dask "
+                "scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
+            ) from error
+        with client:
+            if not client.scheduler_info()["workers"]:
+                _log.warning("the scheduler at %s has no workers yet; waiting for one", workers)
             yield Runner(client)
 
 
@@ -110,20 +120,6 @@ def local_cluster(workers: int) -> Iterator[Any]:
         # On a busy machine dask may give up waiting for workers to end; they end with this process.
         with suppress(TimeoutError):
             cluster.close()
-
-
-def _connected(address: str) -> Any:
-    """Return a dask client of the scheduler at an address."""
-    try:
-        client = _distributed().Client(address, timeout=_CONNECT_S)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"no dask scheduler answers at {address!r} ({' '.join(str(error).split())}); start "
-            "one with `dask scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
-        ) from error
-    if not client.scheduler_info()["workers"]:
-        _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
-    return client
 
 
 def _distributed() -> Any:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
@@ -30,7 +29,6 @@ from skyline.store.format import (
     checksums_of_bytes,
 )
 from skyline.store.hdf5 import REBUILD, UNREADABLE, checked_dataset, explained, read_header
-from skyline.store.keypoints import NO_KEYPOINT
 from skyline.store.places import Places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
@@ -234,10 +232,7 @@ class Store:
         self._expect(RENDERINGS)
         columns = self.stored(index)
         fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
-        views = Views(**fields)
-        if (views.heading > HEADINGS[-1]).any():
-            raise self._damaged(f"it has heading {views.heading.max()}, beyond {HEADINGS[-1]}")
-        return views
+        return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
         """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
@@ -250,12 +245,9 @@ class Store:
             yield self.views(slice(start, start + _VIEWS_AT_ONCE))
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
-        """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
+        """Read keypoints, (N, K) uint16, padded with 65535; as `views` otherwise."""
         self._expect(RENDERINGS)
-        columns = self._read(KEYPOINTS, self._indexed(index))
-        if ((columns >= self.header.width) & (columns != NO_KEYPOINT)).any():
-            raise self._damaged(f"{KEYPOINTS} names columns beyond {self.header.width - 1}")
-        return columns
+        return self._read(KEYPOINTS, self._indexed(index))
 
     def eyes(self) -> Viewpoints:
         """Read the eyes of all rows, of a store of either kind; raises as `stored`."""

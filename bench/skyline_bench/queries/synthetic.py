@@ -7,11 +7,11 @@ place and pose are the same whatever the noise, the occluders or the elevation m
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from skyline.arrays import Float64Array
@@ -23,7 +23,6 @@ from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
-from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs
 from skyline_bench.queries.pinhole import Camera
 
 _MAX_DRAWS = 10_000
@@ -36,6 +35,27 @@ _MASKED_RUNS = 2
 _NOTICED = 0.5
 """Share of the things in front that an extraction notices and masks; the tops of the others stay in
 the skyline."""
+
+
+Run = tuple[int, int]
+"""First column and the one after the last."""
+
+_THINGS = ("tree", "tree", "building", "person")
+"""Trees are the most frequent."""
+_WIDTH_SHARE = {"tree": (0.02, 0.10), "building": (0.06, 0.20), "person": (0.015, 0.04)}
+_RISE_SHARE = {"tree": (0.05, 0.25), "building": (0.03, 0.15), "person": (0.03, 0.12)}
+"""How wide they are, and how far above the skyline they reach, as shares of the image's width."""
+_NARROWEST_SHARE = 0.015
+_ROUGHNESS = {"tree": 0.25, "building": 0.0, "person": 0.03}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Occluder:
+    """Something near in a run of columns."""
+
+    kind: str  # tree, building or person
+    columns: Run  # First column and the one after the last
+    row_px: Float64Array  # (n,); its top in these columns, above the skyline behind it
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,3 +264,86 @@ def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConf
     smooth /= np.linalg.norm(kernel)
     share = config.smooth_share
     return np.asarray(rms_px * (np.sqrt(1.0 - share) * own + np.sqrt(share) * smooth))
+
+
+# --- occluders: trees, people and buildings before the mountains ----------------------------
+
+
+def random_runs(
+    generator: np.random.Generator, width: int, share: float, count: int
+) -> tuple[Run, ...]:
+    """Return ``count`` runs that do not overlap and hold ``share`` of ``width`` columns."""
+    hidden = round(share * width)
+    count = min(count, hidden)
+    if count == 0:
+        return ()
+    lengths = 1 + _split(generator, hidden - count, count)
+    return _placed(generator, width, lengths)
+
+
+def random_occluders(
+    generator: np.random.Generator, skyline_px: Float64Array, share: float
+) -> tuple[Occluder, ...]:
+    """Return occluders over ``share`` of the columns of a skyline (W,).
+
+    Where the skyline is not in the picture (NaN), they rise from where it is last seen.
+    """
+    width = len(skyline_px)
+    left = round(share * width)
+    kinds: list[str] = []
+    lengths: list[int] = []
+    while left > 0:
+        kind = _THINGS[generator.integers(len(_THINGS))]
+        length = round(generator.uniform(*_WIDTH_SHARE[kind]) * width)
+        # No sliver is left for a last one.
+        if left - length < _NARROWEST_SHARE * width:
+            length = left
+        kinds.append(kind)
+        lengths.append(length)
+        left -= length
+    runs = _placed(generator, width, np.array(lengths, dtype=np.intp)) if lengths else ()
+    behind = _filled(skyline_px)
+    return tuple(
+        _stand(generator, kind, run, behind) for kind, run in zip(kinds, runs, strict=True)
+    )
+
+
+def _stand(
+    generator: np.random.Generator, kind: str, run: Run, behind_px: Float64Array
+) -> Occluder:
+    """Return an occluder of one kind whose top is above what is behind it."""
+    start, stop = run
+    across = (2.0 * np.arange(stop - start) + 1.0) / (stop - start) - 1.0
+    shape = {"tree": 1.0 - np.abs(across), "person": np.sqrt(1.0 - across**2)}.get(
+        kind, np.ones_like(across)
+    )
+    rise_px = generator.uniform(*_RISE_SHARE[kind]) * len(behind_px)
+    rough = 1.0 + _ROUGHNESS[kind] * generator.standard_normal(len(across))
+    behind = behind_px[start:stop]
+    level = behind.min() if kind == "building" else behind
+    return Occluder(kind, run, level - np.maximum(rise_px * shape * rough, 1.0))
+
+
+def _filled(row_px: Float64Array) -> Float64Array:
+    """Return rows (W,) with the unknown ones interpolated; all 0 where none is known."""
+    known = np.flatnonzero(np.isfinite(row_px))
+    if not known.size:
+        return np.zeros_like(row_px)
+    return np.interp(np.arange(len(row_px)), known, row_px[known])
+
+
+def _split(generator: np.random.Generator, total: int, parts: int) -> NDArray[np.intp]:
+    """Return whole numbers (parts,) of at least 0 with a given sum, drawn evenly."""
+    cuts = np.sort(generator.integers(0, total + 1, parts - 1))
+    return np.diff(cuts, prepend=0, append=total).astype(np.intp)
+
+
+def _placed(
+    generator: np.random.Generator, width: int, lengths: NDArray[np.intp] | Sequence[int]
+) -> tuple[Run, ...]:
+    """Return runs of given lengths in order, with gaps drawn between them."""
+    gaps = _split(generator, width - int(np.sum(lengths)), len(lengths) + 1)
+    starts = np.cumsum(gaps[:-1]) + np.cumsum(lengths) - lengths
+    return tuple(
+        (int(start), int(start + length)) for start, length in zip(starts, lengths, strict=True)
+    )

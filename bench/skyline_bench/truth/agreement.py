@@ -204,9 +204,9 @@ def undecided_columns(
         for aside in (0.0, -2.0 * _ASIDE, 2.0 * _ASIDE)
     )
     with np.errstate(invalid="ignore"):
-        lead_px = np.abs(exact.border_tan - exact.inner_tan) / pixel
+        lead_px = np.abs(exact[1] - exact[0]) / pixel
     passes_rim = _columns_past_rims(scene)
-    sides = np.stack([np.maximum(each.inner_tan, each.border_tan) for each in (left, right, exact)])
+    sides = np.stack([np.maximum(*each) for each in (left, right, exact)])
     with np.errstate(invalid="ignore"):
         spread_px = np.where(np.isneginf(sides).all(axis=0), 0.0, np.ptp(sides, axis=0) / pixel)
     # The sides are looked at 32 e apart, for which v may differ by 4 times what 9 e cost.

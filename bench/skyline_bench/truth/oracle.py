@@ -78,23 +78,15 @@ def skyline_at(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rivals:
-    """Quantities that decide a column's flags, (N, W) each; an eye's four headings together."""
-
-    # Greatest v over the crossings beyond which the surface goes on, and over those where it ends;
-    # -inf where there are none. The greater of the two is the skyline.
-    inner_tan: Float64Array
-    border_tan: Float64Array
-    hole: BoolArray  # Whether the column passes over a hole with data behind it
-
-
 def rivals(
     field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature
-) -> Rivals:
-    """Compute by how much flags are decided, in columns at any abscissas; see `skyline_at`."""
-    kinds = (np.float64, np.float64, np.bool_)
-    return Rivals(*_seen(field, viewpoints, u, curvature, _Scene.rivals, kinds))
+) -> list[Float64Array]:
+    """Compute what decides whether a column is flagged, at any abscissas; see `skyline_at`.
+
+    These are the greatest v (4 N, W) over the crossings beyond which the surface goes on, and over
+    those where it ends; -inf where there are none. The greater of the two is the skyline.
+    """
+    return _seen(field, viewpoints, u, curvature, _Scene.rivals, (np.float64, np.float64))
 
 
 def _seen(
@@ -170,17 +162,15 @@ class _Scene:
         )
         return tan, depth, flags.astype(np.uint8)
 
-    def rivals(self, directions: Float64Array) -> tuple[Float64Array, Float64Array, BoolArray]:
-        """Return the fields of `Rivals` for the columns with these ground directions."""
+    def rivals(self, directions: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return `rivals` of the columns with these ground directions."""
         inner, border = np.full((2, len(directions)), -np.inf)
-        hole = np.zeros(len(directions), dtype=bool)
         for part, crossings in self._crossings(directions):
             v = self._v(crossings)
             for best, among in ((inner, crossings.far), (border, ~crossings.far)):
                 greatest = np.where(among, v, -np.inf).max(axis=1)
                 best[part] = np.maximum(best[part], greatest)
-            hole[part] |= (~crossings.near & crossings.far).any(axis=1)
-        return inner, border, hole
+        return inner, border
 
     def _crossings(self, directions: Float64Array) -> Iterator[tuple[slice, _Crossings]]:
         """Yield spans of columns with these ground directions, and their crossings by family."""
