@@ -22,7 +22,7 @@ from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
 from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
-from skyline.store.format import package_version
+from skyline.store.format import PACKAGE_VERSION
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
@@ -80,7 +80,7 @@ def report_matches(
         ]
     lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-    made_by = f"skyline {package_version()} {today}"
+    made_by = f"skyline {PACKAGE_VERSION} {today}"
     export_matches(folder / "matches.geojson", results, matcher.frame)
     path = folder / "index.html"
     write_with_folders(path, page("Where these were taken", lead, sections, made_by))

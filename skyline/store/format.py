@@ -14,7 +14,7 @@ import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import metadata
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ from skyline.terrain.heightfield import HeightField
 
 SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4
+PACKAGE_VERSION = version("skyline")
 
 RENDERINGS, PLACES = "renderings", "places"
 """The two kinds of rows; a store holds one of them."""
@@ -116,14 +117,6 @@ _NAMED = 3
 """Files of a DEM that an error names."""
 
 
-def package_version() -> str:
-    """Return the release of skyline that is running, or "unknown"."""
-    try:
-        return metadata.version("skyline")
-    except metadata.PackageNotFoundError:
-        return "unknown"
-
-
 @dataclass(frozen=True, slots=True)
 class StoreHeader:
     """The DEM and the settings that a store was built from.
@@ -160,7 +153,7 @@ class StoreHeader:
     renderer: str = ""
     width: int = 0
     holds: str = RENDERINGS
-    package_version: str = field(default_factory=package_version, compare=False)
+    package_version: str = field(default=PACKAGE_VERSION, compare=False)
 
     def __post_init__(self) -> None:
         if self.holds == RENDERINGS:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import MissingFileError, SkylineError, StoreError
 from skyline.store.format import (
+    PACKAGE_VERSION,
     PLACE_CODING,
     PLACES,
     SCHEMA,
@@ -31,7 +32,6 @@ from skyline.store.format import (
     Columns,
     StoreHeader,
     attributes_digest,
-    package_version,
     row_checksums,
 )
 
@@ -194,7 +194,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
         is_newer = isinstance(version, np.integer) and version > SCHEMA_VERSION
         advice = "upgrade skyline" if is_newer else "build the store again"
         raise StoreError(
-            f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
+            f"store {path} has schema version {version}; this skyline ({PACKAGE_VERSION}) reads "
             f"version {SCHEMA_VERSION}: {advice}"
         )
     texts = {name: _text(path, file, name) for name in file.attrs if name != "schema_version"}
