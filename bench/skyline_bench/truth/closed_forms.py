@@ -1,21 +1,26 @@
-"""Hard cases, and the terrain that they stand on.
+"""Hard cases, the terrain that they stand on, and the cases of map frames.
 
 Positions are whole multiples of powers of two, so that an eye that is to be on a sample, an edge or
 a diagonal is there exactly.
 """
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
-from skyline.camera import pixel_size
-from skyline.geodesy import Curvature, Frame
+from skyline.camera import HEADINGS, column_azimuths_deg, columns_u, pixel_size
+from skyline.geodesy import Curvature, Frame, in_turn
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import Viewpoints, at_elevation, stand_on
+from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.truth.agreement import (
     Agreement,
     RenderPath,
@@ -135,3 +140,131 @@ def eyes_anywhere(field: HeightField, count: int, eye_height_m: ArrayLike) -> Vi
     row, col = spots(field, count)
     row_share, col_share = np.random.default_rng(3).uniform(0.0, 1.0, (2, count))
     return eyes_at(field, row + row_share, col + col_share, eye_height_m)
+
+
+# --- map frames: degrees in, through `read_dem`, true azimuths out --------------------------
+
+# The truth uses no map: from the eye, geodesics of WGS 84 leave at each column's true azimuth over
+# terrain that is a function of place on the ellipsoid.
+
+_GEOD = Geod(ellps="WGS84")
+_TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+_GROUND_M, _EYE_M = 500.0, 510.0
+_PEAK_M, _SIGMA_M = 1500.0, 2000.0
+_PEAK_AWAY_M = 17_000.0
+_PEAK_AZIMUTHS_DEG = np.array([20.0, 100.0, 190.0, 300.0])
+_REACH_M = 26_000.0
+"""Every azimuth is in the data at least so far."""
+
+_STEP_DEG = 1.0 / 600.0
+"""6 arc-seconds of latitude, 186 m; longitude has as many metres."""
+
+_PROFILE_M = np.linspace(50.0, _REACH_M, 400)
+
+
+@dataclass(frozen=True, slots=True)
+class _Country:
+    """Four peaks on flat ground around a place on the ellipsoid.
+
+    The DEM is centred 10 km west of the eye, so that grid north at the eye is not true north.
+    """
+
+    lon_deg: float
+    lat_deg: float
+
+    def scene(self) -> SkylineScene:
+        """Write the country as DEM tiles in degrees, read them back and stand in it."""
+        with tempfile.TemporaryDirectory() as folder:
+            field = read_dem(self._write_tiles(Path(folder)))
+        eye = field.frame.from_lonlat(self.lon_deg, self.lat_deg)
+        return SkylineScene(field, at_elevation(field, *eye, _EYE_M), 320)
+
+    def skyline(self, scene: SkylineScene) -> ClosedForm:
+        """Return the skylines along geodesics."""
+        eyes = scene.viewpoints
+        convergence = float(
+            scene.field.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[
+                0
+            ]
+        )
+        rows = [
+            self._skyline(column_azimuths_deg(heading, scene.width) + convergence, scene)
+            for heading in HEADINGS
+        ]
+        tan = np.stack(rows) * np.hypot(1.0, columns_u(scene.width))
+        return ClosedForm(tan, _slack_tan(scene.field.spacing_m))
+
+    def _skyline(self, azimuth_deg: Float64Array, scene: SkylineScene) -> Float64Array:
+        """Return the tangent of the skyline's elevation angle at true azimuths."""
+        azimuth, distance = np.broadcast_arrays(azimuth_deg[:, np.newaxis], _PROFILE_M)
+        lon, lat, _ = _GEOD.fwd(
+            np.full(azimuth.shape, self.lon_deg),
+            np.full(azimuth.shape, self.lat_deg),
+            azimuth,
+            distance,
+        )
+        rise = self.height_m(lon, lat) - _EYE_M - scene.curvature.drop_m(distance)
+        return np.asarray((rise / distance).max(axis=1), dtype=np.float64)
+
+    def height_m(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
+        """Return heights: a Gaussian of the straight distance to each peak."""
+        place = _earth_centred_m(lon_deg, lat_deg)
+        height = np.full(place.shape[:-1], _GROUND_M)
+        for azimuth in _PEAK_AZIMUTHS_DEG:
+            lon, lat, _ = _GEOD.fwd(self.lon_deg, self.lat_deg, azimuth, _PEAK_AWAY_M)
+            away = np.linalg.norm(place - _earth_centred_m(lon, lat), axis=-1)
+            height += _PEAK_M * np.exp(-0.5 * (away / _SIGMA_M) ** 2)
+        return height
+
+    def _write_tiles(self, folder: Path) -> list[Path]:
+        """Write two tiles that meet at the eye's meridian, named as degrees within +-180."""
+        shrink = np.cos(np.radians(self.lat_deg))
+        step_lon = _STEP_DEG * np.round(1.0 / shrink)
+        reach_deg = 1.1 * _REACH_M / 111_000.0
+        rows = int(np.ceil(reach_deg / _STEP_DEG))
+        east = int(np.ceil(reach_deg / shrink / step_lon))
+        west = int(np.ceil(east * (1.0 + 20_000.0 / _REACH_M)))
+        lat = self.lat_deg + (rows - 0.5 - np.arange(2 * rows)) * _STEP_DEG
+        paths = []
+        for first, count in ((-west, west), (0, east)):
+            left = float(in_turn(self.lon_deg + first * step_lon))
+            lon = left + (np.arange(count) + 0.5) * step_lon
+            heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
+            corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)
+            path = folder / f"tile{first}.tif"
+            paths.append(write_geotiff(path, heights, "EPSG:4326", corner, step))
+        return paths
+
+
+def _slack_tan(spacing_m: float) -> float:
+    """Return how far v on the sampled terrain may be from v on the function.
+
+    The function's second derivative is at most k = peak / sigma^2. Triangles with legs of one
+    spacing lie within k spacing^2 / 4 of it, cubic convolution of samples a spacing apart within
+    a tenth of that, twice over for the profile's steps of 65 m; seen from beyond two sigmas
+    before a peak. Geodesic and grid line to 20 km part by less than 20 km * 20 km / R^2 = 1e-5 in
+    azimuth, and the frame's scale is within 2e-5 of 1.
+    """
+    curve = _PEAK_M / _SIGMA_M**2
+    nearest = _PEAK_AWAY_M - 2.0 * _SIGMA_M
+    return 1.2 * curve * spacing_m**2 / 4.0 / nearest + 3e-5
+
+
+def _earth_centred_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
+    """Return (..., 3) metres from the Earth's centre of places on the ellipsoid."""
+    lon, lat = np.broadcast_arrays(lon_deg, lat_deg)
+    return np.stack(_TO_EARTH_CENTRED.transform(lon, lat, np.zeros(lon.shape)), axis=-1)
+
+
+def _country_case(name: str, breaks: str, lon_deg: float, lat_deg: float) -> SceneCase:
+    country = _Country(lon_deg, lat_deg)
+    return SceneCase(name, breaks, country.scene, country.skyline)
+
+
+FRAME_CASES = (
+    _country_case("latitude 0", "the equator: latitudes of both signs in one tile", 9.0, 0.0),
+    _country_case("latitude 60", "a degree of longitude is half one of latitude", 9.0, 60.0),
+    _country_case("latitude 84", "a tenth; meridians converge by a degree in 6 km", 9.0, 84.0),
+    _country_case("antimeridian", "longitudes jump from 180 to -180 at the eye", 180.0, 52.0),
+    _country_case("southern hemisphere", "north and south swapped", -70.0, -33.0),
+)

@@ -24,6 +24,7 @@ from skyline_bench.truth.agreement import (
     SkylineTruth,
 )
 from skyline_bench.truth.closed_forms import (
+    FRAME_CASES,
     HORIZON_ONLY,
     SceneCase,
     eyes_anywhere,
@@ -32,7 +33,6 @@ from skyline_bench.truth.closed_forms import (
     rough_field,
     rough_heights,
 )
-from skyline_bench.truth.frames import FRAME_CASES
 from skyline_bench.truth.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
 
 
