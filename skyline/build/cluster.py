@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -17,7 +18,6 @@ from skyline.errors import BuildError, InputError, SkylineError, library
 
 T = TypeVar("T")
 R = TypeVar("R")
-
 
 RETRIES = 2
 """Further attempts at a job that raised an error. A job whose worker died is tried again on
@@ -36,14 +36,14 @@ _log = logging.getLogger(__name__)
 _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
 
 
+@dataclass(frozen=True, slots=True)
 class Runner:
     """Runs the same function on many items, on the workers of a dask client.
 
     Work and items must be picklable.
     """
 
-    def __init__(self, client: Any) -> None:
-        self._client = client
+    client: Any
 
     def __call__(
         self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
@@ -54,7 +54,7 @@ class Runner:
         failed at its last attempt yields its error, as a `BuildError` unless it is a
         `SkylineError`.
         """
-        run, submit = uuid4().hex[:8], self._client.submit
+        run, submit = uuid4().hex[:8], self.client.submit
         with warnings.catch_warnings():
             # The viewpoints make the graph large, so it is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")

@@ -320,10 +320,8 @@ def columns_of(
 ) -> Columns:
     """Return rows as a store with ``header`` holds them; checksums are made as they are written.
 
-    Parameters
-    ----------
-    keypoint_columns : (N, K) uint16, of renderings alone
-        Columns of the skylines' polyline vertices, padded with `NO_KEYPOINT`.
+    Renderings have keypoints too: the columns (N, K) of their skylines' polyline vertices, padded
+    with `NO_KEYPOINT`.
     """
     specs = header.specs
     given = {name: getattr(rows, field) for field, name in header.fields.items()}

@@ -64,21 +64,9 @@ def write_store(
 ) -> None:
     """Write a store of some rows; the same rows, order and header give the same bytes.
 
-    Parameters
-    ----------
-    path : path-like
-        A store that already exists is replaced.
-    columns : mapping
-        The rows, as `skyline.store.format.columns_of` returns them.
-    order : (N,) intp, optional
-        The rows to write, in this order; by default all.
-
-    Raises
-    ------
-    MissingFileError
-        The folder does not exist.
-    StoreError
-        The file cannot be written.
+    Columns are as `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to
+    write, by default all. A store that already exists is replaced. Raises `MissingFileError` where
+    there is no folder, and `StoreError` where the file cannot be written.
     """
     path = Path(path).resolve()
     check_folder(path)
