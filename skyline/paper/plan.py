@@ -69,19 +69,15 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         named("strategy", self.strategy, STRATEGIES)
-        for value, words, most, expected in (
-            (self.coverage, "coverage is {}", 1.0, "a share above 0 and at most 1"),
-            (self.threshold_px, "threshold is {} px", np.inf, "a positive number of pixels"),
-            (
-                self.candidate_m,
-                "candidate spacing is {} m",
-                _REACH_M,
-                "more than 0, at most 300 m",
-            ),
-            (self.coarse_m, "coarse spacing is {} m", np.inf, "a positive number of metres"),
+        for name, value, unit, most in (
+            ("coverage", self.coverage, "", 1.0),
+            ("threshold", self.threshold_px, " px", np.inf),
+            ("candidate spacing", self.candidate_m, " m", _REACH_M),
+            ("coarse spacing", self.coarse_m, " m", np.inf),
         ):
             if not 0.0 < value <= most or np.isinf(value):
-                raise InputError(f"{words.format(value)}; expected {expected}")
+                limit = "" if np.isinf(most) else f", at most {most:g}{unit}"
+                raise InputError(f"{name} is {value}{unit}; expected a number above 0{limit}")
         if abs(self.coarse_m / self.candidate_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
                 f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
