@@ -24,6 +24,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
+from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
@@ -302,13 +303,14 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
     return np.concatenate([nodes, beside])
 
 
-def expected_finds(places: Places) -> list[tuple[float, float, float]]:
+def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     """Return how many views round places are expected to be found, by the skyline's distance.
 
     Each class is the least distance of its skylines, harmonic means in metres, the share that its
     views are of all, and the share of them that is found. Of very many places every n-th is read.
     """
-    places = places[:: len(places) // _FINDS_SAMPLE + 1]
+    every = len(source) // _FINDS_SAMPLE + 1
+    places = source.take(np.arange(0, len(source), every, dtype=np.intp))
     spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
     nearness = _nearness(places.distance_m())
     weight = np.repeat(np.square(spacing_m)[:, np.newaxis] / len(spacing_m), _WINDOWS, axis=1)

@@ -76,12 +76,12 @@ def build(
         result = build_store(terrain, output, plan, runner, bar)
     print_built(result, output, "places")
     with open_store(output) as opened:
-        built = Places.concatenate(list(opened.places().blocks()))
+        built = opened.places()
     print_finds(expected_finds(built))
     if drawn is not None:
         from skyline.report.maps import save_place_map  # noqa: PLC0415  (slow to load)
 
-        save_place_map(terrain, built, drawn)
+        save_place_map(terrain, Places.concatenate(list(built.blocks())), drawn)
 
 
 def print_finds(classes: Sequence[tuple[float, float, float]]) -> None:

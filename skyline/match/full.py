@@ -19,7 +19,7 @@ from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
-from skyline.store.places import PlaceSource
+from skyline.store.read import PlaceSource
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
