@@ -251,7 +251,7 @@ def pixels(
     print_line(f"{output}: {width} x {height} pixels, {ground:.0f} % of them on terrain")
 
 
-def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, float]:
+def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any]:
     """Return the numbers of a photo's pose in a file; raises `InputError` unless all are there.
 
     A file of several photos has the pose in the line that names the photo.
@@ -284,14 +284,16 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, flo
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}
-    for name, value in given.items():
+    wander = record.get("wander") or []
+    rows = [("wander", value) for value in (wander if isinstance(wander, list) else [wander])]
+    for name, value in (*given.items(), *rows):
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
     lon, lat = given["lon"], given["lat"]
     if not are_degrees(lon, lat):
         raise InputError(f"pose {path}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
     projection.check_fov_deg(given["fov_deg"])
-    return {name: float(value) for name, value in given.items()}
+    return {name: float(value) for name, value in given.items()} | {"wander": tuple(wander)}
 
 
 def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:
@@ -308,8 +310,8 @@ def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) ->
     return held.answer
 
 
-def _camera(record: dict[str, float], viewer: Viewer) -> Candidate:
+def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
     """Return the pose of a record; without an elevation the eye stands on the ground."""
     given = {name: record[name] for name in (*_NEEDED, "pitch_deg", "roll_deg") if name in record}
-    others: dict[str, Any] = {name: record[name] for name in record if name not in given}
+    others = {name: record[name] for name in record if name not in given}
     return replace(viewer.pose(**given), **others)

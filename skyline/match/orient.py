@@ -118,7 +118,7 @@ class Orientation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
-        return self.to_row()
+        return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
 
     def to_dataframe(self) -> Any:
         """Return the orientation as a pandas DataFrame of one row."""

@@ -1,5 +1,6 @@
 """The query skyline of a photo, and the camera behind it: its projection and its lens."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -276,6 +277,14 @@ def wander_of(across: Float64Array) -> Float64Array:
     degrees are left out: they are a shift and a turn of the whole image.
     """
     return np.asarray(legendre.legvander(across, WANDER_DEGREES[-1])[..., WANDER_DEGREES])
+
+
+def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
+    """Return how far up the rows of a panorama have wandered, as tangents, at places across it.
+
+    ``wander`` has a factor for each of the ways of `wander_of`.
+    """
+    return np.asarray(legendre.legval(across, (0.0,) * WANDER_DEGREES[0] + tuple(wander)))
 
 
 def undistorted(

@@ -27,7 +27,7 @@ from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
 from skyline.match.scene import RenderedScene
-from skyline.photo.query import QuerySkyline, distorted, undistorted, wander_of
+from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
@@ -63,7 +63,7 @@ def pixels_of(
     is_panorama = query.projection.is_panorama
     u, v = project(turn, y, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
     if pose.wander:
-        v = v - wander_of(u / np.radians(pose.fov_deg / 2.0)) @ pose.wander
+        v = v - wandered(u / np.radians(pose.fov_deg / 2.0), pose.wander)
     across, above = query.projection.places(u, v, pose.fov_deg)
     across, above = distorted(across, above, pose.distortion)
     half_px = query.width_px / 2.0
@@ -81,7 +81,7 @@ def directions_of(
     above = (query.height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / query.width_px
     u, v = query.projection.rays(*undistorted(across, above, pose.distortion), pose.fov_deg)
     if pose.wander:
-        v = v + wander_of(across) @ pose.wander
+        v = v + wandered(across, pose.wander)
     is_panorama = query.projection.is_panorama
     turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
     return np.degrees(turn) + pose.grid_heading_deg, y

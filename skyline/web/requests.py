@@ -13,7 +13,8 @@ _RANGES = {
     "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
     "high": (-500.0, 9000.0), "eyeHeight": (-500.0, 5000.0), "heading": (-360.0, 720.0),
     "pitch": (-80.0, 80.0), "roll": (-80.0, 80.0), "fov": (1.0, 360.0),
-    "distortion": (-1.0, 1.0), "column": (-1e6, 1e6), "row": (-1e6, 1e6), "radius": (0.0, 1e5),
+    "distortion": (-1.0, 1.0), "wander": (-1.0, 1.0), "column": (-1e6, 1e6), "row": (-1e6, 1e6),
+    "radius": (0.0, 1e5),
 }  # fmt: skip
 
 
@@ -82,7 +83,14 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
         fov_deg=number(asked, "fov"),
         eye_height_m=number(asked, "eyeHeight"),
     )
-    return replace(pose, distortion=number({"distortion": 0.0, **asked}, "distortion"))
+    wander = asked.get("wander") or []
+    if not isinstance(wander, list):
+        raise InputError("the panorama's wander is no list; reload the page")
+    return replace(
+        pose,
+        distortion=number({"distortion": 0.0, **asked}, "distortion"),
+        wander=tuple(number({"wander": value}, "wander") for value in wander),
+    )
 
 
 def chosen_of(

@@ -259,6 +259,7 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
         "roll": candidate.roll_deg,
         "fov": candidate.fov_deg,
         "distortion": candidate.distortion,
+        "wander": candidate.wander,
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": engine.eye_height_m(candidate),
         "confidence": candidate.confidence,

@@ -138,6 +138,10 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
         ('{"lon": 9, "lat": 460, "heading_deg": 1, "fov_deg": 60}', "expected degrees"),
         ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
+        (
+            '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60, "wander": ["a"]}',
+            "wander is a; expected a number",
+        ),
         ('{"query": "a"}\n{"query": "b"}', "has 0 lines whose `query`"),
     ],
 )

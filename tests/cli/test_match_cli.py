@@ -33,7 +33,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert set(record["answer"]) == {
         "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
         "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km", "refined",
-        "beyond_share", "distortion",
+        "beyond_share", "distortion", "wander",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True

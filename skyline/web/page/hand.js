@@ -41,7 +41,8 @@ function setPose(pose, origin, { chosen = null, fit = null } = {}) {
 }
 
 const placed = (one) => ({ lon: one.lon, lat: one.lat, heading: one.heading, pitch: one.pitch, roll: one.roll,
-  fov: one.fov, distortion: one.distortion, eyeHeight: one.eyeHeight ?? known().eyeHeight ?? USUAL_EYE_M });
+  fov: one.fov, distortion: one.distortion, wander: one.wander,
+  eyeHeight: one.eyeHeight ?? known().eyeHeight ?? USUAL_EYE_M });
 
 export const toCandidate = (one, chosen) => setPose(placed(one), "found", { chosen });
 

@@ -9,7 +9,7 @@ export const state = {
   version: null, // distinguishes the skyline from others of the same photo
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
-  pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, eyeHeight}
+  pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight}
   origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"
   fit: null, // result of the last fit, as long as the pose is the fitted one
   sight: null, // the skyline rendered at the pose
