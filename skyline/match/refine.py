@@ -129,7 +129,7 @@ QUICK = Effort(
 )  # fmt: skip
 """Enough for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
-    shortlist=1600, particles=128, likeliest=24, rounds=8, keep_share=0.9, keep_least=48,
+    shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.9, keep_least=48,
     restarts=6, finalists=12, final_rounds=5,
 )  # fmt: skip
 """For all other skylines."""
