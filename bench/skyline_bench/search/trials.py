@@ -16,13 +16,14 @@ from scipy.stats import binomtest
 from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
+from skyline.match.candidate import Hypotheses, candidates_of
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.kinds import Query, distance_m
-from skyline_bench.queries.synthetic import QueryConfig
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery
 from skyline_bench.search.stores import UNIFORM
 
 PAPER, UNREFINED = "paper", "unrefined"
@@ -49,6 +50,8 @@ class Trial:
     confidence: float | None = None
     radius_m: float | None = None  # That 68 % of the errors should be within
     within_m: float | None = None  # How near the matcher answers; None without an answer
+    # Of a lost query, how much better the true pose fits than the best candidate; else None.
+    truth_ahead: float | None = None
     # Whether a photo is named as not of the others' place; with a stranger, whether that is named.
     named: bool = False
     seconds: float = 0.0
@@ -71,7 +74,27 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
         else:
             result = matcher.match(query[0].skyline, top=_TOP, narrowing=narrowing)
     taken = time.perf_counter() - wall, time.process_time() - cpu
-    return replace(trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1])
+    trial = replace(trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1])
+    if strange or trial.error_m <= _RIGHT_M or not isinstance(result, MatchResult):
+        return trial
+    return replace(trial, truth_ahead=_truth_ahead(matcher, query[0], result))
+
+
+def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
+    """Return by how much less the refined true pose costs than the best candidate.
+
+    None where either does not exist: without refinement, or where nothing fits.
+    """
+    truth, fov_deg = query.truth, query.skyline.fov_deg or query.truth.fov_deg
+    eye = truth.easting_m, truth.northing_m, truth.eye_elevation_m
+    pose = *eye, truth.heading_deg, truth.pitch_deg, truth.roll_deg, fov_deg, 0.0, 0.0
+    hypotheses = Hypotheses(*(np.array([value]) for value in pose))
+    with suppress(InputError):  # The matcher does not refine.
+        start = candidates_of(matcher.frame, hypotheses)[0]
+        fitted = matcher.fit(query.skyline, start).candidates
+        if fitted and result.candidates:
+            return result.candidates[0].score - fitted[0].score
+    return None
 
 
 def trial_of(
@@ -110,6 +133,8 @@ CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400
 """Distances of skylines, harmonic means in metres: how much a skyline moves with the eye."""
 
 _RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
+_AHEAD = 3.0
+"""Difference of scores from which a pose fits clearly better."""
 _RESAMPLES = 2000
 _LEAST_M = 1e-3
 """Smaller errors count as this, so that they have a logarithm."""
@@ -135,6 +160,9 @@ def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequenc
 def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     """Return the figures of trials; a query without a candidate is wrong by ``miss_m``.
 
+    Queries over 200 m off are lost by the search if the true pose fits clearly better than the best
+    candidate, and lost to likeness if that fits as well or better.
+
     The interval of the mean is a percentile bootstrap over the queries. One seed draws the same
     queries for every row, so that rows can be compared.
     """
@@ -149,6 +177,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     distance_m = [trial.distance_m for trial in trials]
     radius_m = np.array([trial.radius_m for trial in trials], dtype=np.float64)
     sized = right & np.isfinite(radius_m)
+    ahead = np.array([trial.truth_ahead for trial in trials], dtype=np.float64)
     return {
         "n": len(trials),
         "from_m": min(distance_m),
@@ -168,6 +197,8 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "precision": float((found <= within_m)[answered].mean()) if answered.any() else None,
         "radius_holds": float((found <= radius_m)[sized].mean()) if sized.any() else None,
         "highest_confidence": max((trial.confidence or 0.0 for trial in trials), default=0.0),
+        "lost_by_search": float((ahead > _AHEAD).mean()),
+        "lost_to_likeness": float((ahead <= _AHEAD).mean()),
         "named": float(np.mean([trial.named for trial in trials])),
         "query_s": float(np.median([trial.seconds for trial in trials])),
         "query_cpu_s": float(np.mean([trial.cpu_s for trial in trials])),
