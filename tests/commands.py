@@ -2,6 +2,10 @@
 
 import math
 
+from PIL import Image
+from PIL.ExifTags import GPS, IFD
+from PIL.TiffImagePlugin import IFDRational
+
 from skyline import read_dem
 
 
@@ -26,3 +30,27 @@ def lonlat_of(dem, easting_m, northing_m):
 def off_m(place, easting_m=601_800.0, northing_m=5_178_000.0):
     """Return how far a candidate is from where the photo was taken."""
     return math.hypot(place["easting_m"] - easting_m, place["northing_m"] - northing_m)
+
+
+def gps_of(lon, lat):
+    """Return the GPS tags of a position."""
+
+    def written(angle):
+        return IFDRational(round(abs(angle) * 1e6), 1_000_000), 0.0, 0.0
+
+    return {
+        GPS.GPSLongitude: written(lon),
+        GPS.GPSLongitudeRef: "EW"[lon < 0.0],
+        GPS.GPSLatitude: written(lat),
+        GPS.GPSLatitudeRef: "NS"[lat < 0.0],
+    }
+
+
+def noting(photo, path, camera=None, gps=None, size=None):
+    """Write a photo, or the part of it of a size, with tags of camera and GPS in its EXIF."""
+    with Image.open(photo) as image:
+        exif = image.getexif()
+        for part, tags in ((IFD.Exif, camera), (IFD.GPSInfo, gps)):
+            exif.get_ifd(part).update(tags or {})
+        image.crop((0, 0, *(size or image.size))).save(path, exif=exif, quality=95)
+    return path

@@ -1,22 +1,20 @@
 """Fixtures that several kinds of tests share."""
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from PIL import Image
-from scenes import fractal, write_dem
+from scenes import fractal, take_photo, write_dem
 
 from skyline import build_places, build_uniform, read_dem, stand_on
 from skyline.build import plans
 from skyline.build.cluster import local_cluster
 from skyline.cli import console
+from skyline.match import full
 from skyline.render.context import acquire_context
-from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.made_photos import photograph
-from skyline_bench.queries.pinhole import Camera
 
 # How long an example takes says how busy the machine is, not what is wrong.
 settings.register_profile("skyline", deadline=None)
@@ -66,7 +64,16 @@ def no_gl_error():
     assert acquire_context().ctx.error == "GL_NO_ERROR"
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module")
+def refined_quickly():
+    """Refine no query thoroughly: commands are to run here, other tests hold their answers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(full, "WHOLE", full.QUICK)
+        patch.setattr(full, "_SURE_MARGIN", -math.inf)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def small_plans():
     """Plan by default as few places as lose a fifth of the views, not a minute of them."""
     with pytest.MonkeyPatch.context() as patch:
@@ -120,8 +127,4 @@ def photo(dem, tmp_path_factory):
     """A photograph from a stored viewpoint, heading 140 degrees."""
     terrain = read_dem([dem])
     eye = stand_on(terrain, easting_m=601_800.0, northing_m=5_178_000.0)
-    with DepthRenderer(terrain, 1600) as renderer:
-        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
-    path = tmp_path_factory.mktemp("photo") / "photo.jpg"
-    Image.fromarray(picture).save(path, quality=92)
-    return path
+    return take_photo(tmp_path_factory.mktemp("photo") / "photo.jpg", terrain, eye, width_px=1600)

@@ -18,12 +18,17 @@ class Behaviour:
     files: dict[str, bytes] = field(default_factory=dict)
     # Paths that are answered with a status instead, always.
     status: dict[str, int] = field(default_factory=dict)
-    # Requests that are answered 500 before the first good answer.
+    # Requests that are answered with a status before the first good answer.
     failures: int = 0
+    failing: int = 500
     # Before every answer.
     delay_s: float = 0.0
     # Bodies that break off half way, though header and connection promise all.
     truncate: int = 0
+    # After every byte of a body.
+    drip_s: float = 0.0
+    # What was posted.
+    posted: list[str] = field(default_factory=list)
     # (method, path, range header) each.
     requests: list[tuple[str, str, str | None]] = field(default_factory=list)
     # Bytes of bodies.
@@ -42,7 +47,7 @@ class _Handler(BaseHTTPRequestHandler):
             behaviour.stopping.wait(behaviour.delay_s)
         if behaviour.failures > 0:
             behaviour.failures -= 1
-            self._refuse(500)
+            self._refuse(behaviour.failing)
         elif path in behaviour.status:
             self._refuse(behaviour.status[path])
         elif path not in behaviour.files:
@@ -51,6 +56,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(behaviour, behaviour.files[path])
 
     do_HEAD = do_GET  # noqa: N815
+
+    def do_POST(self) -> None:
+        posted = self.rfile.read(int(self.headers["Content-Length"])).decode()
+        self.server.behaviour.posted.append(posted)
+        self.do_GET()
 
     def _refuse(self, status: int) -> None:
         body = b"<html>no</html>"
@@ -83,7 +93,13 @@ class _Handler(BaseHTTPRequestHandler):
             body = body[: len(body) // 2]
             self.close_connection = True
         behaviour.sent += len(body)
-        self.wfile.write(body)
+        if not behaviour.drip_s:
+            self.wfile.write(body)
+            return
+        for byte in body:
+            self.wfile.write(bytes([byte]))
+            if behaviour.stopping.wait(behaviour.drip_s):
+                return
 
     def log_message(self, *_: object) -> None:
         """Print nothing."""

@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import rasterio
+from PIL import Image
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
 from skyline.match.candidate import Candidate, Hypotheses, candidates_of
+from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.queries.made_photos import photograph
+from skyline_bench.queries.pinhole import Camera
 from skyline_bench.truth import closed_forms
 
 FRAME = Frame.local(lon=9.8, lat=46.8)
@@ -91,4 +95,12 @@ def write_dem(path, heights, crs="EPSG:32632", **options):
         **({"transform": Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M)} | options),
     ) as raster:
         raster.write(heights)
+    return path
+
+
+def take_photo(path, terrain, eye, heading_deg=140.0, width_px=1024, **options):
+    """Photograph terrain from an eye, 60 degrees wide; return the picture's path."""
+    with DepthRenderer(terrain, width_px) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(heading_deg, fov_deg=60.0), seed=3)
+    Image.fromarray(picture).save(path, quality=92, **options)
     return path

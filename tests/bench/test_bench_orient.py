@@ -1,19 +1,12 @@
 """Known places measured small: photographs, made photos, summits, places of pixels, a webcam."""
 
 import json
-import math
 
-import numpy as np
 import pytest
 from commands import lonlat_of
 from scenes import field_of, fractal, write_dem
 
-from skyline import read_dem, stand_on
-from skyline.render.depth import DepthRenderer
-from skyline_bench.orient import summarize
 from skyline_bench.queries.kinds import perturbed
-from skyline_bench.queries.made_photos import Scenery, photograph
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import make_queries
 from skyline_bench.sights import label_row, pixel_row
 
@@ -46,16 +39,6 @@ def test_photographs_and_made_photos_share_a_record(run_bench, dem, photo, tmp_p
     assert str(tmp_path) not in record.read_text()
 
 
-def test_answers_of_strangers_are_wrong_and_others_by_a_degree():
-    row = {"answered": True, "sd_deg": 0.2, "fov_off": -0.02, "confidence": 0.9, "seconds": 1.0}
-    rows = [row | {"off_deg": off} for off in (0.1, 0.35, 1.5)]
-    rows.append(row | {"answered": False, "off_deg": 90.0})
-    line = summarize(rows)
-    assert (line["n"], line["answered"], line["wrong"]) == (4, 3, 1)
-    assert line["within_0.3_deg"] == line["within_2_sd"] / 2.0 == pytest.approx(1.0 / 3.0)
-    assert summarize(rows, is_strange=True)["wrong"] == 3
-
-
 @pytest.fixture(scope="module")
 def seen():
     """Rough terrain, and made photos of it."""
@@ -83,15 +66,3 @@ def test_another_model_moves_names_and_places(seen):
     assert labels["median_px"] > 1.0
     assert pixels["median_off_m"] > 1.0
     assert pixels["within_2_sd"] < 0.9
-
-
-def test_fog_hides_what_is_far(dem):
-    terrain = read_dem([dem])
-    eye = stand_on(terrain, easting_m=PLACE_M[0], northing_m=PLACE_M[1])
-    camera = Camera(HEADING_DEG, width_px=96, height_px=64)
-    with DepthRenderer(terrain, 256) as renderer:
-        clear, foggy = (
-            photograph(renderer, eye, 0, camera, 1, Scenery(clouds=0.0, fog_m=fog_m))
-            for fog_m in (math.inf, 50.0)
-        )
-    assert np.ptp(clear[:32].mean(axis=(1, 2))) > 3.0 * np.ptp(foggy[:32].mean(axis=(1, 2)))

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,9 @@ from scenes import field_of, fractal
 
 from skyline import __version__
 from skyline.errors import InputError
-from skyline_bench import cli, paper
+from skyline_bench import cli, page, paper
 from skyline_bench.measuring.record import write_record
-from skyline_bench.truth import stability
+from skyline_bench.truth import simulation, stability
 
 
 def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench):
@@ -34,11 +35,13 @@ def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench
     [
         (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--quick"), 1, "seconds"),
-        pytest.param(("table1", "--seeds", 1), 15, "mean_area", marks=pytest.mark.slow),
+        (("table1", "--seeds", 1), 5, "mean_area"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, key):
+def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, command, rows, key):
+    monkeypatch.setattr(simulation, "Mountain", partial(simulation.Mountain, size=30))
+    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
     given = [{"DEM": dem}.get(word, word) for word in command]
     record = tmp_path / "record.json"
     done = run_bench(*given, "--json", record)
@@ -99,7 +102,9 @@ def test_stability_says_what_holds(run_bench, three_cases, tmp_path, monkeypatch
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("chromedriver"), reason="chromium-driver is not installed")
-def test_the_page_is_measured(run_bench, tmp_path):
+def test_the_page_is_measured(run_bench, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "_SPACING_M", 400.0)
+    monkeypatch.setattr(page, "_PHOTO_PX", (1200, 900))
     record = tmp_path / "page.json"
     done = run_bench("page", "--quick", "--json", record)
     assert done.code == 0, done.err

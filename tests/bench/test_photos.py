@@ -11,7 +11,6 @@ from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
-from skyline_bench.photos import count_columns, summarize
 from skyline_bench.queries.manifest import Photograph, read_manifest
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
@@ -65,25 +64,6 @@ def test_photographs_are_measured(run_bench, manifest, dem, tmp_path):
     assert summary[0]["within_200m"] == 0.5
 
 
-def test_columns_are_right_within_a_hundredth_of_the_height(tmp_path):
-    trace = tmp_path / "trace.csv"
-    trace.write_text("# width=100 height=200\ncolumn_px,row_px\n0,50\n9,50\n18,50\n")
-    query = read_query(trace)
-    true_px = np.full(100, 51.9)
-    true_px[5:] = 52.1
-    true_px[60:] = np.nan
-    true_px[9] = 57.0
-    assert count_columns(query, true_px) == (19, 5, 1, 60)
-
-
-def test_a_photograph_that_is_wrong_in_all_columns_counts():
-    rows = [
-        {"kind": "extract", "trusted": 0.9, "right_columns": share} for share in (0.0, 0.4, 1.0)
-    ] + [{"kind": "extract", "lost": "extraction"}]
-    (row,) = summarize(rows)
-    assert (row["mostly_wrong"], row["no_skyline"]) == (2, 1)
-
-
 def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
     ground = np.zeros((100, 60, 3), np.uint8)
     ground[40:] = 255
@@ -100,14 +80,7 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
     ("text", "error", "message"),
     [
         ("photo,kind\nabsent.jpg,extract\n", MissingFileError, "names 1 files that do not exist"),
-        ("photo,kind,fov\na.jpg,extract,60\n", InputError, "expected some of photo, kind, lon"),
-        ("photo,kind\na.jpg,find\n", InputError, "one of locate, refuse, extract"),
         ("photo,kind\na.jpg,locate\n", InputError, "no lon and lat, which locate needs"),
-        (
-            "photo,kind,lon,lat\na.jpg,locate,9,north\n",
-            InputError,
-            "lat is .north.; expected",
-        ),
         ("photo,kind\n", InputError, "names no photograph"),
     ],
 )

@@ -7,13 +7,13 @@ import pytest
 from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
-from skyline import JointResult, MatchResult
+from skyline import MatchResult
 from skyline.build.plans import map_bounds
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.search.trials import Trial, against_uniform, groups, summarize, trial_of
+from skyline_bench.search.trials import Trial, against_uniform, summarize, trial_of
 
 # --- commands, each run small ---------------------------------------------------------------
 
@@ -79,7 +79,7 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("refined_once")
+@pytest.mark.usefixtures("refined_quickly")
 def test_uniform_and_adaptive_stores_are_compared(run, dem):
     record = run(
         "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--places", 400,
@@ -101,7 +101,7 @@ def test_uniform_and_adaptive_stores_are_compared(run, dem):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("refined_once")
+@pytest.mark.usefixtures("refined_quickly")
 def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
     record = run(
         "placing", dem, "--spacing", 125, "--places", 600, "--queries", 2, "--folder", tmp_path
@@ -116,7 +116,7 @@ def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("refined_once")
+@pytest.mark.usefixtures("refined_quickly")
 def test_growing_areas_are_searched(run, dem, store, caplog):
     asked = ("scale", dem, "--store", store, "--area", 2, "--area", 900)
     rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
@@ -126,9 +126,9 @@ def test_growing_areas_are_searched(run, dem, store, caplog):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("refined_once")
+@pytest.mark.usefixtures("refined_quickly")
 def test_photos_of_one_place_and_strangers(run, dem, store):
-    rows = run("same-place", dem, "--quick")["rows"]
+    rows = run("same-place", dem, "--store", store, "--queries", 3)["rows"]
     every = {row["queries"]: row for row in rows if row["group"] == "all"}
     assert {name: row["n"] for name, row in every.items()} == {
         "alone": 9, "together": 3, "with a stranger": 3,
@@ -145,15 +145,11 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
     ("command", "arguments", "message"),
     [
         ("matching", ["--queries", "0"], "Invalid value for '--queries'"),
-        ("matching", ["--seed", "-1"], "Invalid value for '--seed'"),
         ("matching", ["--bounds", "40,10,41,11"], "do not meet the DEM"),
         ("matching", ["--spacing", "3400"], "too small for a grid of 3400 m"),
         ("matching", ["--store", "RENDERINGS", "--matcher", "full"], "which none of full searches"),
         ("matching", ["--matcher", "best"], "matcher is 'best'"),
-        ("uniform-adaptive", ["--queries", "2"], "Invalid value for '--queries'"),
-        ("uniform-adaptive", ["--strategy", "best"], "strategy is 'best'"),
         ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),
-        ("scale", ["--area", "0"], "Invalid value for '--area'"),
         ("placing", ["--json", "/none/record.json"], "no folder"),
     ],
 )
@@ -196,18 +192,6 @@ def test_a_trial_is_of_the_best_candidate():
     assert trial_of((query_at(0.0),), found(BEST, within_m=200.0), strange=True).error_m == np.inf
 
 
-def test_a_photo_is_named_that_does_not_agree():
-    one, other = query_at(0.0), query_at(5000.0)
-    for query, agrees, named in (
-        ((one, one, one), (True, True, True), False),
-        ((one, one, one), (True, False, True), True),
-        ((one, one, other), (True, False, True), False),
-        ((one, one, other), (True, True, False), True),
-    ):
-        joint = JointResult(tuple(found(*[BEST] * agreeing) for agreeing in agrees), 1.0)
-        assert trial_of(query, joint).named is named
-
-
 def test_kinds_of_one_place_share_their_photos():
     terrain = field_of(fractal(120, 120, 600.0, seed=4))
     alone, together, mixed = (
@@ -245,17 +229,6 @@ def test_a_summary_counts_every_query():
     nothing = summarize(TRIALS[3:], 150.0, seed=0)
     assert (nothing["within_200m"], nothing["mean_m"]) == (0.0, 150.0)
     assert (nothing["precision"], nothing["heading_median_deg"]) == (None, None)
-
-
-def test_groups_hold_every_query_once():
-    distance_m = [500.0, 0.0, 100.0, 9000.0, 1000.0, 5000.0, 300.0]
-    assert groups(distance_m, by_thirds=False) == {
-        "< 150 m": [1, 2], "150-400 m": [6], "> 400 m": [0, 3, 4, 5], "all": [*range(7)],
-    }  # fmt: skip
-    assert groups([100.0], by_thirds=False) == {"< 150 m": [0], "all": [0]}
-    assert groups(distance_m, by_thirds=True) == {
-        "close": [1, 2, 6], "medium": [0, 4], "far": [3, 5], "all": [*range(7)],
-    }  # fmt: skip
 
 
 def row(store, matcher, renderings, mean_m, group="all"):

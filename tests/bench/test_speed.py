@@ -5,15 +5,13 @@ import json
 
 import numpy as np
 import pytest
-from scenes import FRAME, at_m, field_of, fractal
+from scenes import field_of, fractal
 
-from skyline import Curvature, HeightField, horizon, stand_on
-from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
+from skyline import stand_on
+from skyline.skylines import FLAG_HOLE
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import compare
-
-needs_grass = pytest.mark.skipif(not grass.is_installed(), reason="grass is not installed")
 
 
 @pytest.fixture
@@ -59,26 +57,6 @@ def test_speed_error_finds_the_errors_there_are(measured):
 # --- GRASS ----------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def field():
-    heights = 1500.0 + fractal(160, 150, 700.0, seed=2)
-    return HeightField(heights.astype(np.float32), 0.0, 0.0, 30.0, 30.0, FRAME)
-
-
-@needs_grass
-def test_grass_answers_by_azimuth_from_true_north(field):
-    eyes = stand_on(field, **at_m(field.to_map([80.0, 60.0], [70.0, 90.0])), eye_height_m=0.0)
-    angles, seconds = grass.horizons(field, eyes, 2.0)
-    assert angles.shape == (2, 180)
-    assert seconds.shape == (1,)
-    lon, lat = field.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
-    flat = Curvature(enabled=False)
-    seen = horizon(field, lon=lon, lat=lat, eye_height_m=0.0, step_deg=2.0, curvature=flat)
-    found = np.maximum(seen.elevation_deg, 0.0)
-    off = [np.abs(np.roll(angles, turn, axis=1) - found).mean() for turn in range(180)]
-    assert min(off[0], off[1], off[-1]) == min(off)
-
-
 # --- errors against the oracle: which columns count, and in which unit ----------------------
 
 
@@ -97,19 +75,6 @@ def test_errors_are_in_pixels_of_width_640_whatever_the_width(truth):
     found = compare(dataclasses.replace(truth, elevation_tan=tan), truth)
     assert found["max_px"] == pytest.approx(3.0)
     assert found["rms_px"] == pytest.approx(3.0 / np.sqrt(64))
-
-
-def test_columns_that_either_side_flags_do_not_count(truth):
-    tan, here, there = truth.elevation_tan + 1.0, truth.flags.copy(), truth.flags.copy()
-    here[:2], there[2:, 4:] = FLAG_HOLE, FLAG_TRUNCATED
-    found = compare(
-        dataclasses.replace(truth, elevation_tan=tan, flags=here),
-        dataclasses.replace(truth, flags=there),
-    )
-    assert (found["columns"], found["flagged_share"]) == (8, 56 / 64)
-    assert found["max_px"] == pytest.approx(320.0)
-    nothing = compare(truth, dataclasses.replace(truth, flags=truth.flags + FLAG_HOLE))
-    assert (nothing["rms_px"], nothing["max_px"], nothing["columns"]) == (None, None, 0)
 
 
 def test_a_column_without_a_value_is_missing_and_cannot_hide_behind_a_flag(truth):

@@ -11,3 +11,8 @@ from skyline import cli
 def run(run_main):
     """Return a function that runs ``skyline ARGS...``."""
     return partial(run_main, cli.main, "skyline")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quickly(refined_quickly):
+    """Refine quickly in all tests of commands."""

@@ -28,10 +28,3 @@ def test_it_copies_what_the_package_is_built_from():
     assert built_from | {"pyproject.toml", project["license"]["file"]} == COPIED
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
     assert {line[1:] for line in ignored if line.startswith("!")} == COPIED
-
-
-def test_it_names_extras_and_a_command_that_exist():
-    (extras,) = re.findall(r"/source\[(.+)\]", FILE)
-    assert set(extras.split(",")) <= PROJECT["project"]["optional-dependencies"].keys()
-    (command,) = re.findall(r'^ENTRYPOINT \["(.+)"\]$', FILE, re.MULTILINE)
-    assert command in PROJECT["project"]["scripts"]

@@ -34,18 +34,13 @@ from PIL import Image
 from range_server import Behaviour, serve
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from scenes import fractal, write_dem
+from scenes import fractal, take_photo, write_dem
 
 import skyline
 from skyline import cli, read_dem, stand_at
-from skyline.build import plans
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.match import full
-from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
-from skyline_bench.queries.made_photos import photograph
-from skyline_bench.queries.pinhole import Camera
 
 README, *DOCS = DOCUMENTS
 ARCHITECTURE = ROOT / "docs" / "architecture.md"
@@ -149,17 +144,8 @@ def shown(part):
     )
 
 
-@pytest.fixture(scope="module", autouse=True)
-def refined_quickly():
-    """Refine no query thoroughly: here pages are to run, other tests hold the results."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(full, "WHOLE", full.QUICK)
-        patch.setattr(plans, "DEFAULT_PLACES", 1)
-        yield
-
-
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def world(refined_quickly, tmp_path_factory):
     """A folder in which the README's blocks have run, and what pages share has been made."""
     folder = tmp_path_factory.mktemp("world")
     with serve(Behaviour(files=dict(tiles()))) as address, pytest.MonkeyPatch.context() as patch:
@@ -178,11 +164,9 @@ def make_queries():
     """Write the photos and lists that the documents name."""
     terrain = read_dem(matching("alps/*.tif"))
     eye = stand_at(terrain, lon=9.85, lat=46.75, summit_within_m=0.0)
-    with DepthRenderer(terrain, 1024) as renderer:
-        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = _FOCAL_LENGTH_35MM
-    Image.fromarray(picture).save("photo.jpg", quality=92, exif=exif)
+    take_photo("photo.jpg", terrain, eye, exif=exif)
     Path("photos").mkdir()
     shutil.copy("photo.jpg", "photos/a.jpg")
     Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")

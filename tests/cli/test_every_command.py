@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -165,11 +164,6 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
         assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_quiet_is_an_option_of_each(run, name):
-    assert "--quiet" in run(*name.split(), "--help").out
-
-
 def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeypatch):
     monkeypatch.setattr("skyline.cli.console._SLOW_S", 0.0)
     match = "match", store, trace, tmp_path / "none.csv", "--matcher", "unrefined"
@@ -178,30 +172,6 @@ def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeyp
     assert loud.err.count("\n") > 1
     assert quiet.err.startswith("error: ")
     assert quiet.err.count("\n") == 1
-
-
-def test_a_match_that_is_stopped_keeps_what_it_has_written(
-    run, store, trace, second, tmp_path, monkeypatch
-):
-    match = partial(run, "match", store, trace, second, "--matcher", "unrefined", "--results")
-    matched, results = Matcher.match, []
-
-    def stopping(*arguments, **named):
-        if results:
-            raise KeyboardInterrupt
-        results.append(matched(*arguments, **named))
-        return results[0]
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Matcher, "match", stopping)
-        done = match(tmp_path / "r.csv")
-    assert done.code == 130
-    said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
-    assert done.err.startswith(said)
-    assert "trace.csv" in done.out
-    again = match(tmp_path / "r.csv")
-    assert "1 of 2 are there already" in again.err
-    assert "trace.csv" not in again.out
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -216,14 +186,6 @@ def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread
     assert not done.err or (name == "locate" and "error" not in done.err)
     for made in (one for one in arguments if one.startswith(str(tmp_path / "out"))):
         assert Path(made).exists() or name == "peaks"
-
-
-def test_nor_is_one_of_json_or_of_help(run, command, unread):
-    with_json = ([*command(name), "--json"] for name in ("info", "explain", "match", "store check"))
-    for arguments in (["--help"], ["match", "--help"], ["--version"], ["store"], *with_json):
-        unread()
-        done = run(*arguments)
-        assert (done.code, done.err) == (0, ""), arguments
 
 
 def test_files_are_written_all_the_same(run, store, trace, second, tmp_path, monkeypatch, unread):
@@ -242,21 +204,6 @@ def test_files_are_written_all_the_same(run, store, trace, second, tmp_path, mon
     assert len(matched) == 3
     assert all(file.exists() for file in files)
     assert files[0].read_text().count("\n") == 3
-
-
-def test_failures_stay_failures(run, store, trace, tmp_path, unread):
-    damaged = bytearray(store.read_bytes())
-    damaged[len(damaged) // 2] ^= 4
-    (tmp_path / "damaged.h5").write_bytes(damaged)
-    for arguments in (
-        ("store", "check", tmp_path / "damaged.h5", "--json"),
-        ("match", store, tmp_path / "none.csv", trace, "--matcher", "unrefined"),
-    ):
-        unread()
-        assert run(*arguments).code == 2
-        unread()
-        unread("sys.stderr")
-        assert run(*arguments).code == 2
 
 
 def test_in_a_shell(dem, tmp_path):

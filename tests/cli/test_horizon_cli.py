@@ -111,12 +111,9 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
         (("--at", "7.0,46.8"), "the place at lon 7.00000, lat 46.80000 is off"),
         (("--at", "9.8,95"), "expected LON,LAT in degrees"),
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
-        (("--at", AT, "--summit-within", "-5"), "expected 0 to 10000"),
         ((), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected one of .csv"),
         (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
-        (("--at", AT, "--eye-height", "-3"), "below the ground"),
-        (("--points", "no.csv"), "no.csv does not exist"),
     ],
 )
 def test_bad_input_is_one_line(run, dem, places, arguments, expected):
@@ -133,24 +130,6 @@ def mountain(tmp_path_factory):
     terrain = read_dem([dem])
     lon, lat = terrain.frame.to_lonlat(*terrain.to_map([30.3, 30.0], [30.35, 30.0]))
     return dem, [f"{a:.5f},{b:.5f}" for a, b in zip(lon, lat, strict=True)]
-
-
-def test_a_message_names_the_point_that_was_taken(run, mountain):
-    dem, (beside, summit) = mountain
-    printed = {}
-    for within in (None, "0", "100"):
-        option = () if within is None else ("--summit-within", within)
-        done = run("horizon", dem, "--at", beside, *option)
-        assert done.code == 0, done.err
-        (printed[within],) = done.err.splitlines() or [""]
-    assert printed[None].startswith(
-        f"{beside} is beside a summit of the model: the eye stands as high"
-    )
-    assert "3000 m, and not on its slope, 2987 m" in printed[None]
-    assert printed["0"] == ""
-    assert printed["100"] == (
-        f"{beside}: the highest point within 100 m is {summit}, 3000 m high and 14 m away"
-    )
 
 
 def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, mountain, tmp_path):

@@ -12,7 +12,6 @@ from commands import assert_refused, csv_of, lonlat_of, off_m
 from PIL import Image
 from scenes import write_dem
 
-from skyline.cli import console
 from skyline.match.matcher import PROFILE_MATCHERS
 
 OF_RENDERINGS = list(PROFILE_MATCHERS)
@@ -124,24 +123,6 @@ def test_a_bad_list_is_refused_in_one_line(run, store, photo, tmp_path, header, 
     assert_refused(run("match", store, photos), said)
 
 
-def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_path):
-    """The store is none: opening it would be the error."""
-    trace = tmp_path / "trace.csv"
-    trace.write_text("# width=960 height=640\ncolumn_px,row_px\n1200,300\n")
-    for query, options, said in (
-        (photo, ("--fov-deg", "200"), "horizontal field of view is 200 degrees"),
-        (trace, ("--fov-deg", "60"), "column_px is `1200`; expected a number from -0.5 to 959.5"),
-        (tmp_path / "absent.jpg", (), "does not exist"),
-    ):
-        assert_refused(run("match", photo, query, *options), said)
-
-
-def test_a_note_names_what_takes_long(run, store, photo, monkeypatch):
-    monkeypatch.setattr(console, "_SLOW_S", 0.0)
-    done = run("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined")
-    assert f"matching {photo} takes a while" in done.err
-
-
 def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     canopy = write_dem(tmp_path / "canopy.tif", np.zeros((110, 120), np.float32))
     common = ("match", store, photo, "--fov-deg", "60", "--json")
@@ -234,18 +215,6 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
     unwritable = run(*query, "--export", photo / "a.gpx")
     assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
-
-
-def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
-    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
-    moved.write_bytes(dem.read_bytes())
-    assert run("build", moved, "-o", store, "--spacing", "300").code == 0
-    moved.unlink()
-    done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
-    assert done.code == 0, done.err
-    assert "unrefined" in caplog.text
-    assert "no relief: the store's DEM is not at" in caplog.text
-    assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
 
 
 def test_a_photo_without_a_skyline_is_one_line(run, store, tmp_path):

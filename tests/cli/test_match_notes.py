@@ -4,28 +4,17 @@ import json
 import math
 
 import pytest
-from commands import assert_refused, lonlat_of, off_m
-from PIL import Image
-from PIL.ExifTags import GPS, IFD, Base
+from commands import assert_refused, gps_of, lonlat_of, noting, off_m
+from PIL.ExifTags import GPS, Base
 from PIL.TiffImagePlugin import IFDRational
-
-
-def lensed(photo, path, focal_mm, size=None):
-    """Write a copy of a photo, 960 x 640, that notes a 35 mm equivalent and a frame's size."""
-    exif = Image.Exif()
-    noted = exif.get_ifd(IFD.Exif)
-    noted[Base.FocalLengthIn35mmFilm] = focal_mm
-    if size is not None:
-        noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = size
-    with Image.open(photo) as image:
-        image.save(path, quality=95, exif=exif)
-    return path
 
 
 def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     """The photo spans 60 degrees: 36 mm of film at 31 mm."""
-    cropped = lensed(photo, tmp_path / "cropped.jpg", 24, (4000, 3000))
-    lie = lensed(photo, tmp_path / "lie.jpg", 9999)
+    frame = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
+    whole = frame | {Base.FocalLengthIn35mmFilm: 24}
+    cropped = noting(photo, tmp_path / "cropped.jpg", whole)
+    lie = noting(photo, tmp_path / "lie.jpg", {Base.FocalLengthIn35mmFilm: 9999})
     found = run("match", store, cropped, lie, "--json")
     assert found.code == 0, found.err
     records = [json.loads(line) for line in found.out.splitlines()]
@@ -42,17 +31,12 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
 
 def claiming(photo, path, lonlat, heading_deg, reference="T"):
     """Write a copy of a photo with a position and a direction in its EXIF; return it."""
-    exif = Image.Exif()
-    gps = exif.get_ifd(IFD.GPSInfo)
-    for angle, name, side in zip(lonlat, ("Longitude", "Latitude"), ("EW", "NS"), strict=True):
-        gps[GPS[f"GPS{name}"]] = (IFDRational(round(abs(angle) * 1e6), 1_000_000), 0.0, 0.0)
-        gps[GPS[f"GPS{name}Ref"]] = side[angle < 0.0]
-    gps[GPS.GPSImgDirection] = IFDRational(round(heading_deg * 100), 100)
-    gps[GPS.GPSImgDirectionRef] = reference
-    gps[GPS.GPSAltitude] = IFDRational(99_999)
-    with Image.open(photo) as image:
-        image.save(path, quality=95, exif=exif)
-    return path
+    other = {
+        GPS.GPSImgDirection: IFDRational(round(heading_deg * 100), 100),
+        GPS.GPSImgDirectionRef: reference,
+        GPS.GPSAltitude: IFDRational(99_999),
+    }
+    return noting(photo, path, gps=gps_of(*lonlat) | other)
 
 
 def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):

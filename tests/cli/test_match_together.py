@@ -4,13 +4,9 @@ import json
 
 import pytest
 from commands import assert_refused, off_m
-from PIL import Image
-from scenes import at_m
+from scenes import at_m, take_photo
 
 from skyline import read_dem, stand_on
-from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.made_photos import photograph
-from skyline_bench.queries.pinhole import Camera
 
 
 @pytest.fixture(scope="module")
@@ -21,11 +17,8 @@ def photos_of_one_place(dem, photo, tmp_path_factory):
         "other_way.jpg": (601_800.0, 5_178_000.0, 30.0),
         "stranger.jpg": (601_200.0, 5_178_600.0, 200.0),
     }
-    with DepthRenderer(terrain, 1600) as renderer:
-        for name, (*place, heading_deg) in looks.items():
-            eye = stand_on(terrain, **at_m(place))
-            picture = photograph(renderer, eye, 0, Camera(heading_deg, fov_deg=60.0), seed=3)
-            Image.fromarray(picture).save(folder / name, quality=92)
+    for name, (*place, heading_deg) in looks.items():
+        take_photo(folder / name, terrain, stand_on(terrain, **at_m(place)), heading_deg, 1600)
     return [photo, *(folder / name for name in looks)]
 
 

@@ -116,14 +116,3 @@ def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path)
     assert rb"b\xe4r.jpg (" in done.stdout
     assert done.stderr.startswith(rb"error: no\xe4.jpg does not exist")
     assert b"Traceback" not in done.stderr
-
-
-def test_help_is_printed_to_a_terminal_of_ascii():
-    done = subprocess.run(
-        [sys.executable, "-m", "skyline", "match", "--help"],
-        env=os.environ | {"PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert b"--results" in done.stdout

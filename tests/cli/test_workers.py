@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 
-def test_workers_make_the_same_store(run, dem, tmp_path):
+def test_workers_make_the_same_store(run, dem, dask_cluster, tmp_path):
     here = run("build", dem, "-o", tmp_path / "here.h5", "--spacing", 200)
     assert here.code == 0, here.err
-    spread = run("build", dem, "-o", tmp_path / "spread.h5", "--spacing", 200, "--workers", 1)
+    workers = "--workers", dask_cluster.scheduler_address
+    spread = run("build", dem, "-o", tmp_path / "spread.h5", "--spacing", 200, *workers)
     assert (spread.code, spread.err) == (0, "")
     assert (tmp_path / "spread.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal, write_dem
 
-from skyline import RenderConfig, Viewpoints, read_dem, render_to_store, stand_on
+from skyline import RenderConfig, read_dem, render_to_store, stand_on
 from skyline.build import cluster, parts, plans
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_places, build_store
@@ -54,7 +54,7 @@ def plan_of(terrain, kind):
 KINDS = ("planned", "uniform", "renderings")
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(scope="module", params=["planned", "renderings"])
 def whole(request, terrain, tmp_path_factory):
     """A plan, and the bytes of an unbroken build of it."""
     path = tmp_path_factory.mktemp("whole") / "s.h5"
@@ -103,19 +103,6 @@ def test_places_of_a_grid_are_what_was_rendered(terrain, tmp_path):
     for field in fields(Places):
         np.testing.assert_array_equal(getattr(stored, field.name), getattr(wanted, field.name))
     assert check_store(path).whole
-
-
-def test_places_are_planned_where_no_spacing_is_given(terrain, tmp_path):
-    build_places(terrain, tmp_path / "s.h5", places=PLACES)
-    with open_store(tmp_path / "s.h5") as store:
-        assert store.header.config["places"] == PLACES
-        places = Places.concatenate(list(store.places().blocks()))
-    with PanoramaRenderer(terrain, BINS) as renderer:
-        eyes = stand_on(terrain, easting_m=places.easting_m, northing_m=places.northing_m)
-        wanted = Places.of(renderer.render(eyes), places.tolerance_m)
-    np.testing.assert_array_equal(places.rise, wanted.rise)
-    assert len(places) > 300
-    assert len(np.unique(places.tolerance_m)) > 2
 
 
 def test_renderings_of_given_viewpoints_are_kept_once_each(terrain, tmp_path):
@@ -174,42 +161,6 @@ class TestAreas:
         assert build_store(terrain, tmp_path / "ab.h5", of(west)).rendered == 0
         assert (tmp_path / "ab.h5").read_bytes() == whole
 
-    def test_areas_of_one_grid_are_the_store_built_at_once(self, terrain, tmp_path):
-        places = {}
-        for name, boxes in (("once", [None]), ("grown", halves_of(terrain))):
-            for box in boxes:
-                build_places(terrain, tmp_path / f"{name}.h5", SPACING_M, box)
-            with open_store(tmp_path / f"{name}.h5") as store:
-                places[name] = store.stored()
-        for name, values in places["once"].items():
-            np.testing.assert_array_equal(places["grown"][name], values)
-
-    def test_a_box_that_fails_leaves_the_store_as_it_was(self, terrain, tmp_path):
-        west, east = halves_of(terrain)
-        path = tmp_path / "s.h5"
-        build_places(terrain, path, 150.0, west)
-        before = path.read_bytes()
-        with pytest.raises(StoreMismatchError, match=r"spacing_m is 150\.0 there, 100\.0 here"):
-            build_places(terrain, path, 100.0, east)
-        with pytest.raises(KeyboardInterrupt):
-            build_places(terrain, path, 150.0, east, stop_at(1))
-        assert path.read_bytes() == before
-
-    def test_a_box_without_places_leaves_the_store_as_it_was(self, terrain, tmp_path):
-        west, (lon, lat, _, _) = halves_of(terrain)
-        path = tmp_path / "s.h5"
-        build_places(terrain, path, bounds_deg=west, places=PLACES)
-        before = path.read_bytes()
-        with pytest.raises(InputError, match="no place falls on the surface"):
-            build_places(
-                terrain,
-                path,
-                bounds_deg=(lon, lat + 0.11, lon + 1e-5, lat + 0.11001),
-                places=PLACES,
-            )
-        assert path.read_bytes() == before
-        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
-
 
 class TestBroken:
     def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):
@@ -255,31 +206,31 @@ class TestBroken:
             assert str(parts_folder(path)) in str(caught.value)
         assert [part.read_bytes() for part in begun] == before
 
-    def test_killed_at_random_instants(self, terrain, tmp_path):
+    def test_killed_at_random_instants(self, terrain, tmp_path, monkeypatch):
         """Each time at most the part in hand is lost."""
         script = f"""
             from pathlib import Path
             from skyline import read_dem
             from skyline.build import plans
             from skyline.build.parts import build_store
-            plans._PLACES_A_PART = 150
+            plans._PLACES_A_PART = 90
             terrain = read_dem({list(terrain.provenance.files)!r})
             def progress(done, total):
                 print(done, flush=True)
-            build_store(terrain, Path("s.h5"), plans.PlacePlan(150.0), progress=progress)
+            build_store(terrain, Path("s.h5"), plans.PlacePlan(200.0), progress=progress)
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
 
-        def start(folder):
-            folder.mkdir(exist_ok=True)
+        folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
+        folder.mkdir()
+
+        def start():
             return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
 
-        unbroken = start(tmp_path / "unbroken")
-        total = int(unbroken.communicate()[0].split()[-1])
-        assert total > 20
-        folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
-        for wait_for in (0, 5, 9, 14):
-            child = start(folder)
+        monkeypatch.setattr(plans, "_PLACES_A_PART", 90)
+        build_store(terrain, tmp_path / "unbroken.h5", PlacePlan(200.0))
+        for wait_for in (0, 6, 13):
+            child = start()
             done = int(child.stdout.readline())
             # All parts that were finished before are there.
             assert done >= before
@@ -290,30 +241,11 @@ class TestBroken:
             child.communicate()
             before = done
             assert not (folder / "s.h5").exists()
-        last = start(folder)
+        last = start()
         assert last.wait() == 0
         assert int(last.communicate()[0].split()[0]) >= before
-        built = (folder / "s.h5").read_bytes()
-        assert built == (tmp_path / "unbroken" / "s.h5").read_bytes()
+        assert (folder / "s.h5").read_bytes() == (tmp_path / "unbroken.h5").read_bytes()
         assert [file.name for file in folder.iterdir()] == ["s.h5"]
-
-    def test_by_another_process_that_finished_it(self, terrain, tmp_path):
-        """Which removes the parts under the hands of this one."""
-        plan, other = PlacePlan(150.0), tmp_path / "other"
-        other.mkdir()
-        build_store(terrain, other / "s.h5", plan)
-        path = tmp_path / "s.h5"
-
-        def finish(done, _):
-            if done == 2:
-                shutil.copy(other / "s.h5", path)
-                shutil.rmtree(parts_folder(path))
-
-        done = build_store(terrain, path, plan, progress=finish)
-        with open_store(path) as store:
-            assert done.rows == len(store)
-        assert path.read_bytes() == (other / "s.h5").read_bytes()
-        assert not parts_folder(path).exists()
 
 
 class TestWorkers:
@@ -355,12 +287,10 @@ class TestWorkers:
         with pytest.raises(StoreMismatchError, match="workers need the same files"):
             build_store(other, tmp_path / "s.h5", PlacePlan(80.0), runner)
 
-    def test_need_a_dem_in_files(self, terrain, runner, tmp_path):
-        at, up = np.array([300.0]), np.array([5000.0])
-        grid = Viewpoints(easting_m=at, northing_m=at, eye_elevation_m=up)
+    def test_need_a_dem_in_files(self, runner, tmp_path):
         field = field_of(fractal(40, 40, 200.0, seed=1), 30.0)
         with pytest.raises(InputError, match="cannot be sent to workers"):
-            build_store(field, tmp_path / "s.h5", RenderingPlan.given(grid, CONFIG), runner)
+            build_store(field, tmp_path / "s.h5", PlacePlan(80.0), runner)
         assert list(tmp_path.iterdir()) == []
 
 

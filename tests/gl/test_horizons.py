@@ -1,14 +1,12 @@
 """Horizons against the oracle, in order of azimuth, by every way they can go."""
 
-import weakref
-
 import numpy as np
 import pytest
-from scenes import at_m, field_of, fractal, scattered
+from scenes import at_m, field_of
 
 from skyline.geodesy import Curvature
 from skyline.render import windows
-from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
+from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -125,19 +123,3 @@ def test_the_largest_window_sees_its_holes():
     with PanoramaRenderer(field, BINS) as renderer:
         horizons = renderer.render(stand_on(field, **at_m(field.to_map(cells / 2, cells / 2))))
     assert (horizons.flags & FLAG_HOLE == FLAG_HOLE).all()
-
-
-def test_renderers_of_one_field_share_its_textures_until_the_last_is_released():
-    field = field_of(fractal(60, 60, relief_m=300.0, seed=4))
-    eyes = scattered(field, 3, seed=5)
-    first, second = PanoramaRenderer(field, 96), HorizonRenderer(field, 64)
-    alone = first.render(eyes)
-    second.render(eyes[:1])
-    held = weakref.ref(next(iter(first._resident.values())))
-    assert next(iter(second._resident.values())) is held()
-    second.release()
-    np.testing.assert_array_equal(first.render(eyes).elevation_tan, alone.elevation_tan)
-    first.release()
-    assert held() is None
-    with PanoramaRenderer(field, 96) as third:
-        np.testing.assert_array_equal(third.render(eyes).elevation_tan, alone.elevation_tan)

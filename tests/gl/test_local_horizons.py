@@ -8,14 +8,7 @@ import pytest
 from pyproj import Geod
 from scenes import at_deg, at_m, field_from, fractal, write_dem
 
-from skyline import (
-    Curvature,
-    Frame,
-    HeightField,
-    horizon,
-    read_dem,
-    stand_on,
-)
+from skyline import Curvature, Frame, HeightField, horizon, read_dem, stand_on
 from skyline_bench.truth import oracle
 
 # Ten degrees east of its middle: north of the map is seven degrees from true north.

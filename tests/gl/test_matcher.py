@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from scenes import NORTH_M, SPACING_M, WEST_M, at_deg, fractal, write_dem
 
-from skyline import (
-    MatchConfig,
-    Matcher,
-    Narrowing,
-    build_places,
-    horizon,
-    read_dem,
-)
+from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon, read_dem
 from skyline.errors import InputError
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.query import Projection, QuerySkyline
@@ -110,15 +103,6 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
     assert answered or "--fov-deg" in found.refusal
 
 
-def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
-    matcher = Matcher(store, terrain, config=replace(BOLD, refine=False))
-    found = [matcher.match(query.skyline) for query in queries]
-    off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
-    assert np.median(off_m) < 100.0
-    assert not any(one.answer.refined for one in found)
-    assert all(one.answer.covariance_m2 is None for one in found)
-
-
 def test_too_little_skyline_is_refused(store, terrain, queries):
     skyline = queries[0].skyline
     row_px = np.where(np.arange(skyline.width_px) < 150, skyline.row_px, np.nan)
@@ -140,16 +124,6 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert "confidence" in result.refusal
     with pytest.raises(InputError, match="expected"):
         MatchConfig(min_confidence=1.5)
-
-
-def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
-    with Matcher(store, terrain, config=BOLD) as matcher:
-        few, some, many = (matcher.match(queries[0].skyline, top=top) for top in (1, 2, 30))
-        assert few.candidates == many.candidates[:1]
-        assert some.candidates == many.candidates[:2]
-        assert [one.rank for one in many.candidates][:3] == [1, 2, 3]
-        with pytest.raises(InputError, match="top is 0"):
-            matcher.match(queries[0].skyline, top=0)
 
 
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):

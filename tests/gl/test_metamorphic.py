@@ -66,7 +66,7 @@ def heights():
 @pytest.fixture(scope="module")
 def queries(heights):
     bounds = (-SQUARE_M, -SQUARE_M, SQUARE_M, SQUARE_M)
-    return [q.skyline for q in make_queries(terrain_of(heights), bounds, 3, 5, QUERY)]
+    return [q.skyline for q in make_queries(terrain_of(heights), bounds, 2, 5, QUERY)]
 
 
 @pytest.fixture(scope="module")

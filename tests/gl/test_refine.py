@@ -155,14 +155,6 @@ def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     assert _off_m(Refinement(query, scene, SHORT).run(both).hypotheses)[0] < 5.0
 
 
-def test_no_pose_leaves_the_map(scene, rays):
-    west, south, _, north = scene.field.bounds_m
-    edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
-    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge).hypotheses
-    assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
-    assert np.isfinite(found.eye_elevation_m).all()
-
-
 def test_a_featureless_skyline_tells_no_place(scene):
     flat = field_of(np.zeros((100, 100)), spacing_m=30.0)
     u = np.linspace(-0.5, 0.5, 300)

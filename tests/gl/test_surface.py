@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from query_scenes import photographed_from, poses, rays_of
-from scenes import at_m, field_from, field_of, fractal
+from scenes import at_m, field_of, fractal
 
 from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
-from skyline.geodesy import Frame
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import RenderedScene
 from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import UNKNOWN_M, read_surface
-from skyline.terrain.heightfield import HeightField
 
 SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
 TREES_M = 20.0
@@ -58,18 +56,6 @@ def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(b
     assert np.abs(row - at_row).max() <= 1.5
     np.testing.assert_allclose(rise_m[row, col], 30.0, atol=1e-3)
     assert rise_m[0, 0] == pytest.approx(UNKNOWN_M, abs=1e-3)
-
-
-def test_a_surface_in_another_frame_lies_where_it_is():
-    bare = field_from(lambda east, north: 1000.0 + 0.0 * east * north, 101, 30.0)
-    frame = Frame.local(lon=9.83, lat=46.79)
-    east_m, north_m = frame.from_lonlat(*bare.frame.to_lonlat(600.0, -300.0))
-    row, col = np.mgrid[0:301, 0:301]
-    off_m = np.hypot(col * 30.0 - 4500.0 - east_m, 4500.0 - row * 30.0 - north_m)
-    model = HeightField(1000.0 + TREES_M * (off_m < 100.0), -4500.0, 4500.0, 30.0, 30.0, frame)
-    rise_m = read_surface(model, bare).heights_m - 1000.0
-    row, col = np.nonzero(rise_m > 10.0)
-    assert bare.to_map(row.mean(), col.mean()) == pytest.approx((600.0, -300.0), abs=15.0)
 
 
 def test_a_surface_of_another_area_or_datum_is_refused(bare, forest):

@@ -5,23 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import at_m
 
-from skyline import (
-    InputError,
-    Matcher,
-    Narrowing,
-    OffMapError,
-    Viewer,
-    read_dem,
-    read_peaks,
-    read_query,
-)
+from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
 from skyline.camera import HEADINGS
-from skyline.photo.query import Projection
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.viewer import sight_of
-from skyline.terrain.summits import summit_heights_m
 from skyline.terrain.viewpoints import stand_on
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
@@ -61,25 +49,6 @@ def test_a_pose_says_where_the_eye_stands(matcher, dem):
             viewer.pose(lon=9.0, lat=40.0, heading_deg=0.0)
 
 
-def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
-    terrain = matcher.terrain
-    row, col = np.indices(terrain.heights_m.shape)[:, 20:-20, 20:-20].reshape(2, -1)
-    tops_m = summit_heights_m(terrain, *terrain.to_map(row + 0.3, col + 0.4))
-    first = np.nanargmax(tops_m)
-    place = terrain.to_map(row[first] + 0.3, col[first] + 0.4)
-    lon, lat = (float(one) for one in matcher.frame.to_lonlat(*place))
-    ground_m = float(terrain.height_at(**at_m(place)))
-    assert ground_m < tops_m[first]
-    with Viewer(matcher.terrain) as viewer:
-        # Down to the surface, heights above the summit may be negative.
-        below_m = ground_m - tops_m[first]
-        for above_m in (2.0, below_m):
-            pose = viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=above_m)
-            assert pose.eye_elevation_m == pytest.approx(tops_m[first] + above_m)
-        with pytest.raises(OffMapError, match="below the ground"):
-            viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=below_m - 1.0)
-
-
 def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
     with Viewer(matcher.terrain) as viewer:
         sight = viewer.look(true_pose(viewer, matcher.frame), query)
@@ -115,29 +84,6 @@ def test_a_sight_is_what_four_fine_views_show(
     assert np.percentile(off_px, 99) < 2.0 * a_column_px
     assert sight.column_px.min() < 10.0
     assert sight.column_px.max() > query.width_px - 10.0
-
-
-def test_a_sight_has_a_field_of_view_that_the_photo_can_have(matcher, query):
-    with Viewer(matcher.terrain) as viewer:
-        pose = replace(true_pose(viewer, matcher.frame), fov_deg=200.0)
-        with pytest.raises(InputError, match="200 degrees; expected 1 to 179"):
-            viewer.look(pose, query)
-        around = replace(query, projection=Projection.CYLINDRICAL, fov_deg=200.0)
-        sight = viewer.look(pose, around)
-    assert np.ptp(sight.column_px) > query.width_px
-    assert np.isfinite(sight.gap_deg[around.trusted]).all()
-
-
-def test_summits_are_named_where_they_are_seen(matcher, query, tmp_path):
-    gazetteer = tmp_path / "peaks.csv"
-    gazetteer.write_text("name,easting,northing\nBehind,601500,5179500\nOff,700000,5100000\n")
-    with Viewer(matcher.terrain, read_peaks(gazetteer, matcher.frame)) as viewer:
-        pose = true_pose(viewer, matcher.frame)
-        assert viewer.summits(pose, query) == []
-        back = replace(pose, heading_deg=(pose.heading_deg + 202.0) % 360.0)
-        for one in viewer.summits(back, query):
-            assert one.label == "Behind"
-            assert 0.0 <= one.column_px < query.width_px
 
 
 @pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [(60.0, 0.0, 3.0), (-40.0, 50.0, -4.0)])
@@ -196,18 +142,3 @@ def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher,
         with pytest.raises(KeyboardInterrupt, match=wanted):
             matcher.match(query, report_progress=stop)
     assert matcher.match(query).candidates == plain.candidates
-
-
-def test_an_eye_stands_as_high_as_is_known(matcher, query):
-    high = matcher.match(query, narrowing=Narrowing(eye_height_m=25.0)).candidates[0]
-    ground_m = float(
-        matcher.terrain.height_at(easting_m=high.easting_m, northing_m=high.northing_m)
-    )
-    assert high.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
-    fitted = matcher.fit(query, high).answer
-    ground_m = float(
-        matcher.terrain.height_at(easting_m=fitted.easting_m, northing_m=fitted.northing_m)
-    )
-    assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
-    with pytest.raises(InputError, match="expected 0 or more"):
-        Narrowing(eye_height_m=-1.0)

@@ -1,14 +1,11 @@
 """The plan of places: as dense as the skylines are near, whichever process plans it."""
 
-import tracemalloc
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scenes import field_of
 
-from skyline.build.plans import PlacePlan
 from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
@@ -18,7 +15,6 @@ from skyline.build.spacing import (
     lost_shares,
     spread_over,
 )
-from skyline.errors import InputError
 from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
 
@@ -113,19 +109,6 @@ class TestPrice:
         # Spacings are steps of the root of 2, so numbers are steps of 2 where all is alike.
         assert number <= 1.05 * len(places) <= 2.1 * number
 
-    def test_viewpoints_are_found_on_a_small_island(self, plain):
-        """In an elevation model that is nearly all holes."""
-        west, south, east, north = plain.bounds_m
-        share = (east - west) * (north - south) / 1e12
-        eyes, surface_m2 = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
-        assert surface_m2 == pytest.approx(1e12 * share, rel=0.3)
-        assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
-        with pytest.raises(InputError, match="no viewpoint falls on the surface"):
-            spread_over(plain, (1e6, 1e6, 2e6, 2e6))
-        assert not np.isnan(
-            plain.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
-        ).any()
-
 
 class TestPlan:
     @pytest.mark.parametrize("level", [0, 7])
@@ -157,20 +140,6 @@ class TestPlan:
         own_m2 = (2.0 * places.tolerance_m.astype(float)) ** 2
         assert own_m2.sum() == pytest.approx(AREA[2] * AREA[3], rel=1e-6)
 
-    def test_blocks_are_planned_each_on_its_own(self, plain):
-        def distance_m(easting):
-            return 100.0 + np.abs(easting - 4000.0)
-
-        whole = planned(plain, distance_m, 300.0)
-        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0)
-        blocks = blocks_of(AREA)
-        assert len(blocks) == 2
-        parts = [planner.places(blocks[one]) for one in (1, 0)]
-        assert positions(parts[0]) | positions(parts[1]) == positions(whole)
-        np.testing.assert_array_equal(
-            Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
-        )
-
     @pytest.mark.parametrize("hole", HOLES)
     def test_holes_of_every_shape(self, hole):
         """Places are the samples with heights that a lattice of 160 m has nodes at."""
@@ -183,13 +152,6 @@ class TestPlan:
         wanted = set(zip(EAST[stands].tolist(), NORTH[stands].tolist(), strict=True))
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
-
-
-@pytest.mark.parametrize(("of_number", "wanted"), [(1.0, 10.0), (100.0, 100.0), (5e4, 1e3)])
-def test_a_plan_loses_5_to_20_percent_of_the_views_by_default(of_number, wanted):
-    losses = {0.05: 10.0, 0.2: 1e3}
-    prices = SimpleNamespace(of_number=lambda _: of_number, of_loss=losses.__getitem__)
-    assert PlacePlan()._price(prices) == wanted
 
 
 class TestExpectedFinds:
@@ -207,15 +169,3 @@ class TestExpectedFinds:
         far_share = (1.0 - lost[1, 1]) / (1.0 + (25.0 / places.distance_m()[1, 0]) ** 1.75)
         assert near == (0.0, pytest.approx(1.0 / 257.0), pytest.approx(near_share))
         assert far == (400.0, pytest.approx(256.0 / 257.0), pytest.approx(far_share))
-        # Of very many places a part is read, which has as many of either as all of them.
-        each = 30_000
-        many = Places.concatenate([places[:1]] * each + [places[1:]] * each)
-        tracemalloc.start()
-        estimated = expected_finds(many)
-        _, peak_bytes = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        assert peak_bytes < len(many) * BINS * 8
-        assert estimated == [
-            (least_m, pytest.approx(share, rel=1e-3), pytest.approx(found))
-            for least_m, share, found in (near, far)
-        ]

@@ -42,25 +42,6 @@ def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg):
     assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was expected" in why
 
 
-def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
-    assert refusal(rays, 62.9, confidence=0.1).endswith("is needed")
-    assert refusal(rays, 65.0, None, confidence=0.1).endswith("is needed")
-    assert refusal_of([], MatchConfig(), query(), rays) == "no place fits"
-
-
-def test_a_slope_that_several_places_have_is_named(rays):
-    def refusal_at(*distances_m):
-        found = [
-            replace(candidate_at(0.0, 0.0, confidence=0.1, confidence_1km=0.1), skyline_m=distance)
-            for distance in distances_m
-        ]
-        return refusal_of(found, MatchConfig(), query(None), rays)
-
-    assert "a slope 40 to 90 m away, and 3 places have" in refusal_at(40.0, 90.0, 60.0, 800.0)
-    for others in ([], [700.0, 90.0, 5000.0], [None, None]):
-        assert refusal_at(40.0, *others).endswith("is needed")
-
-
 @pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
 def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
     assert rays.fov_bounds_deg == (54.0, 66.0)
@@ -100,15 +81,6 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "46.7" not in result.exif_in_words(with_place=False)
     far = noting(NotedPlace((-70.0, 46.7), None, 359.0), "not sure").exif_in_words()
     assert "position and compass and candidate 1 disagree" in far
-
-
-@pytest.mark.parametrize(
-    ("share", "begins"), [(None, None), (0.09, None), (0.214, "21 % of the skyline may be of")]
-)
-def test_terrain_beyond_the_model_is_mentioned_from_a_tenth_on(share, begins):
-    result = MatchResult(query(), (replace(BEST, beyond_share=share),), 0.0)
-    assert (result.beyond or "").startswith(begins or "")
-    assert (result.beyond is None) == (begins is None)
 
 
 def test_an_answer_and_a_refusal_are_printed_with_their_query():

@@ -5,7 +5,7 @@ import pytest
 from query_scenes import equally_trusted, poses
 
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M, RefinedPoses
+from skyline.match.candidate import DISTANCES_M, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
@@ -20,13 +20,6 @@ def test_a_margin_is_over_the_best_rival():
     # The second stands beside the first, so the third is the rival of both.
     some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
-
-
-def test_a_place_without_rivals_has_no_margin():
-    figures = confidence.retrieved_figures(retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0]), QUERY)
-    assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
-    model = confidence.models()[confidence.model_name("retrieved", RIGHT_WITHIN_M)]
-    assert (model.probability(figures) < 0.9).all()
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)

@@ -1,7 +1,6 @@
 """Elevation files: places, heights and frames of their samples."""
 
 import gzip
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -107,34 +106,6 @@ def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
     assert caplog.text == ""
 
 
-@pytest.mark.parametrize(("north", "west"), [(47.0, 9.0), (69.0, 9.0), (-10.0, 179.9)])
-def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(north, west):
-    rng = np.random.default_rng(7)
-    heights = rng.uniform(0.0, 1000.0, (300, 260)).astype(np.float32)
-    heights[40:60, 100:180] = np.nan
-    grid = Grid(west, north, 1.0 / 1200.0, 1.0 / 1200.0, 300, 260)
-    frame = Frame.local(lon=west + 0.1, lat=north - 0.1)
-    warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 40.0)
-    whole, highest = warp.heights_m(), warp.highest_m()
-    # Each to the edge that it shares with the next.
-    within = [slice(64 * index, 64 * index + 65) for index in range(max(highest.shape))]
-    for block in np.ndindex(highest.shape):
-        part = whole[within[block[0]], within[block[1]]]
-        assert np.fmax.reduce(part, axis=None, initial=-np.inf) <= highest[block]
-    assert np.median(highest) < 1000.0
-    wanted = rng.uniform(size=highest.shape) < 0.3
-    wanted[0] = False
-    made, part_grid = warp.blocks_m(wanted)
-    top = round((warp.target.north - part_grid.north) / 40.0)
-    left = round((part_grid.west - warp.target.west) / 40.0)
-    assert top == 64 * np.nonzero(wanted)[0].min()
-    for row, col in np.argwhere(wanted):
-        rows, cols = 64 * row - top, 64 * col - left
-        np.testing.assert_array_equal(
-            made[rows : rows + 65, cols : cols + 65], whole[within[row], within[col]]
-        )
-
-
 def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     rng = np.random.default_rng(5)
     heights = rng.uniform(0.0, 1000.0, (50, 60)).astype(np.float32)
@@ -187,17 +158,6 @@ def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
         own.height_at(easting_m=easting, northing_m=northing),
         atol=5.0,
     )
-
-
-def test_metres_of_web_mercator_are_warned_of(tmp_path, caplog):
-    corner = from_origin(1_100_000.0, 5_900_000.0, 30.0, 30.0)
-    read_dem(write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), corner, "EPSG:3857"))
-    assert "0.68" in caplog.text
-
-
-def test_options_of_other_releases_are_left_out():
-    options = DemOptions(crs="EPSG:32632", reproject=True)
-    assert DemOptions.from_json({**asdict(options), "spike_m": None}) == options
 
 
 def test_a_saved_field_is_read_as_it_was(tmp_path):

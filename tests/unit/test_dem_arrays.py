@@ -7,7 +7,6 @@ import xarray
 from dem_files import write
 from pyproj import CRS
 from rasterio.transform import Affine
-from rasterio.vrt import WarpedVRT
 from scenes import fractal
 
 from skyline.errors import InputError
@@ -63,15 +62,6 @@ def test_an_open_dataset_gives_what_its_file_gives(path):
     assert field.provenance.files == (str(path),)
 
 
-def test_a_field_without_a_file_names_none(tmp_path):
-    path = write(tmp_path / "dem.tif", rough(), **FILES["degrees"])
-    memory = rasterio.MemoryFile(path.read_bytes())
-    with memory, memory.open() as dataset, WarpedVRT(dataset, crs="EPSG:32632") as warped:
-        metric = HeightField.from_rasterio(warped)
-    assert metric.frame.name == "EPSG:32632"
-    assert metric.provenance.files == ()
-
-
 @pytest.mark.parametrize("masked", [False, True])
 def test_a_data_array_gives_what_its_file_gives(path, masked):
     with rioxarray.open_rasterio(path, masked=masked) as array:
@@ -100,16 +90,6 @@ def test_order_and_names_of_dimensions_do_not_matter():
         plain("northing", "easting"),
     ):
         assert HeightField.from_xarray(other, UTM).digest == field.digest
-
-
-def test_a_part_of_an_array_is_that_part_of_the_field(tmp_path):
-    path = write(tmp_path / "dem.tif", np.round(fractal(60, 50, seed=4) + 1500.0))
-    whole = read_dem(path)
-    with rioxarray.open_rasterio(path) as array:
-        # The geotransform that rioxarray noted of the file no longer fits, and is not used.
-        part = HeightField.from_xarray(array.isel(y=slice(7, 40), x=slice(11, 30)))
-    np.testing.assert_array_equal(part.heights_m, whole.heights_m[7:40, 11:30])
-    assert (part.west_m, part.north_m) == whole.to_map(7, 11)
 
 
 def test_units_scale_and_cf_grid_mappings_are_heeded():

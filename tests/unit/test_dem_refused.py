@@ -1,6 +1,5 @@
 """Elevation files that cannot be used are refused in one line."""
 
-import fcntl
 import gzip
 import subprocess
 import sys
@@ -83,17 +82,6 @@ def test_damaged_gzip(tmp_path):
         assert "cannot be unpacked" in refused(path)
     path.write_bytes(gzip.compress(b"short"))
     assert "cannot be read as a raster" in refused(path)
-
-
-def test_netcdf_in_a_folder_without_file_locks(shared_data, tmp_path):
-    """HDF5 would lock it to read it, and fails where that fails, as it does here."""
-    path = tmp_path / "lakes.nc"
-    path.write_bytes((shared_data / "sierra" / "lakes_topo.nc").read_bytes())
-    command = [sys.executable, "-m", "skyline", "info", f"netcdf:{path}:dem"]
-    with path.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_netcdf_by_its_gdal_name(shared_data):

@@ -93,14 +93,6 @@ def test_the_fill_of_a_turned_footprint_becomes_void(value):
     np.testing.assert_array_equal(np.isnan(heights), outside)
 
 
-def test_samples_smeared_by_a_resampling_at_the_rim_go_too():
-    heights = mountains()
-    heights[:, :30] = 0.0
-    heights[:, 30], heights[:, 31] = -60.0, 100.0
-    assert void_undeclared(heights, SPACING_M) == (160 * 32, [0.0])
-    assert not np.isnan(heights[:, 32:]).any()
-
-
 @pytest.mark.parametrize("level", [0.0, 1500.0])
 def test_water_stays(level):
     # A shore as steep as terrain gets at 30 m: 45 degrees all round, and a cliff on a fifth of it.
@@ -121,15 +113,6 @@ def test_the_sea_stays_where_the_fill_goes():
     heights[:] = np.minimum(heights, np.maximum(away - 25.0, 0.0) * 20.0)
     heights[:, :12] = 0.0
     assert void_undeclared(heights, SPACING_M) == (160 * 12, [0.0])
-
-
-def test_walls_beside_samples_that_no_file_covers_are_no_fill():
-    heights = mountains()
-    heights[80:, 100:] = np.inf
-    heights[80:, 98] -= 800.0
-    before = heights.copy()
-    assert void_undeclared(heights, SPACING_M) == (0, [])
-    np.testing.assert_array_equal(heights, before)
 
 
 def test_fill_is_counted_and_warned_of(tmp_path, caplog):

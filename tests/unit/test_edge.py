@@ -69,12 +69,3 @@ def test_terrain_beyond_is_as_high_as_terrain_near_the_edge():
         known = np.where(np.isnan(heights), 0.0, heights)
         assert known[apart_m <= 8500.0].max() <= most * 1.01
         assert most <= known[apart_m <= 11_500.0].max() * 1.01
-
-
-def test_where_the_data_are_holes_along_a_side_the_highest_of_all_counts():
-    heights = np.full((40, 40), 100.0)
-    heights[:, :12] = np.nan
-    heights[20, 30] = 700.0
-    edge = DataEdge.of(field_of(heights, spacing_m=1000.0), FLAT)
-    assert (edge.highest_m[0] == 700.0).all()
-    assert edge.highest_m[3, 20:].max() == 100.0

@@ -47,14 +47,6 @@ def test_below_the_sea_is_negative():
         assert place_from_exif(gps) == NotedPlace(elevation_m=-400.0)
 
 
-def test_satellites_that_stand_badly_make_a_position_inaccurate():
-    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: 99.99}).accuracy_m > 400.0
-    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: 1.2}).accuracy_m < 10.0
-    both = {GPS.GPSDOP: 40.0, GPS.GPSHPositioningError: 4.0}
-    assert place_from_exif(SOUTH_WEST | both).accuracy_m == 4.0
-    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: IFDRational(0, 0)}).accuracy_m is None
-
-
 def test_a_position_is_carried_to_wgs_84():
     for name in ("WGS-84", "WGS84", "wgs 84", "", "\0"):
         assert place_from_exif(SOUTH_WEST | {GPS.GPSMapDatum: name}).lonlat_deg == (-70.25, -33.51)
@@ -111,7 +103,3 @@ def test_other_tags_that_cannot_be_used_are_left_aside(gps, said):
     assert said in noted.left_aside
     beside = place_from_exif(SOUTH_WEST | {GPS.GPSImgDirection: 655.0})
     assert beside.lonlat_deg == (-70.25, -33.51)
-
-
-def test_a_photo_without_tags_notes_nothing():
-    assert place_from_exif({}) == place_from_exif({GPS.GPSVersionID: b"\2\3\0\0"}) == NotedPlace()

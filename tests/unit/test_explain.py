@@ -5,7 +5,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.camera import pixel_size
-from skyline.cli.data import curvature_bound_px, share_beyond, sight_range_m
+from skyline.cli.data import curvature_bound_px, sight_range_m
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -38,15 +38,3 @@ def test_nothing_beyond_sight_shows(eye_height_m):
         eye = stand_on(field, easting_m=easting, northing_m=-200.0, eye_height_m=eye_height_m)
         view = oracle.skyline(field, eye, 65, moon)
         assert (view.depth_m[1, 32] > 0.97 * share * sight_m) == shows
-
-
-def test_share_beyond_sight_is_counted_right():
-    field = field_of(fractal(60, 50, seed=2), 2000.0)
-    eye = stand_on(field, easting_m=20_000.0, northing_m=-30_000.0)
-    moon = Curvature(radius_m=200_000.0, refraction_k=0.0)
-    sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), moon.drop_per_m2)
-    beyond = share_beyond(field, eye, sight_m)
-    row, col = np.mgrid[:60, :50]
-    distance = np.hypot(col * 2000.0 - 20_000.0, row * 2000.0 - 30_000.0)
-    assert beyond == pytest.approx((distance > sight_m).mean(), abs=1e-9)
-    assert 0.1 < beyond < 0.9

@@ -166,16 +166,6 @@ def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
     assert waited == [1.0, 2.0]
 
 
-def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
-    server.files[EAST] = server.files[EAST][:40_000]
-    with pytest.raises(FetchError, match="breaks off or is damaged"):
-        fetch(template, tmp_path)
-    server.files.update(contents)
-    done = fetch(template, tmp_path)
-    assert (len(done.files), done.fetched) == (2, 1)
-    expect_heights(done, heights)
-
-
 @pytest.mark.parametrize(
     "template",
     ["file:///etc/{lat}.tif", "coprenicus", "http://host/{lat.__class__}.tif", "http://host/a.tif"],

@@ -43,21 +43,6 @@ def test_a_result_is_a_table_of_points_in_degrees():
     np.testing.assert_allclose(back.y, table["northing_m"], atol=1e-4)
 
 
-def test_results_keep_their_number_and_files_hold_them(tmp_path):
-    refused = MatchResult(QUERY, (OTHER,), 0.1, "too unsure")
-    nothing = MatchResult(QUERY, (), 0.1, "no place fits")
-    results = [MatchResult(QUERY, (BEST, OTHER), 0.1), nothing, refused]
-    table = skyline.to_geodataframe(results)
-    assert list(table["query"]) == [0, 0, 2]
-    assert list(table["is_answer"]) == [True, False, False]
-    table.to_file(tmp_path / "found.gpkg")
-    again = geopandas.read_file(tmp_path / "found.gpkg")
-    assert list(again["heading_deg"]) == list(table["heading_deg"])
-    empty = skyline.to_geodataframe([nothing])
-    assert len(empty) == 0
-    assert list(empty.columns) == list(table.columns)
-
-
 def test_results_of_any_kind_are_a_table():
     refused = MatchResult(QUERY, (OTHER,), 0.1, "too unsure", name="b.jpg")
     nothing = MatchResult(QUERY, (), 0.1, "no place fits", name="c.jpg")
@@ -127,19 +112,6 @@ def test_azimuths_are_from_true_north_at_each_place(kind, request):
     assert Frame.from_crs(data.spatial_ref.attrs["crs_wkt"]).crs == UTM.crs
 
 
-def test_places_are_a_table_of_points_with_their_spacing(place_store):
-    table, places = place_store.to_geodataframe(), numbered_places(0, 50)
-    assert list(table["place"]) == list(range(50))
-    np.testing.assert_array_equal(table.geometry.x, places.easting_m)
-    np.testing.assert_array_equal(table.geometry.y, places.northing_m)
-    assert (table["spacing_m"] == 50.0).all()
-    assert (table["tolerance_m"] == 25.0).all()
-    degrees = table.to_crs("EPSG:4326").geometry
-    np.testing.assert_allclose(degrees.x, table["lon"], atol=1e-9)
-    np.testing.assert_allclose(degrees.y, table["lat"], atol=1e-9)
-    assert place_store.to_geodataframe([7, 3])["place"].tolist() == [7, 3]
-
-
 def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_path, monkeypatch):
     path, opened, connect = tmp_path / "places.gpkg", [], sqlite3.connect
     path.write_bytes(b"what was there")
@@ -153,7 +125,11 @@ def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_pa
     read = geopandas.read_file(path, layer="places")
     assert read.crs == UTM.crs
     columns = read.columns.drop("geometry")
-    assert read[columns].equals(place_store.to_geodataframe()[columns])
+    table, places = place_store.to_geodataframe(), numbered_places(0, 50)
+    assert read[columns].equals(table[columns])
+    np.testing.assert_array_equal(read.geometry.x, places.easting_m)
+    np.testing.assert_array_equal(read.geometry.y, places.northing_m)
+    assert (table["spacing_m"] == 50.0).all()
     (row,) = pyogrio.read_dataframe(path, layer="layer_styles").to_dict("records")
     assert (row["f_table_name"], row["f_geometry_column"]) == ("places", "geom")
     assert row["useAsDefault"] == 1

@@ -59,18 +59,6 @@ def test_an_eye_without_ground_is_refused(east_m, south_m, message):
         stand_on(field_of(heights), easting_m=WEST_M + east_m, northing_m=NORTH_M - south_m)
 
 
-def test_a_hole_takes_its_triangles_and_no_more():
-    heights = np.ones((3, 3))
-    heights[0, 1] = np.nan
-    field = field_of(heights)
-    assert np.isnan(field.height_at(**at_m(field.to_map(0.2, 0.8))))
-    assert float(field.height_at(**at_m(field.to_map(0.8, 0.2)))) == 1.0
-    assert float(field.height_at(**at_m(field.to_map(0.0, 0.0)))) == 1.0
-    assert np.isnan(field.height_at(**at_m(field.to_map(0.0, 1.0))))
-    assert field.has_holes
-    assert field.height_range_m == (1.0, 1.0)
-
-
 def test_heights_given_are_copied_and_frozen():
     heights = np.zeros((3, 3), dtype=np.float32)
     field = field_of(heights)
@@ -110,13 +98,6 @@ def test_a_place_is_metres_or_degrees_by_name():
     eye = stand_at(field, lon=lon, lat=lat, eye_height_m=1.5, summit_within_m=0.0)
     assert float(eye.easting_m[0]) == pytest.approx(230.0, abs=1e-6)
     assert float(eye.eye_elevation_m[0]) == pytest.approx(9.3, abs=1e-6)
-    # The middle of a frame of our own is at 0, 0, so that degrees would be near it.
-    for call in (field.height_at, field.to_grid, field.reach_m, FRAME.convergence_deg, FRAME.scale):
-        with pytest.raises(TypeError, match="positional argument"):
-            call(9.85, 46.75)
-    for stand in (stand_on, stand_at):
-        with pytest.raises(TypeError, match="positional argument"):
-            stand(field, 9.85, 46.75)
 
 
 TWO_PLACES = {"easting_m": 1.0, "northing_m": 1.0, "lon": 9.9, "lat": 46.8}

@@ -51,17 +51,6 @@ def test_a_column_under_a_known_rise_has_a_uniform_density_up_to_it():
     np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-5)
 
 
-def test_products_are_those_of_the_whole_covariance():
-    errors, _, _ = _setting()
-    residual = np.random.default_rng(2).normal(0.0, 0.001, (1, 40))
-    found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
-    covariance = found.factor[0] @ found.factor[0].T + np.diag(1.0 / found.weight[0])
-    left, right = np.random.default_rng(3).normal(size=(2, 1, 40, 3))
-    expected = left[0].T @ np.linalg.solve(covariance, right[0])
-    np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
-    assert found.effective_columns[0] < found.odds.sum() - 2.0
-
-
 def test_height_errors_have_the_stated_covariance_at_their_nodes():
     errors, azimuth, distance = _setting(nodes=40)
     point = (distance * np.exp(1j * azimuth))[0]
@@ -75,22 +64,6 @@ def test_height_errors_have_the_stated_covariance_at_their_nodes():
     expected /= distance[0][:, None] * distance[0]
     np.testing.assert_allclose(errors.factor[0] @ errors.factor[0].T, expected, atol=1e-11)
     assert correlation(REACH_M) == pytest.approx(np.exp(-1.0))
-
-
-@pytest.mark.parametrize("nodes", [0, 6])
-def test_an_unknown_column_costs_as_much_as_a_tree(nodes):
-    errors, _, _ = _setting(nodes)
-    residual = np.zeros((1, 40))
-    costs = []
-    for odd in (np.nan, np.radians(9.0)):
-        residual[0, 7] = odd
-        odds = np.ones((1, 40))
-        for _ in range(6):
-            found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, odds)
-            odds = found.odds
-        costs.append(found.cost[0])
-        assert found.odds[0, 7] < 1e-9
-    assert costs[0] == pytest.approx(costs[1], abs=1e-6)
 
 
 def _converged(residual, errors, magnified=1.0, scale=1.0):

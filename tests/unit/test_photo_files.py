@@ -147,14 +147,6 @@ def test_a_file_that_is_no_photo_is_one_line(tmp_path, name, content, said):
     refused(tmp_path / name, said)
 
 
-@pytest.mark.parametrize("name", ["moving.gif", "moving.png"])
-def test_of_an_animation_the_first_picture_is_taken(tmp_path, scene, name):
-    other = Image.new("RGB", (320, 240), "black")
-    first = Image.fromarray(scene.image)
-    first.save(tmp_path / name, save_all=True, append_images=[other], duration=100)
-    assert close_to(read_query(tmp_path / name), scene)
-
-
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif", "gif"])
 def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
     rng = np.random.default_rng(7)

@@ -13,8 +13,7 @@ from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.query import Projection, QuerySkyline
 from skyline.report.viewer import Viewer, directions_of, pixels_of, sight_of
-from skyline.terrain.sightlines import first_hits_m
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)
@@ -101,31 +100,6 @@ def test_a_plane_is_met_where_it_is(name):
     np.testing.assert_allclose(places.lat[inside], lat, rtol=0.0, atol=1e-8)
 
 
-def test_a_cone_stands_before_the_sky():
-    slope, top_m, away_m = 0.5, 600.0, 3000.0
-    field = field_from(
-        lambda east, north: np.maximum(top_m - slope * np.hypot(east, north - away_m), 0.0),
-        401,
-        20.0,
-    )
-    pose, query = pose_at(field, 0.0, -900.0, 2.0, "level", heading_deg=0.0)
-    places = Viewer(field, curvature=FLAT).places(pose, query)
-    column, row = pixels_of(pose, query, 0.0, (top_m - 2.0) / (away_m + 900.0))
-    middle = round(float(column))
-    seen = np.flatnonzero(np.isfinite(places.distance_m[:, middle]))
-    assert abs(seen[0] - float(row)) <= 1.0
-    assert (np.diff(seen) == 1).all()
-    # A circle of radius r is L^2 / 8 r above a chord of length L, at most a cell's diagonal.
-    on_cone = places.elevation_m > 100.0
-    east_m, north_m = field.frame.from_lonlat(places.lon[on_cone], places.lat[on_cone])
-    radius_m = np.hypot(east_m, north_m - away_m)
-    low_m = (top_m - slope * radius_m) - places.elevation_m[on_cone]
-    near_top = radius_m < 60.0
-    assert (low_m > -0.01).all()
-    assert (low_m < np.where(near_top, 20.0, 1.01 * slope * 800.0 / (8.0 * radius_m) + 0.01)).all()
-    assert on_cone.sum() > 3
-
-
 @pytest.fixture(scope="module")
 def rough():
     heights = 1000.0 + fractal(90, 100, 500.0, seed=4)
@@ -205,13 +179,6 @@ def test_coarser_pixels_are_those_of_all_pixels(rough):
         viewer.places(pose, query, 0)
     with pytest.raises(OffMapError, match="off the map"):
         viewer.places(replace(pose, easting_m=9e5), query)
-
-
-def test_rays_of_an_eye_on_the_ground_meet_it_at_once(rough):
-    eye = stand_on(rough, easting_m=1400.0, northing_m=-1300.0, eye_height_m=0.0)
-    down = np.array([-50.0, -5.0])
-    found = first_hits_m(rough, eye, FLAT, np.array([0.3, 2.0]), down, 1e-3)
-    np.testing.assert_allclose(found, 0.0, atol=1e-6)
 
 
 def test_files_of_places_hold_the_arrays_and_the_pose(rough, tmp_path):

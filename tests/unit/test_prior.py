@@ -7,10 +7,8 @@ import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
-from skyline.geodesy import Frame
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.solver import FINE, Curves, Solver
-from skyline.photo.exif import NotedPlace
 
 NOTED = PlacePrior(1000.0, 2000.0, 25.0)
 of_noted = PlacePrior.of_noted
@@ -65,23 +63,3 @@ def test_a_step_is_pulled_to_the_noted_place(prior):
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
     # Terrain so far away does not constrain the place.
     assert (east < -50.0) == (prior is not None)
-
-
-def test_the_prior_is_as_precise_as_the_photo_notes():
-    frame = Frame.local(lon=9.8, lat=46.7)
-    plain = of_noted(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
-    assert (plain.easting_m, plain.northing_m) == pytest.approx((0.0, 0.0), abs=1e-6)
-    assert plain.heading_deg == 10.0
-    noted = of_noted(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
-    assert noted.sd_m == 80.0 > plain.sd_m
-    assert noted.heading_sd_deg > plain.heading_sd_deg
-    # An altitude counts only beside a noted accuracy.
-    assert of_noted(NotedPlace((9.8, 46.7), 900.0), frame).elevation_m is None
-    sure = of_noted(NotedPlace((9.8, 46.7), 900.0, accuracy_m=20.0), frame)
-    assert (sure.elevation_m, sure.elevation_sd_m) == (900.0, 60.0)
-    assert of_noted(NotedPlace(heading_deg=10.0), frame) is None
-    beside = frame.to_lonlat(40_000.0, 0.0)
-    east = of_noted(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
-    turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
-    assert abs(turn_deg) > 0.1
-    assert east.heading_deg == pytest.approx(-turn_deg)

@@ -117,26 +117,3 @@ def test_every_place_is_taken_by_name():
                 assert parameter.kind is inspect.Parameter.KEYWORD_ONLY, (name, parameter.name)
                 taken += 1
     assert taken > 30
-
-
-@pytest.mark.parametrize(
-    ("code", "names"),
-    [
-        ("import skyline\nskyline.", set(skyline.__all__)),
-        (
-            "from skyline import Matcher\nMatcher('davos.h5').match('photo.jpg').",
-            {"answer", "candidates", "refusal", "to_dict", "to_dataframe"},
-        ),
-        ("import skyline\nskyline.locate('photo.jpg').best.", {"lon", "lat", "heading_deg"}),
-        ("import skyline\nskyline.orient('photo.jpg', 'dem.tif').", {"pose", "to_dataframe"}),
-        ("import skyline\nskyline.horizon('dem.tif', lon=9, lat=46).", {"plot", "to_xarray"}),
-    ],
-)
-def test_editors_complete_names_and_what_functions_return(code, names):
-    jedi = pytest.importorskip("jedi")
-    assert names <= {one.name for one in jedi.Script(code).complete()}
-
-
-def test_help_says_what_a_match_returns():
-    for function in (skyline.Matcher.match, skyline.Matcher.match_together, skyline.locate):
-        assert "\nReturns\n-------\n" in inspect.getdoc(function)

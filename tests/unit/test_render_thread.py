@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from skyline import ContextError, RenderThread
+from skyline import RenderThread
 
 
 def test_urgent_tasks_go_before_waiting_ones():
@@ -40,11 +40,3 @@ def test_it_returns_and_raises_what_the_task_does_on_one_thread():
         with pytest.raises(ZeroDivisionError):
             thread.run(lambda: 1 // 0)
         assert thread.run(lambda: thread.run(lambda: "within")) == "within"
-
-
-def test_it_ends_after_the_waiting_tasks():
-    thread = RenderThread()
-    thread.close()
-    thread.close()
-    with pytest.raises(ContextError, match="closed"):
-        thread.run(lambda: None)

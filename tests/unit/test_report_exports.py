@@ -20,14 +20,7 @@ from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
 from scenes import FRAME, candidate_at
 
-from skyline import (
-    InputError,
-    MatchResult,
-    QuerySkyline,
-    export_matches,
-    read_photo,
-    write_located,
-)
+from skyline import InputError, MatchResult, QuerySkyline, export_matches, read_photo, write_located
 
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
@@ -89,16 +82,6 @@ def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
     assert not href.startswith(("/", "file:"))
 
 
-def test_a_trace_has_no_picture_in_the_landscape(tmp_path):
-    path = tmp_path / "answer.kmz"
-    export_matches(path, [replace(matches()[0], name="trace.csv")], FRAME)
-    with zipfile.ZipFile(path) as archive:
-        assert archive.namelist() == ["doc.kml"]
-        kml = Xml.fromstring(archive.read("doc.kml"))
-    assert kml.find(".//{*}PhotoOverlay") is None
-    assert len(kml.findall(".//{*}Placemark")) == 2
-
-
 @pytest.mark.parametrize("photos", [[PHOTO], None], ids=["given", "read"])
 def test_kmz_holds_the_photo(tmp_path, photos):
     path, name = tmp_path / "answer.kmz", str(tmp_path / "photo.png")
@@ -124,32 +107,6 @@ def test_gdal_reads_the_gpx(tmp_path):
     assert points.ele.tolist() == [1234.5, 1000.0]
     assert points.name.tolist()[1].endswith("candidate 2")
     assert "confidence 0.93" in points.desc[0]
-
-
-@pytest.mark.parametrize(("pose", "name", "origin", "method"), [
-    (OTHER, "candidate 2", "found, rank 2", b"SKYLINE: found, rank 2"),
-    (replace(OTHER, rank=None, refined=True), "the fitted pose", "fitted", b"SKYLINE: fitted"),
-    (replace(OTHER, rank=None), "the pose set by hand", "set by hand", b"MANUAL"),
-])  # fmt: skip
-def test_files_say_where_a_pose_comes_from(tmp_path, pose, name, origin, method):
-    matched = [replace(matches()[0], name="Tal.jpg", candidates=(pose,))]
-    for suffix in ("kml", "gpx", "geojson"):
-        export_matches(tmp_path / f"answer.{suffix}", matched, FRAME)
-    mark = Xml.parse(tmp_path / "answer.kml").find(".//{*}Placemark")
-    point = Xml.parse(tmp_path / "answer.gpx").find("{*}wpt")
-    assert mark.findtext("{*}name") == point.findtext("{*}name") == f"Tal.jpg: {name}"
-    for text in (mark.findtext("{*}description"), point.findtext("{*}desc")):
-        assert text.startswith(f"{origin[0].upper()}{origin[1:]}. ")
-        assert "confidence" not in text
-    feature, *_ = json.loads((tmp_path / "answer.geojson").read_text())["features"]
-    about = feature["properties"]
-    assert (about["rank"], about["origin"]) == (pose.rank, origin)
-    source = tmp_path / "photo.jpg"
-    Image.fromarray(PHOTO).save(source)
-    write_located(source, source, pose)
-    with Image.open(source) as image:
-        gps = image.getexif().get_ifd(IFD.GPSInfo)
-    assert gps[GPS.GPSProcessingMethod] == b"ASCII\0\0\0" + method
 
 
 GPS_OF_ANOTHER_POSE = {

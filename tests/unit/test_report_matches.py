@@ -22,8 +22,8 @@ from skyline.photo.query import QuerySkyline
 from skyline.report.figures import place_labels
 from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import Peaks, Sighting
-from skyline.report.viewer import SeenPeak, Viewer, peaks_in_picture, pixels_of, sight_of
+from skyline.report.peaks import Peaks
+from skyline.report.viewer import Viewer, sight_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -84,10 +84,6 @@ def like(image, rgb, within=90):
     return np.abs(image[..., ::-1] - np.array(rgb)).sum(axis=-1) < within
 
 
-def test_there_is_no_gap_between_a_skyline_and_its_rendering():
-    assert SIGHT.median_gap_deg < 0.02
-
-
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
     image = pixels(draw_overlay(QUERY, photo, BEST, SIGHT)[0])
@@ -104,32 +100,6 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
     bare = pixels(draw_overlay(QUERY, photo, BEST)[0])
     assert not like(bare, (0, 224, 255)).any()
-
-
-def peak(label, elevation_tan=0.2):
-    column, row = pixels_of(BEST, QUERY, BEST.grid_heading_deg, elevation_tan)
-    return SeenPeak(label, label, float(column), float(row), 2000.0, 900.0)
-
-
-def test_peaks_in_the_picture_are_named_above_it():
-    # A label's leader keeps others from the place above its own, and these are counted.
-    assert draw_overlay(QUERY, None, BEST, SIGHT, [peak("A name")] * 4)[1] == 3
-    none = pixels(draw_overlay(QUERY, None, BEST, SIGHT)[0])
-    picture, without_room = draw_overlay(QUERY, None, BEST, SIGHT, [peak("$Ahead")])
-    assert without_room == 0
-    named = pixels(picture)
-    band = len(named) - len(none)
-    assert band > 15
-    text = (named[: band - 8] < 100).all(axis=-1)
-    middle = np.flatnonzero(text.any(axis=0)).mean()
-    assert middle == pytest.approx(pixels_of(BEST, QUERY, BEST.grid_heading_deg, 0.2)[0], abs=10.0)
-
-
-def test_only_peaks_in_the_picture_are_in_it():
-    ahead = Sighting("Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, name="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
-    above = replace(ahead, name="Above", elevation_tan=3.0)
-    assert peaks_in_picture(BEST, QUERY, [behind, ahead, above]) == [peak("Ahead")]
 
 
 def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
@@ -181,34 +151,6 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     bare = report(tmp_path, results[2:], without_terrain)
     assert "no elevation model" in bare
     assert "no skyline was rendered" in bare
-
-
-@pytest.mark.parametrize(
-    ("changes", "is_answered", "said"),
-    [
-        ({"rank": 2}, False, "Candidate 2, chosen by a person: latitude"),
-        ({"rank": None, "refined": False, "confidence": None}, False, "Set by hand: latitude"),
-        (
-            {"rank": None, "refined": True, "confidence": None, "residual_deg": 0.123,
-             "terrain_share": 0.94}, True,
-            "true north; the skylines are 0.12 degrees apart (rms) over 94 % of the skyline.",
-        ),
-        (
-            {"rank": None, "refined": True, "confidence": None, "residual_deg": 1.44,
-             "terrain_share": 0.94}, False,
-            "Fitted, and the fit has failed: latitude",
-        ),
-    ],
-)  # fmt: skip
-def test_a_report_says_where_its_pose_comes_from(tmp_path, changes, is_answered, said):
-    shown = replace(BEST, **changes)
-    within_m = 200.0 if is_answered and shown.rank else None
-    refusal = None if is_answered else "not sure"
-    html = report(tmp_path, [MatchResult(QUERY, (shown,), 1.0, refusal, within_m, "a.jpg")])
-    assert said in html
-    assert ("right within" in html) == (within_m is not None)
-    assert ("queries answered" in html) == (shown.rank is not None)
-    assert ("Taken at" in html) == (shown.rank == 1)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as Xml
 import numpy as np
 import pytest
 from pyproj import Geod
-from scenes import FRAME, at_m, candidate_at
+from scenes import at_m, candidate_at
 from shapely import MultiPolygon, Polygon
 
 from skyline.geodesy import Frame
@@ -134,9 +134,3 @@ def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
         ]
     export_matches(tmp_path / "a.kml", matches, FIJI)
     assert len(Xml.parse(tmp_path / "a.kml").findall(".//{*}Polygon")) == 2
-
-
-def test_geojson_has_no_word_for_infinity(tmp_path):
-    lost, path = candidate_at(0.0, 0.0, score=np.inf), tmp_path / "matches.geojson"
-    export_matches(path, [MatchResult(None, (lost,), 0.0, name="q")], FRAME)
-    assert json.loads(path.read_text())["features"][0]["properties"]["score"] is None

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from scenes import candidate_at, field_from
 
-from skyline import JointResult, MatchResult, QuerySkyline, open_store
+from skyline import MatchResult, QuerySkyline, open_store
 
 
 def picture_in(html):
@@ -42,20 +42,6 @@ def test_a_store_says_what_it_holds(store):
         html = opened._repr_html_()
     assert f"<th>places</th><td>{len(opened):,}</td>" in html
     assert "<th>spacing_m</th><td>80.0</td>" in html
-
-
-def test_a_result_says_its_answer_and_holds_no_array():
-    answered = result()
-    answer = answered.answer
-    assert repr(answered) == (
-        f"MatchResult(Taken at latitude {answer.lat:.5f}°, longitude {answer.lon:.5f}°, looking "
-        f"{answer.heading_deg:.1f}° from true north, confidence 93\N{NO-BREAK SPACE}%, right "
-        "within 200 m (not refined by rendering). Candidates: 1)"
-    )
-    refused = MatchResult(query(), (), 1.0, "too <far>")
-    joint = JointResult((answered, refused), 2.0)
-    assert repr(joint).endswith("(not refined by rendering). 1 of 2 photos agree)")
-    assert "<far>" not in refused._repr_html_()
 
 
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():

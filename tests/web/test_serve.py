@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from commands import assert_refused
+from commands import assert_refused, noting
 from pages import POSE, TINY, live, look, ready, received, serving
 from PIL import Image
-from PIL.ExifTags import IFD, Base
+from PIL.ExifTags import Base
 
 from skyline import Matcher, Narrowing, cli, read_query
 from skyline.render.context import release_context
@@ -97,15 +97,6 @@ NARROWED = Narrowing(
 )
 
 
-def noting(photo, path, tags, size=None):
-    """Write a photo, or the part of it of a size, whose EXIF has tags of the camera."""
-    with Image.open(photo) as image:
-        exif = image.getexif()
-        exif.get_ifd(IFD.Exif).update(tags)
-        image.crop((0, 0, *(size or image.size))).save(path, exif=exif)
-    return path
-
-
 def masked(photo, path):
     """Write the sky of a photo as a mask with a white border."""
     query = read_query(photo, 60.0)
@@ -139,7 +130,7 @@ NUMBERS = {
     [
         (lambda *to: noting(*to, {}), Question({})),
         (lambda *to: noting(*to, FILM), Question({})),
-        (lambda *to: noting(*to, FILM | FRAME, (800, 640)), Question({})),
+        (lambda *to: noting(*to, FILM | FRAME, size=(800, 640)), Question({})),
         (lambda *to: noting(*to, FILM), ALL_KNOWN),
         (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), fov_deg=60.25)),
     ],

@@ -47,16 +47,6 @@ def test_a_session_ends_when_its_page_is_closed_for_long_and_not_before(sessions
     assert not there.folder.exists()
 
 
-def test_a_removed_photo_leaves_the_disk(sessions):
-    session = sessions.begin()
-    first = photo_in(session)
-    photo_in(session)
-    assert session.bytes == 200
-    session.remove(first)
-    assert session.bytes == 100
-    assert not first.path.exists()
-
-
 def test_all_files_go_with_the_server(sessions):
     session = sessions.begin()
     photo_in(session)
