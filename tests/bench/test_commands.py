@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import cli, page, paper
 from skyline_bench.measuring.record import write_record
-from skyline_bench.truth import simulation, stability
+from skyline_bench.truth import stability
 
 
 def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench):
@@ -40,7 +39,7 @@ def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
 def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, command, rows, key):
-    monkeypatch.setattr(simulation, "Mountain", partial(simulation.Mountain, size=30))
+    monkeypatch.setattr(paper, "_SIDE", 30)
     monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
     given = [{"DEM": dem}.get(word, word) for word in command]
     record = tmp_path / "record.json"
