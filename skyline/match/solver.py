@@ -262,6 +262,8 @@ class Solver:
         self, fit: Fit, place_m: Complex128Array, eye_elevation_m: Float64Array
     ) -> Hypotheses:
         """Return fits as poses of eyes (M,); the score is the cost."""
+        # A lens has one warp or none; those of a panorama are in `wander`.
+        distortion = fit.state[:, WARP : WARP if self.query.is_panorama else None]
         return Hypotheses(
             place_m.real,
             place_m.imag,
@@ -270,7 +272,7 @@ class Solver:
             np.degrees(fit.state[:, PITCH]),
             np.degrees(fit.state[:, ROLL]),
             self.query.fov_at(fit.state[:, LOG_SCALE]),
-            fit.state[:, WARP:].sum(axis=1) * (not self.query.is_panorama),
+            distortion.sum(axis=1),
             fit.cost,
         )
 
