@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -221,3 +222,27 @@ def test_in_a_shell(dem, tmp_path):
         assert len(store)
     said = "error: the system reports: [Errno 28] No space left on device\n"
     assert end_of(f"{skyline} --version >/dev/full") == (1, "", said)
+
+
+def test_a_match_that_is_stopped_keeps_what_it_has_written(
+    run, store, trace, second, tmp_path, monkeypatch
+):
+    match = partial(run, "match", store, trace, second, "--matcher", "unrefined", "--results")
+    matched, results = Matcher.match, []
+
+    def stopping(*arguments, **named):
+        if results:
+            raise KeyboardInterrupt
+        results.append(matched(*arguments, **named))
+        return results[0]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Matcher, "match", stopping)
+        done = match(tmp_path / "r.csv")
+    assert done.code == 130
+    said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
+    assert done.err.startswith(said)
+    assert "trace.csv" in done.out
+    again = match(tmp_path / "r.csv")
+    assert "1 of 2 are there already" in again.err
+    assert "trace.csv" not in again.out

@@ -214,3 +214,32 @@ def test_one_process_waits_for_another_and_clear_leaves_its_area(cache, server):
     waiting.join(20.0)
     assert len(notes) == 1, "it takes the store that the other has made"
     assert areas.clear_cache() == 1
+
+
+def test_an_interrupted_build_continues(made, cache, server):
+    area = Area.around([PLACE], 1.5, 1.5)
+
+    def stop(done, total):
+        if done == total:
+            raise KeyboardInterrupt
+
+    class Stopping:
+        def __init__(self, doing):
+            self.progress = stop if "building" in doing else None
+
+        def __enter__(self):
+            return self.progress
+
+        def __exit__(self, *_):
+            pass
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare_area(area, bar=Stopping)
+    (unfinished,) = areas.cached_areas()
+    assert not unfinished.finished
+    assert list(unfinished.folder.rglob("*-of-*.h5"))
+    server.requests.clear()
+    ready = prepare_area(area)
+    assert ready.store.exists()
+    assert not server.requests
+    assert not list(unfinished.folder.rglob("*-of-*.h5"))

@@ -161,6 +161,27 @@ class TestAreas:
         assert build_store(terrain, tmp_path / "ab.h5", of(west)).rendered == 0
         assert (tmp_path / "ab.h5").read_bytes() == whole
 
+    def test_areas_of_one_grid_are_the_store_built_at_once(self, terrain, tmp_path):
+        places = {}
+        for name, boxes in (("once", [None]), ("grown", halves_of(terrain))):
+            for box in boxes:
+                build_places(terrain, tmp_path / f"{name}.h5", SPACING_M, box)
+            with open_store(tmp_path / f"{name}.h5") as store:
+                places[name] = store.stored()
+        for name, values in places["once"].items():
+            np.testing.assert_array_equal(places["grown"][name], values)
+
+    def test_a_box_that_fails_leaves_the_store_as_it_was(self, terrain, tmp_path):
+        west, east = halves_of(terrain)
+        path = tmp_path / "s.h5"
+        build_places(terrain, path, 150.0, west)
+        before = path.read_bytes()
+        with pytest.raises(StoreMismatchError, match=r"spacing_m is 150\.0 there, 100\.0 here"):
+            build_places(terrain, path, 100.0, east)
+        with pytest.raises(KeyboardInterrupt):
+            build_places(terrain, path, 150.0, east, stop_at(1))
+        assert path.read_bytes() == before
+
 
 class TestBroken:
     def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):
@@ -246,6 +267,24 @@ class TestBroken:
         assert int(last.communicate()[0].split()[0]) >= before
         assert (folder / "s.h5").read_bytes() == (tmp_path / "unbroken.h5").read_bytes()
         assert [file.name for file in folder.iterdir()] == ["s.h5"]
+
+    def test_by_another_process_that_finished_it(self, terrain, tmp_path):
+        """Which removes the parts under the hands of this one."""
+        plan, other = PlacePlan(150.0), tmp_path / "other"
+        other.mkdir()
+        build_store(terrain, other / "s.h5", plan)
+        path = tmp_path / "s.h5"
+
+        def finish(done, _):
+            if done == 2:
+                shutil.copy(other / "s.h5", path)
+                shutil.rmtree(parts_folder(path))
+
+        done = build_store(terrain, path, plan, progress=finish)
+        with open_store(path) as store:
+            assert done.rows == len(store)
+        assert path.read_bytes() == (other / "s.h5").read_bytes()
+        assert not parts_folder(path).exists()
 
 
 class TestWorkers:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import field_of
 
-from skyline.errors import InputError
+from skyline.errors import ContextError, InputError
 from skyline.render import march, windows
 from skyline.render.horizon import HorizonRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
@@ -69,3 +69,19 @@ def test_falls_short_by_no_more_than_the_tolerance(uneven, tolerance_px):
 def test_samples_much_longer_than_wide_are_refused():
     with pytest.raises(InputError, match="resample the DEM"):
         HorizonRenderer(field_of(np.zeros((3, 3)), 1.0, 100.0))
+
+
+def test_a_gpu_without_memory_is_one_line(rough, monkeypatch):
+    field, eyes = rough
+
+    class FullContext:
+        def gc(self):
+            return 0
+
+        def buffer(self, **_):
+            raise march.moderngl.Error("cannot create buffer")
+
+    with HorizonRenderer(field, 320) as renderer, monkeypatch.context() as patched:
+        patched.setattr(renderer, "_ctx", FullContext())
+        with pytest.raises(ContextError, match=r"no room for skylines .* choose a smaller width"):
+            renderer.render(eyes)

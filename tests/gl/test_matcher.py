@@ -211,3 +211,13 @@ def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
         pytest.raises(InputError, match="together, and poses fitted, by rendering"),
     ):
         matcher.match_together(skylines)
+
+
+def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        few, some, many = (matcher.match(queries[0].skyline, top=top) for top in (1, 2, 30))
+        assert few.candidates == many.candidates[:1]
+        assert some.candidates == many.candidates[:2]
+        assert [one.rank for one in many.candidates][:3] == [1, 2, 3]
+        with pytest.raises(InputError, match="top is 0"):
+            matcher.match(queries[0].skyline, top=0)

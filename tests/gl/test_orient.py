@@ -5,12 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scenes import NORTH_M, WEST_M, field_of
 from test_matcher import MIDDLE, SHARP, write_hills
 
 from skyline import Orienter, orient, read_dem
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.photo.exif import NotedPlace
+from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.synthetic import make_queries
 
 AWAY_M = 30.0
@@ -94,3 +96,11 @@ def test_the_place_that_a_photo_notes_is_used(terrain, queries):
     assert abs(off_deg(found, query.truth)[0]) < 0.6
     with pytest.raises(InputError, match="notes no GPS position; give the place: --at"):
         orient(query.skyline, terrain)
+
+
+def test_a_flat_horizon_has_no_heading():
+    plain = field_of(np.zeros((200, 200)), 30.0, west_m=WEST_M, north_m=NORTH_M)
+    lon, lat = plain.frame.to_lonlat(WEST_M + 3000.0, NORTH_M - 3000.0)
+    level = QuerySkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
+    found = orient(level, plain, lon=float(lon), lat=float(lat))
+    assert found.answer is None

@@ -175,3 +175,11 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     joint, _ = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
     once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once
+
+
+def test_no_pose_leaves_the_map(scene, rays):
+    west, south, _, north = scene.field.bounds_m
+    edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
+    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge).hypotheses
+    assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
+    assert np.isfinite(found.eye_elevation_m).all()

@@ -243,3 +243,21 @@ def test_ransac_recovers_maps_among_wrong_correspondences():
     moved = source @ np.swapaxes(found[right, :, :2], 1, 2) + found[right, np.newaxis, :, 2]
     expected = source @ np.swapaxes(true[right, :, :2], 1, 2) + true[right, np.newaxis, :, 2]
     assert np.abs(moved - expected).max() < 1.0
+
+
+def test_ransac_gives_a_set_the_same_map_whatever_is_beside_it():
+    source, target, used, _ = correspondences(7)
+    together = ransac_maps(source, target, used)
+    alone = [ransac_maps(source, target[k : k + 1], used[k : k + 1])[0] for k in range(20)]
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_plausible_maps_are_those_of_singular_values_and_turn():
+    maps = np.eye(2, 3) + np.random.default_rng(9).normal(0.0, 0.3, (500, 2, 3))
+    scales = np.linalg.svd(maps[:, :, :2], compute_uv=False)
+    turn_deg = np.degrees(np.arctan2(maps[:, 1, 0], maps[:, 0, 0]))
+    expected = np.linalg.det(maps[:, :, :2]) > 0.0
+    expected &= (scales[:, 0] <= 1.25) & (scales[:, 1] >= 0.8) & (np.abs(turn_deg) <= 15.0)
+    assert 10 < expected.sum() < 400
+    np.testing.assert_array_equal(plausible(maps), expected)
+    assert not plausible(np.full((1, 2, 3), np.nan))[0]

@@ -1,6 +1,7 @@
 """The tree of slabs bounds the terrain that rays meet, closely."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,3 +48,18 @@ def test_no_ray_meets_more_than_its_bound(seed, lines, columns, steepest, place,
                 if met > EMPTY:
                     assert maxima[index, band, block, child] >= met
         slab *= SLABS
+
+
+@pytest.mark.parametrize("slope", [-1.0, 1.0])
+def test_a_ray_that_enters_at_the_end_of_a_band_is_bounded(slope):
+    """Of the rays that come in from the side, it begins farthest off the map."""
+    heights = np.zeros((129, 65), dtype=np.float32)
+    heights[:, [0, -1]] = 50.0, 70.0
+    slab = LEAF_STRIPS
+    for maxima, first_block in slab_levels(heights, np.array([-1.0, 0.0, 1.0]), level_count(128)):
+        strips = SLABS * slab
+        start = 0.25 - strips if slope > 0.0 else 63.75 + strips
+        block = int(np.floor(start / slab)) + first_block
+        assert 0 <= block < maxima.shape[2]
+        assert maxima[int(slope > 0.0), 0, block, -1] >= (50.0 if slope > 0.0 else 70.0)
+        slab = strips

@@ -141,3 +141,14 @@ def test_an_error_of_the_eye_s_height_shows_in_full_far_away_and_not_at_all_near
     assert 0.0 < left[0] < 1e-4
     assert left[-1] == pytest.approx(1.0, abs=1e-6)
     assert (errors.rough[0] * distance[0] <= 1.0).all()
+
+
+def test_products_are_those_of_the_whole_covariance():
+    errors, _, _ = _setting()
+    residual = np.random.default_rng(2).normal(0.0, 0.001, (1, 40))
+    found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
+    covariance = found.factor[0] @ found.factor[0].T + np.diag(1.0 / found.weight[0])
+    left, right = np.random.default_rng(3).normal(size=(2, 1, 40, 3))
+    expected = left[0].T @ np.linalg.solve(covariance, right[0])
+    np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
+    assert found.effective_columns[0] < found.odds.sum() - 2.0

@@ -134,3 +134,11 @@ def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
     assert same(Correction(photo_of(image)).solve(), replace(mask, fov_deg=60.0))
     trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
     assert same(Correction(photo_of(image)).restarted(trace).solve(), trace)
+
+
+def test_strokes_leave_nothing_behind(correction):
+    before = correction.solve()
+    strokes = [stroke("sky", [100, 300], 400.0, 15.0), stroke("line", [5, 40], 90.0)]
+    once = correction.solve(strokes)
+    assert same(correction.solve(strokes), once)
+    assert same(correction.solve(), before)

@@ -166,3 +166,19 @@ def test_the_error_of_another_skyline_is_its_distance():
     error = true_errors_px(stored, views_of(waves, 5000.0))
     # The mean of |sine| is 2 / pi; a straight line is straight however it is warped.
     assert error[0] == pytest.approx(8.0 * 2.0 / np.pi, rel=0.05)
+
+
+@pytest.mark.parametrize("name", WARPS)
+def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
+    generator = np.random.default_rng(5)
+    field = field_from(lambda e, n: 300.0 * np.sin(e / 310.0) * np.cos(n / 270.0), 61, 40.0)
+    eyes = stand_on(field, easting_m=[0.0, 150.0], northing_m=[30.0, -90.0])
+    stored = oracle.skyline(field, eyes, 96)
+    there = generator.uniform(-150.0, 150.0, (len(stored), 7, 3)) * [1.0, 0.2, 1.0]
+    points = skyline_points_m(stored)
+    together = errors_px(points, there, stored.width, WARPS[name])
+    assert together.shape == (len(stored), 7)
+    assert together.dtype == np.float32
+    for candidate in range(7):
+        alone = errors_px(points, there[:, [candidate]], stored.width, WARPS[name])[:, 0]
+        np.testing.assert_allclose(together[:, candidate], alone, rtol=1e-3, atol=1e-3)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from place_scenes import AZIMUTH_DEG, curve, places_of, rays
+from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
+from query_scenes import equally_trusted
 
 from skyline.match.query_rays import QueryRays
 from skyline.match.retrieval import Retriever
@@ -56,3 +57,44 @@ def test_the_eye_follows_the_ground():
     )
     expected = 1000.0 + 0.3 * found.easting_m - 0.2 * found.northing_m
     np.testing.assert_allclose(found.eye_elevation_m, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("heading_deg", [300.0])
+def test_a_place_between_entries_is_found(heading_deg):
+    # Walls around a square 800 m wide, with battlements; the eye stands off its middle.
+    def wall(east, north):
+        def skyline(azimuth_deg):
+            azimuth = np.radians(azimuth_deg)
+            steps = [
+                np.where(np.cos(azimuth - turn) > 1e-6, 1.0 / np.cos(azimuth - turn), np.inf) * gap
+                for turn, gap in zip(
+                    np.arange(4) * np.pi / 2,
+                    (400.0 - north, 400.0 - east, 400.0 + north, 400.0 + east),
+                    strict=True,
+                )
+            ]
+            distance = np.min(np.where(np.array(steps) > 0.0, steps, np.inf), axis=0)
+            x, z = east + distance * np.sin(azimuth), north + distance * np.cos(azimuth)
+            height = 120.0 + 8.0 * np.sin(x / 23.0) + 8.0 * np.cos(z / 31.0)
+            return height / distance, distance
+
+        return skyline
+
+    y, distance_m = wall(0.0, 0.0)(AZIMUTH_DEG)
+    # Its tolerance makes a move of 20 m one standard deviation.
+    entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
+    # A view this wide holds walls at several distances, which separate a move from a turn.
+    u, v = photo(lambda azimuth: wall(12.0, -9.0)(azimuth)[0], heading_deg, fov_deg=100.0)
+    found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
+    # The eye is 15 m from the place. What is left of that is the first order's error, and that
+    # of corners cut by steps of a degree.
+    assert np.hypot(found.easting_m[0] - 12.0, found.northing_m[0] + 9.0) < 6.0
+    assert turned(found.heading_deg[0], heading_deg) < 0.7
+
+
+def test_missing_headings_do_not_stop_the_others():
+    y = np.stack([curve(seed, AZIMUTH_DEG) for seed in range(20)])
+    y[:, 225:] = np.nan
+    found = Retriever(places_of(y)).shortlist(rays(4, 100.0), 1)
+    assert found.easting_m[0] == pytest.approx(400.0, abs=50.0)
+    assert turned(found.heading_deg[0], 100.0) < 0.3

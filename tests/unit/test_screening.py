@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.match.prior import NOTHING_KNOWN
+from skyline.geodesy import Frame
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.screening import (
     Alike,
     Screen,
@@ -17,8 +18,16 @@ from skyline.match.screening import (
     roll_to_turn,
     screen_places,
     turn_heading_deg,
+    turns_within,
 )
 from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN
+
+FRAME = Frame.local(lon=10.0, lat=46.0)
+
+
+def narrowed(**known):
+    return Prior.of(Narrowing(**known), FRAME).contains
+
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -113,3 +122,38 @@ def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
             assert peak[row, k] == score[:, best].max()
             off_deg = np.abs((headings_deg - headings_deg[best] + 180.0) % 360.0 - 180.0)
             left &= off_deg > 11.0
+
+
+def test_an_unlikely_field_of_view_loses_its_penalty(places):
+    query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
+    alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
+    expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
+    scores = Screen.of(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
+    # float32 of scores that reach a hundred.
+    np.testing.assert_allclose(scores, expected, atol=1e-4)
+
+
+def test_only_places_within_are_looked_at(places):
+    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    source, scores = Blocks(places, 8), screen.scores
+    found = screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
+    assert sorted(found.row) == list(range(10))
+    none = screen_places(scores, source, 64, lambda some: some.easting_m < -1.0)
+    assert len(none) == 0
+
+
+def test_shut_turns_are_not_looked_at(places):
+    turns = turns_within(20.0, 15.0)
+    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
+    heading_deg, *_ = screen.best_turns(places.phase, 4)
+    assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
+
+
+def test_a_circle_a_box_and_elevations_hold_places(places):
+    lon, lat = FRAME.to_lonlat(places.easting_m, places.northing_m)
+    circle = narrowed(near=(float(lon[30]), float(lat[30]), 0.25))(places)
+    assert list(np.flatnonzero(circle)) == [28, 29, 30, 31, 32]
+    box = (float(lon[10]) - 1e-5, float(lat[0]) - 0.01, float(lon[12]) + 1e-5, float(lat[0]) + 0.01)
+    assert list(np.flatnonzero(narrowed(bounds_deg=box)(places))) == [10, 11, 12]
+    assert narrowed(elevation_m=(900.0, 1100.0))(places).all()
+    assert not narrowed(elevation_m=(0.0, 900.0))(places).any()

@@ -200,3 +200,13 @@ def test_too_few_columns_have_no_fit(columns):
     found = settled(poses(heading_deg=350.0), panorama_of(hills), query)
     assert found.score[0] == np.inf
     assert np.isfinite(found.heading_deg[0])
+
+
+@pytest.mark.parametrize("height", [0.0, 0.1])
+def test_a_level_skyline_keeps_its_heading(height):
+    query = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
+    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
+    assert np.isfinite(found.score[0])
+    assert found.heading_deg[0] == pytest.approx(43.0, abs=0.5)
+    assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)
+    assert 50.0 <= found.fov_deg[0] <= 70.0

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import os
 import re
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from skyline.store import (
     check_store,
     columns_of,
     is_store,
+    merge,
     merge_stores,
     open_store,
     repair_store,
@@ -160,6 +162,18 @@ class TestMap:
         write_rows(path, 5, 10, PLACES_HEADER)
         np.testing.assert_array_equal(mapped.take(np.arange(2500)).rise, whole.rise)
 
+    def test_of_a_file_that_is_cut_short(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 3000, PLACES_HEADER)
+        with open_store(path) as store:
+            mapped = store.places()
+        blocks = mapped.blocks()
+        next(blocks)
+        os.truncate(path, path.stat().st_size // 2)
+        for read in (lambda: next(blocks), lambda: mapped.take(np.array([2999]))):
+            with pytest.raises(StoreError, match="is truncated") as caught:
+                read()
+            assert one_line(caught.value, path)
+
 
 class TestWriting:
     def test_leaves_the_store_as_it_was_where_it_fails(self, tmp_path):
@@ -278,6 +292,19 @@ class TestDamage:
                 open_store(path)
             assert one_line(caught.value, path), size
 
+    def test_of_hdf5_itself_ends_the_process_that_checks(self, tmp_path, monkeypatch):
+        """Forged structures can make HDF5 loop or crash."""
+        path, script = write_rows(tmp_path / "s.h5", 0, 3), merge._EXAMINE
+        assert (check_store(path).rows, check_store(path).whole) == (3, True)
+        monkeypatch.setattr(merge, "_EXAMINE", "import os; os.abort()")
+        assert "crashes on it (signal 6)" in check_store(path).damage[0].what
+        monkeypatch.setattr(merge, "_LIMIT_S", 0.2)
+        loops = script.replace("json.dump(", "while True: pass\njson.dump(")
+        assert loops != script
+        monkeypatch.setattr(merge, "_EXAMINE", loops)
+        monkeypatch.setattr(merge, "_LIMIT_BY_THE_CLOCK", 3000.0)
+        assert "of processor time" in check_store(path).damage[0].what
+
 
 def set_attribute(name, value):
     return lambda file: file.attrs.__setitem__(name, value)
@@ -353,6 +380,15 @@ class TestForeign:
             edit(file)
         assert_refused(path, expected)
 
+    def test_rows_that_are_promised_but_not_there(self, tmp_path):
+        path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
+        with edited(path) as file:
+            values = file["places/phase"][:]
+            replace_data("places/phase", **PLACES_HEADER.layout("places/phase", 3000))(file)
+            file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
+        with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
+            store.places()
+
 
 class TestMerge:
     @KINDS
@@ -407,6 +443,17 @@ class TestMerge:
         with pytest.raises(InputError, match="no stores"):
             merge_stores([], tmp_path / "b.h5")
         assert a.read_bytes() == before
+        assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
+
+    def test_a_full_disk(self, tmp_path, monkeypatch):
+        a = write_rows(tmp_path / "a.h5", 0, 200)
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(StoreError, match="No space left on device"):
+            merge_stores([a], tmp_path / "b.h5")
         assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
