@@ -14,10 +14,11 @@ ROCK, SNOW, FOREST = (95.0, 85.0, 75.0), (238.0, 240.0, 245.0), (45.0, 60.0, 40.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A picture, and the true border row per column."""
+    """A picture, the true border row per column, and where that border is visible at all."""
 
     image: NDArray[np.uint8]
     row_px: Float64Array
+    visible: NDArray[np.bool_]
 
 
 def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.12) -> Float64Array:
@@ -27,8 +28,13 @@ def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.1
     for octave in range(1, 7):
         knots = 3 * 2**octave
         noise = rng.uniform(-1.0, 1.0, knots + 1)
-        swing = np.interp(columns * knots, np.arange(knots + 1), noise)
-        row -= height * relief * 2.0 ** (1 - octave) * swing
+        row -= (
+            height
+            * relief
+            * 2.0**-octave
+            * 2
+            * np.interp(columns * knots, np.arange(knots + 1), noise)
+        )
     return row
 
 
@@ -98,8 +104,9 @@ def expose(rng: np.random.Generator, picture: Float64Array, noise: float) -> NDA
 
 def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Scene:
     """Draw one of the kinds in ``KINDS``."""
-    rng = np.random.default_rng([seed, KINDS[kind]])
+    rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
     row_px = ridge(rng, width, height)
+    visible = np.ones(width, dtype=bool)
     above, below, noise = sky(width, height), ground(rng, width, height), 2.0
     if kind == "haze":
         below = 0.2 * below + 0.8 * np.array(PALE)
@@ -117,10 +124,41 @@ def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Sce
         far = 0.45 * ground(rng, width, height) + 0.55 * np.array(PALE)
         below = compose(far, ground(rng, width, height, FOREST), near)
     picture = compose(above, below, row_px)
-    return Scene(expose(rng, picture, noise), row_px)
+    if kind == "poles":
+        for column in rng.uniform(0.05, 0.95, 5) * width:
+            lo = int(column)
+            hi = lo + int(rng.integers(3, 8))
+            picture[int(rng.uniform(0.0, 0.15) * height) :, lo:hi] = FOREST
+            visible[max(lo - 2, 0) : hi + 2] = False
+    elif kind == "trees":
+        for side in (0.0, 0.8):
+            start = int((side + rng.uniform(0.0, 0.05)) * width)
+            crown = np.full(width, np.inf)
+            span = slice(start, start + int(0.14 * width))
+            crown[span] = 0.08 * height + 20.0 * np.abs(rng.standard_normal(len(crown[span])))
+            picture = compose(picture, ground(rng, width, height, FOREST), crown)
+            visible[span] = False
+    elif kind == "caption":
+        picture[: int(0.03 * height)] = 255.0
+        picture[-int(0.08 * height) :] = 255.0
+        picture[:, : int(0.02 * width)] = 255.0
+        picture[:, -int(0.02 * width) :] = 255.0
+        text = rng.random((12, width // 3)) < 0.4
+        picture[-30:-18, 100 : 100 + text.shape[1]][text] = 20.0
+        visible[: int(0.02 * width) + 1] = False
+        visible[-int(0.02 * width) - 1 :] = False
+    return Scene(expose(rng, picture, noise), row_px, visible)
 
 
-KINDS = {
-    "clear": 1, "clouds": 2, "haze": 3, "layers": 4, "noise": 5, "snow": 7, "snow_white_sky": 8,
-}  # fmt: skip
-"""Kind -> number that its seeds hold."""
+KINDS = (
+    "clear",
+    "haze",
+    "clouds",
+    "noise",
+    "snow",
+    "snow_white_sky",
+    "layers",
+    "poles",
+    "trees",
+    "caption",
+)
