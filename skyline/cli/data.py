@@ -1,4 +1,4 @@
-"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache`` and ``store``: the files of data."""
+"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache``, ``store``: elevation, peaks and stores."""
 
 import json
 from collections.abc import Iterator, Mapping
