@@ -1,4 +1,4 @@
-"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache`` and ``store``: terrain and stores."""
+"""``skyline dem``, ``peaks``, ``info``, ``explain``, ``cache`` and ``store``: data on disk."""
 
 import json
 from collections.abc import Iterator, Mapping
