@@ -175,7 +175,9 @@ def build_store(
                 rendered = _on_workers(runner, header, plan, left, advance)
             elif renderer is not None:
                 for part, some in left.items():
-                    rendered += _write_part(renderer, part, some)
+                    rows_of_part = renderer.columns(some)
+                    folder.mkdir(exist_ok=True)
+                    rendered += write_store(part, renderer.header, rows_of_part)
                     advance()
             with merged_rows([*parts, *others], folder) as (joint, columns, order):
                 rows = len(order) if len(columns[joint.checksum]) > held else 0
@@ -232,14 +234,6 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     return whole
 
 
-def _write_part(renderer: PartRenderer, path: Path, work: Any) -> int:
-    """Render and write a part; return its number of rows."""
-    columns = renderer.columns(work)
-    path.parent.mkdir(exist_ok=True)
-    write_store(path, renderer.header, columns)
-    return len(columns[renderer.header.sorted_by[0]])
-
-
 @dataclass(frozen=True, slots=True)
 class _Job:
     """The settings that all jobs of a build share."""
@@ -261,7 +255,10 @@ class _Job:
             while _open_renderer:
                 _open_renderer.popitem()[1].__exit__()
             _open_renderer[self.build] = self.plan.opened(self._terrain())
-        return _write_part(_open_renderer[self.build], path, work)
+        renderer = _open_renderer[self.build]
+        columns = renderer.columns(work)
+        path.parent.mkdir(exist_ok=True)
+        return write_store(path, renderer.header, columns)
 
     def _terrain(self) -> HeightField:
         try:

@@ -74,16 +74,7 @@ class HorizonRenderer(ColumnRenderer):
             eyes, heading = in_four_views(viewpoints)
         else:
             eyes, heading = viewpoints, np.asarray(headings, dtype=np.uint8)
-        rows = self._skylines(eyes, heading, np.zeros(len(eyes)))
-        return Views(
-            eyes.easting_m,
-            eyes.northing_m,
-            eyes.eye_elevation_m,
-            heading,
-            rows.elevation_tan,
-            rows.depth_m,
-            rows.flags,
-        )
+        return self._skylines(eyes, heading, np.zeros(len(eyes)))
 
 
 def render_views(
@@ -135,16 +126,16 @@ class PanoramaRenderer(ColumnRenderer):
         # Within half a step a column stays in its view of 90 degrees.
         turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
         eyes, heading = in_four_views(viewpoints)
-        rows = self._skylines(eyes, heading, turn)
+        views = self._skylines(eyes, heading, turn)
         cosine = np.cos(self._azimuth_rad + turn[:, np.newaxis]).astype(np.float32)
         bins = (np.arange(self.bins) + first_bin[:, np.newaxis]).astype(np.int64) % self.bins
         return Horizons(
             viewpoints.easting_m,
             viewpoints.northing_m,
             viewpoints.eye_elevation_m,
-            self._turned(rows.elevation_tan * cosine, bins),
-            self._turned(rows.depth_m / cosine, bins),
-            self._turned(rows.flags, bins),
+            self._turned(views.elevation_tan * cosine, bins),
+            self._turned(views.depth_m / cosine, bins),
+            self._turned(views.flags, bins),
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:

@@ -7,20 +7,19 @@ only v, depth and flags of W columns a view come back.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.camera import HEADINGS, rotation
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
-from skyline.skylines import FLAG_NO_DATA
+from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -188,15 +187,6 @@ def _needs_double(
     return np.asarray(np.fmax(nearest_m, shows_from_m) < blurred_to_m, dtype=bool)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Results(Rows):
-    """The skylines of N views in W columns, (N, W) each; v and depth are NaN without data."""
-
-    elevation_tan: Float32Array
-    depth_m: Float32Array
-    flags: NDArray[np.uint8]
-
-
 class ColumnRenderer(Renderer):
     """Renders skylines of one height field in columns at any abscissas.
 
@@ -243,20 +233,20 @@ class ColumnRenderer(Renderer):
 
     def _skylines(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
-    ) -> Results:
+    ) -> Views:
         """Render N views, in batches whose results fit the GPU; columns without data are flagged.
 
         ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
         """
         starts = range(0, max(len(viewpoints), 1), self._max_views)
         parts = [slice(start, start + self._max_views) for start in starts]
-        return Results.concatenate(
+        return Views.concatenate(
             [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
         )
 
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
-    ) -> Results:
+    ) -> Views:
         """Render one batch; see `_skylines`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._reserve(len(eyes))
@@ -270,7 +260,11 @@ class ColumnRenderer(Renderer):
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
         )
         missing, nan = tan == _NOTHING, np.float32(np.nan)
-        return Results(
+        return Views(
+            viewpoints.easting_m,
+            viewpoints.northing_m,
+            viewpoints.eye_elevation_m,
+            heading,
             np.where(missing, nan, tan),
             np.where(missing, nan, depth),
             flags.astype(np.uint8) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0)),

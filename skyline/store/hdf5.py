@@ -61,10 +61,10 @@ def write_store(
     header: StoreHeader,
     columns: Columns,
     order: NDArray[np.intp] | None = None,
-) -> None:
-    """Write a store of some rows; the same rows, order and header give the same bytes.
+) -> int:
+    """Write a store of some rows, and return their number.
 
-    Columns are as `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to
+    The same rows, order and header give the same bytes. Columns are as `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to
     write, by default all. A store that already exists is replaced. Raises `MissingFileError` where
     there is no folder, and `StoreError` where the file cannot be written.
     """
@@ -94,6 +94,7 @@ def write_store(
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
+    return len(order)
 
 
 def check_folder(path: Path) -> None:

@@ -107,9 +107,8 @@ def merge_stores(
         raise InputError("no stores to merge; name one or more")
     out = _new(out)
     with merged_rows(paths, out.parent) as (header, columns, order):
-        write_store(out, header, columns, order)
-        rows = len(columns[header.checksum])
-    return StoreReport(len(order), header.holds, duplicates=rows - len(order))
+        rows = write_store(out, header, columns, order)
+        return StoreReport(rows, header.holds, duplicates=len(columns[header.checksum]) - rows)
 
 
 def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> StoreReport:
@@ -122,8 +121,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> S
     with open_store(path) as store:
         header = store.header
     with _gathered([(path, len(store))], header, out.parent, damage) as columns:
-        write_store(out, header, columns)
-        return StoreReport(len(columns[header.checksum]), header.holds, tuple(damage))
+        return StoreReport(write_store(out, header, columns), header.holds, tuple(damage))
 
 
 @contextmanager
