@@ -120,10 +120,7 @@ class PlacePlan:
             planner = AdaptivePlanner(terrain, renderer.render, area, price)
 
             def columns(part: Any) -> Columns:
-                places = planner.places(part)
-                if places is None:
-                    return {name: np.zeros(0, row) for name, row in header.specs.items()}
-                return columns_of(header, places)
+                return columns_of(header, planner.places(part))
 
         return PartRenderer(renderer, header, columns)
 

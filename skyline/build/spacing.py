@@ -165,11 +165,8 @@ class AdaptivePlanner:
     price: float
     """One of `Prices`."""
 
-    def places(self, block: tuple[int, int]) -> Places | None:
-        """Return the places of a block, row by row from the north-west.
-
-        None where no eye can stand.
-        """
+    def places(self, block: tuple[int, int]) -> Places:
+        """Return the places of a block, row by row from the north-west."""
         seen = _Seen(self.terrain, self.look, block)
         # Nodes around the block are included, for the squares at its sides.
         seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
@@ -181,16 +178,13 @@ class AdaptivePlanner:
             rows.append(seen.rows(nodes[~halved]))
             tolerances_m.append(np.full(len(rows[-1]), _SPACING_M[level] / 2.0, np.float32))
             nodes = _next_lattice(nodes[halved], level)
-        kept = np.concatenate(rows)
-        if not len(kept):
-            return None
-        some = Places.concatenate(seen.places)[kept]
+        some = Places.concatenate(seen.places)[np.concatenate(rows)]
         places = replace(some, tolerance_m=np.concatenate(tolerances_m))
         west, south, east, north = self.area
         order = np.lexsort((places.easting_m, -places.northing_m))
         east_m, north_m = places.easting_m[order], places.northing_m[order]
         order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
-        return places[order] if len(order) else None
+        return places[order]
 
     def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
         """Return a mask of the nodes (N, 2) at which a denser lattice pays."""
@@ -241,11 +235,10 @@ class _Seen:
         nodes = nodes[self._row[_index(nodes)] == _UNTRIED]
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE
-        if len(eyes):
-            self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
-            horizons = self._look(eyes)
-            self.places.append(Places.of(horizons, 0.0))
-            self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
+        self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
+        horizons = self._look(eyes)
+        self.places.append(Places.of(horizons, 0.0))
+        self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
 
     def rows(self, nodes: Int64Array) -> Int64Array:
         """Return the rows, in `places`, of those of nodes (N, 2) that have a place."""

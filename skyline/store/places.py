@@ -111,7 +111,9 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
 
     0 stands for no skyline. The nearest moves most as the eye does.
     """
-    nearest = np.fmin.reduce(distance_m.reshape(len(distance_m), DISTANCE_BINS, -1), axis=2)
+    count, bins = distance_m.shape
+    runs = distance_m.reshape(count, DISTANCE_BINS, bins // DISTANCE_BINS)
+    nearest = np.fmin.reduce(runs, axis=2)
     code = np.rint(np.log(np.maximum(nearest, NEAREST_M)) / np.float32(DISTANCE_STEP)) + 1.0
     return np.where(np.isnan(code), 0.0, np.minimum(code, 255.0)).astype(np.uint8)
 
@@ -134,7 +136,8 @@ def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
     A rise is from the mean of a run of bins to that of the next, from the last to the first run.
     It is unknown, and its code 0, where either run has a bin without a skyline.
     """
-    mean = elevation_tan.reshape(len(elevation_tan), PHASE_BINS, -1).mean(axis=2)
+    count, bins = elevation_tan.shape
+    mean = elevation_tan.reshape(count, PHASE_BINS, bins // PHASE_BINS).mean(axis=2)
     turns = (np.roll(mean, -1, axis=1) - mean) * np.float32(RISE_TO_TURN / (2.0 * np.pi))
     turns -= np.floor(turns)
     known = np.isfinite(turns)
