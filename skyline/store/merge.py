@@ -39,10 +39,6 @@ _LIMIT_S_PER_BYTE = 1e-6
 """Processor time that a check may take for each byte. Checking reads at least 30 MB a second on one
 core of 2020; time by the clock would depend on how busy the machine is."""
 
-_LIMIT_BY_THE_CLOCK = 30.0
-"""Time by the clock that a check may take, as a multiple of the limit of processor time: it may
-wait for the disk."""
-
 _EXAMINE = """
 import dataclasses, json, pathlib, resource, sys, time
 from skyline.store.merge import examine
@@ -261,17 +257,13 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
     limit_s = _LIMIT_S + _LIMIT_S_PER_BYTE * path.stat().st_size
     command = [sys.executable, "-c", _EXAMINE, str(path), str(math.ceil(limit_s))]
     searched = os.pathsep.join(filter(None, sys.path))
-    try:
-        child = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            timeout=_LIMIT_BY_THE_CLOCK * limit_s,
-            env={**os.environ, "PYTHONPATH": searched},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return _unreadable(f"HDF5 had not read it after {_LIMIT_BY_THE_CLOCK * limit_s:.0f} s")
+    child = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": searched},
+        check=False,
+    )
     if child.returncode == -signal.SIGXCPU:
         return _unreadable(f"HDF5 had not read it after {limit_s:.0f} s of processor time")
     if child.returncode < 0:

@@ -302,7 +302,6 @@ class TestDamage:
         loops = script.replace("json.dump(", "while True: pass\njson.dump(")
         assert loops != script
         monkeypatch.setattr(merge, "_EXAMINE", loops)
-        monkeypatch.setattr(merge, "_LIMIT_BY_THE_CLOCK", 3000.0)
         assert "of processor time" in check_store(path).damage[0].what
 
 
