@@ -148,23 +148,18 @@ def place_on(
 
 
 def stand_where_possible(
-    field: HeightField,
-    easting_m: ArrayLike,
-    northing_m: ArrayLike,
-    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+    field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike
 ) -> tuple[Viewpoints, BoolArray]:
-    """Place eyes as `stand_on` does, but leave out locations off the map or on a hole.
+    """Place eyes 2 m above ground, but none at locations off the map or on a hole.
 
-    Returns the eyes, and a mask of the locations (N,) where they stand. Raises `OffMapError` for
-    an eye height below 0.
+    Returns the eyes, and a mask of the locations (N,) where they stand.
     """
-    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
-    _check_heights(eye_height)
+    easting, northing = _flat(easting_m, northing_m)
     ground = field.height_at(easting_m=easting, northing_m=northing)
     stands = ~np.isnan(ground)
-    return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=ground + eye_height)[
-        stands
-    ], stands
+    eye_m = ground + DEFAULT_EYE_HEIGHT_M
+    eyes = Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_m)
+    return eyes[stands], stands
 
 
 def at_elevation(
