@@ -79,8 +79,6 @@ class GlContext:
     """``vendor``, ``renderer``, ``version``: the driver's GL_VENDOR, GL_RENDERER and GL_VERSION."""
     attempts: list[str]
     """All attempts in order: backend, device, and its OpenGL or its error."""
-    forced: bool
-    """True if ``SKYLINE_GL`` named the backend."""
 
     @property
     def software(self) -> bool:
@@ -90,7 +88,7 @@ class GlContext:
     @property
     def reason(self) -> str:
         """The reason why this context was chosen, one phrase."""
-        if self.forced:
+        if os.environ.get(ENVIRONMENT_VARIABLE):
             return f"{ENVIRONMENT_VARIABLE}={self.backend} allows no other backend"
         if not self.software:
             return "a GPU comes first"
@@ -205,7 +203,7 @@ def _choose_context() -> GlContext:
     # EGL's warnings about failing devices stay off stderr; the attempts hold the errors.
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     for backend in backends:
-        if (found := _best_device(backend, attempts, bool(forced))) is not None:
+        if (found := _best_device(backend, attempts)) is not None:
             return found
     packages = " ".join(BACKENDS[backend] for backend in backends)
     raise ContextError(
@@ -214,12 +212,12 @@ def _choose_context() -> GlContext:
     )
 
 
-def _best_device(backend: str, attempts: list[str], forced: bool) -> GlContext | None:
+def _best_device(backend: str, attempts: list[str]) -> GlContext | None:
     """Return a context on a backend's first GPU, else on its first software rasterizer."""
     fallback: GlContext | None = None
     for device, make in _devices(backend):
         try:
-            found = _wrap(make(), backend, device, attempts, forced)
+            found = _wrap(make(), backend, device, attempts)
         except ContextError as error:
             attempts.append(f"{backend}, {device}: {error}")
             continue
@@ -269,7 +267,7 @@ def _egl_context(device_index: int) -> Any:
         raise ContextError(str(error)) from error
 
 
-def _wrap(native: Any, backend: str, device: str, attempts: list[str], forced: bool) -> GlContext:
+def _wrap(native: Any, backend: str, device: str, attempts: list[str]) -> GlContext:
     try:
         # Standalone: moderngl must not look for a default framebuffer.
         ctx = moderngl.create_context(require=_VERSION_CODE, standalone=True, context=native)
@@ -280,7 +278,7 @@ def _wrap(native: Any, backend: str, device: str, attempts: list[str], forced: b
     # Objects without a holder are freed by `gc`, in the context's own thread.
     ctx.gc_mode = "context_gc"
     vendor, renderer, version = (ctx.info[f"GL_{key}"] for key in ("VENDOR", "RENDERER", "VERSION"))
-    return GlContext(ctx, native, backend, device, vendor, renderer, version, attempts, forced)
+    return GlContext(ctx, native, backend, device, vendor, renderer, version, attempts)
 
 
 def _destroy(context: GlContext) -> None:

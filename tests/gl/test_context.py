@@ -195,7 +195,7 @@ def test_a_gpu_is_preferred_among_devices(monkeypatch, devices, chosen):
     named = [(name, partial(make, name)) for name in devices]
     monkeypatch.setattr(context_module, "_devices", lambda _: named)
     monkeypatch.setattr(context_module.moderngl, "create_context", wrap)
-    best = context_module._best_device("egl", [], False)
+    best = context_module._best_device("egl", [])
     assert (best and best.device) == chosen
     assert current[-1:] == [chosen] * bool(chosen)
     kept = [name for name, native in made.items() if not native.release.called]
