@@ -257,16 +257,12 @@ class StoreHeader:
         """
         options = DemOptions.from_json(self.config.get("dem_options"))
         terrain = read_dem(list(self.dem_files) if dem is None else dem, options)
-        self.check_dem(terrain)
-        return terrain
-
-    def check_dem(self, terrain: HeightField) -> None:
-        """Raise `StoreMismatchError` unless the store was built from this terrain."""
         if terrain.digest != self.dem_digest:
             raise StoreMismatchError(
                 f"the DEM's digest is {terrain.digest[:12]}, the store was built from "
                 f"{self.dem_digest[:12]} ({', '.join(self.dem_files) or 'no file'}); give that DEM"
             )
+        return terrain
 
     @property
     def curvature(self) -> Curvature:

@@ -64,9 +64,10 @@ def write_store(
 ) -> int:
     """Write a store of some rows, and return their number.
 
-    The same rows, order and header give the same bytes. Columns are as `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to
-    write, by default all. A store that already exists is replaced. Raises `MissingFileError` where
-    there is no folder, and `StoreError` where the file cannot be written.
+    The same rows, order and header give the same bytes. Columns are as
+    `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to write, by default
+    all. A store that already exists is replaced. Raises `MissingFileError` where there is no
+    folder, and `StoreError` where the file cannot be written.
     """
     path = Path(path).resolve()
     check_folder(path)
