@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -234,40 +235,29 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     return whole
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """The settings that all jobs of a build share."""
+def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, Any]) -> int:
+    """Render and write a part in a worker; return its number of rows.
 
-    build: str
-    """Identifier of the build."""
-    plan: Plan
-    header: StoreHeader
-    """Header of the store; it has the DEM's files, by paths that are the same on every machine."""
-
-    def write_part(self, item: tuple[Path, Any]) -> int:
-        """Render and write a part in a worker; return its number of rows.
-
-        The worker keeps terrain and renderer for the next part. All calls in a process must come
-        from one thread, which owns the OpenGL context.
-        """
-        path, work = item
-        if self.build not in _open_renderer:
-            while _open_renderer:
-                _open_renderer.popitem()[1].__exit__()
-            _open_renderer[self.build] = self.plan.opened(self._terrain())
-        renderer = _open_renderer[self.build]
-        columns = renderer.columns(work)
-        path.parent.mkdir(exist_ok=True)
-        return write_store(path, renderer.header, columns)
-
-    def _terrain(self) -> HeightField:
+    The worker keeps terrain and renderer for the next part of a build, which has an identifier.
+    All calls in a process must come from one thread, which owns the OpenGL context. The store's
+    header has the DEM's files, by paths that are the same on every machine.
+    """
+    path, work = item
+    if build not in _open_renderer:
+        while _open_renderer:
+            _open_renderer.popitem()[1].__exit__()
         try:
-            return self.header.read_dem()
+            terrain = header.read_dem()
         except StoreMismatchError as error:
             raise StoreMismatchError(
                 f"{error}; workers need the same files and the same releases of skyline and its "
                 "libraries"
             ) from error
+        _open_renderer[build] = plan.opened(terrain)
+    renderer = _open_renderer[build]
+    columns = renderer.columns(work)
+    path.parent.mkdir(exist_ok=True)
+    return write_store(path, renderer.header, columns)
 
 
 _open_renderer: dict[str, PartRenderer] = {}
@@ -293,7 +283,8 @@ def _on_workers(
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
     names, rows = [part.stem for part in left], 0
     failures: dict[str, SkylineError] = {}
-    jobs = runner(_Job(uuid4().hex, plan, header).write_part, list(left.items()), names)
+    write = partial(_write_part, uuid4().hex, plan, header)
+    jobs = runner(write, list(left.items()), names)
     for name, outcome in zip(names, jobs, strict=True):
         if isinstance(outcome, SkylineError):
             failures[name] = outcome

@@ -300,7 +300,7 @@ class TestWorkers:
     def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(300.0), tmp_path / "s.h5"
         build_store(terrain, tmp_path / "here.h5", plan)
-        monkeypatch.setattr(parts, "_Job", _DyingJob)
+        monkeypatch.setattr(parts, "_write_part", dying)
         build_store(terrain, path, plan, runner)
         assert (parts_folder(path).with_name("died")).exists()
         assert path.read_bytes() == (tmp_path / "here.h5").read_bytes()
@@ -308,7 +308,7 @@ class TestWorkers:
     def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(150.0), tmp_path / "s.h5"
         monkeypatch.setattr(cluster, "RETRIES", 0)
-        monkeypatch.setattr(parts, "_Job", _FailingJob)
+        monkeypatch.setattr(parts, "_write_part", failing)
         with pytest.raises(
             BuildError, match=r"1 of \d+ failed: places-00002-of-\d+ \(no room"
         ) as e:
@@ -333,21 +333,20 @@ class TestWorkers:
         assert list(tmp_path.iterdir()) == []
 
 
-class _DyingJob(parts._Job):
-    """A job whose first worker dies."""
-
-    def write_part(self, item):
-        mark = item[0].parent.with_name("died")
-        if "00002" in item[0].name and not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().write_part(item)
+write_part = parts._write_part
 
 
-class _FailingJob(parts._Job):
-    """A job of whose parts one cannot be written."""
+def dying(build, plan, header, item):
+    """Write a part, but the first worker dies."""
+    mark = item[0].parent.with_name("died")
+    if "00002" in item[0].name and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return write_part(build, plan, header, item)
 
-    def write_part(self, item):
-        if "00002" in item[0].name:
-            raise StoreError("no room")
-        return super().write_part(item)
+
+def failing(build, plan, header, item):
+    """Write a part, but one cannot be written."""
+    if "00002" in item[0].name:
+        raise StoreError("no room")
+    return write_part(build, plan, header, item)
