@@ -14,6 +14,12 @@ def csv_of(path, rows, header="easting,northing"):
     return path
 
 
+def trace_of(path, wave_px, notes=""):
+    """Write a trace of even hills, 2 pi times as wide; return its path."""
+    rows = [f"{q},{40 + 10 * math.sin(q / wave_px):.2f}" for q in range(160)]
+    return csv_of(path, rows, f"# width=160 height=120{notes}\ncolumn_px,row_px")
+
+
 def assert_refused(done, message):
     assert done.code == 2, done
     assert message in done.err

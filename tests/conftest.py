@@ -3,13 +3,15 @@
 import math
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 from scenes import fractal, take_photo, write_dem
 
-from skyline import build_places, build_uniform, read_dem, stand_on
+import skyline_bench.cli
+from skyline import build_places, build_uniform, cli, read_dem, stand_on
 from skyline.build import plans
 from skyline.build.cluster import local_cluster
 from skyline.cli import console
@@ -28,6 +30,11 @@ class Result:
     code: int
     out: str
     err: str
+
+    def ok(self):
+        """Return it, if the command has succeeded."""
+        assert self.code == 0, self.err
+        return self
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -98,6 +105,18 @@ def run_main(monkeypatch, capsys):
         return Result(int(stop.value.code or 0), printed.out, printed.err)
 
     return run_command
+
+
+@pytest.fixture
+def run(run_main):
+    """Return a function that runs ``skyline ARGS...``."""
+    return partial(run_main, cli.main, "skyline")
+
+
+@pytest.fixture
+def run_bench(run_main):
+    """Return a function that runs ``skyline-bench ARGS...``."""
+    return partial(run_main, skyline_bench.cli.main, "skyline-bench")
 
 
 @pytest.fixture(scope="session")

@@ -28,20 +28,9 @@ def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.1
     for octave in range(1, 7):
         knots = 3 * 2**octave
         noise = rng.uniform(-1.0, 1.0, knots + 1)
-        row -= (
-            height
-            * relief
-            * 2.0**-octave
-            * 2
-            * np.interp(columns * knots, np.arange(knots + 1), noise)
-        )
+        size_px = height * relief * 2.0**-octave * 2
+        row -= size_px * np.interp(columns * knots, np.arange(knots + 1), noise)
     return row
-
-
-def coverage(row_px: Float64Array, height: int) -> Float64Array:
-    """Share of ground in each pixel, (H, W): pixel r spans r - 0.5 to r + 0.5."""
-    rows = np.arange(height)[:, np.newaxis]
-    return np.clip(rows + 0.5 - row_px, 0.0, 1.0)
 
 
 def texture(rng: np.random.Generator, shape: tuple[int, int], blur_px: float) -> Float64Array:
@@ -90,8 +79,8 @@ def clouds(rng, above: Float64Array, row_px: Float64Array, count: int) -> Float6
 
 
 def compose(above: Float64Array, below: Float64Array, row_px: Float64Array) -> Float64Array:
-    """Sky over ground, antialiased along the border."""
-    share = coverage(row_px, len(above))[:, :, np.newaxis]
+    """Sky over ground, antialiased along the border: pixel r spans r - 0.5 to r + 0.5."""
+    share = np.clip(np.arange(len(above))[:, np.newaxis] + 0.5 - row_px, 0.0, 1.0)[..., np.newaxis]
     return (1.0 - share) * above + share * below
 
 
@@ -150,15 +139,5 @@ def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Sce
     return Scene(expose(rng, picture, noise), row_px, visible)
 
 
-KINDS = (
-    "clear",
-    "haze",
-    "clouds",
-    "noise",
-    "snow",
-    "snow_white_sky",
-    "layers",
-    "poles",
-    "trees",
-    "caption",
-)
+KINDS = ("clear", "haze", "clouds", "noise", "snow", "snow_white_sky", "layers", "poles", "trees")
+KINDS += ("caption",)

@@ -24,15 +24,9 @@ def curve(seed, azimuth_deg):
 def places_of(y, distance_m=FAR_M, spacing_m=100.0, tolerance_m=20.0):
     """Make places of skylines (N, B) in a row from west to east."""
     distance = np.where(np.isfinite(y), np.broadcast_to(distance_m, y.shape), np.nan)
-    horizons = Horizons(
-        np.arange(len(y)) * spacing_m,
-        np.zeros(len(y)),
-        np.full(len(y), 1000.0),
-        y.astype(np.float32),
-        distance.astype(np.float32),
-        np.zeros(y.shape, dtype=np.uint8),
-    )
-    return Places.of(horizons, tolerance_m)
+    place = np.arange(len(y)) * spacing_m, np.zeros(len(y)), np.full(len(y), 1000.0)
+    flags = np.zeros(y.shape, dtype=np.uint8)
+    return Places.of(Horizons(*place, np.float32(y), np.float32(distance), flags), tolerance_m)
 
 
 def photo(skyline, heading_deg, fov_deg=60.0, **pose):

@@ -1,31 +1,23 @@
 """Queries whose pose is known."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays
 from skyline.render.horizon import HorizonRenderer
+from skyline_bench.queries.pinhole import Camera
 
 BINS = 1440
 
 
 def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
     """Return rays (u, v) of a camera that sees a skyline of elevation tangents y, left to right."""
-    turn = (azimuth_rad - np.radians(heading_deg) + np.pi) % (2.0 * np.pi) - np.pi
-    near = np.abs(turn) < np.pi / 2.0
-    turn, y = turn[near], y[near]
-    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
-    right, forward, up = np.sin(turn), np.cos(turn), y
-    forward, up = (
-        forward * np.cos(pitch) + up * np.sin(pitch),
-        up * np.cos(pitch) - forward * np.sin(pitch),
-    )
-    right, up = (
-        right * np.cos(roll) - up * np.sin(roll),
-        right * np.sin(roll) + up * np.cos(roll),
-    )
-    u, v = right / forward, up / forward
-    seen = (forward > 0.1) & (np.abs(u) < np.tan(np.radians(fov_deg / 2.0)))
+    camera = Camera(heading_deg, pitch_deg, roll_deg, fov_deg, 1, 1)
+    column, row, ahead = camera.project(azimuth_rad - np.radians(heading_deg), y)
+    u, v = column / camera.focal_px, -row / camera.focal_px
+    seen = ahead & (np.abs(column) < 0.5)
     order = np.argsort(u[seen])
     return u[seen][order], v[seen][order]
 
@@ -46,8 +38,7 @@ def equally_trusted(u, v, fov_deg):
 def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
     """Return a query whose field of view was assumed to be another one."""
     query = QueryRays(u, v, np.ones_like(u), fov_deg, (1.0, 179.0))
-    query = query.with_fov(assumed_fov_deg or fov_deg)
-    return QueryRays(query.u, query.v, query.weight, query.fov_deg, fov_range_deg)
+    return replace(query.with_fov(assumed_fov_deg or fov_deg), fov_range_deg=fov_range_deg)
 
 
 def swept(function, heading_deg, raised_deg, fov_deg, columns=2000):

@@ -18,21 +18,15 @@ class Behaviour:
     files: dict[str, bytes] = field(default_factory=dict)
     # Paths that are answered with a status instead, always.
     status: dict[str, int] = field(default_factory=dict)
-    # Requests that are answered with a status before the first good answer.
-    failures: int = 0
+    failures: int = 0  # Requests that are answered with a status before the first good answer
     failing: int = 500
-    # Before every answer.
-    delay_s: float = 0.0
-    # Bodies that break off half way, though header and connection promise all.
-    truncate: int = 0
-    # After every byte of a body.
-    drip_s: float = 0.0
-    # What was posted.
+    delay_s: float = 0.0  # Before every answer
+    truncate: int = 0  # Bodies that break off half way, though header and connection promise all
+    drip_s: float = 0.0  # After every byte of a body
     posted: list[str] = field(default_factory=list)
     # (method, path, range header) each.
     requests: list[tuple[str, str, str | None]] = field(default_factory=list)
-    # Bytes of bodies.
-    sent: int = 0
+    sent: int = 0  # Bytes of bodies
     stopping: threading.Event = field(default_factory=threading.Event)
 
 
@@ -72,14 +66,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, behaviour: Behaviour, content: bytes) -> None:
         asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range") or "")
-        first, last = 0, len(content) - 1
-        if asked:
-            first = int(asked[1])
-            last = min(int(asked[2]) if asked[2] else last, last)
-            if first > last:
-                self._refuse(416)
-                return
-        body = content[first : last + 1]
+        first, last = (int(part or len(content)) for part in asked.groups()) if asked else (0, None)
+        body = content[first:][: None if last is None else last - first + 1]
+        last = first + len(body) - 1
+        if asked and not body:
+            self._refuse(416)
+            return
         self.send_response(206 if asked else 200)
         self.send_header("Accept-Ranges", "bytes")
         if asked:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import rasterio
 from PIL import Image
-from rasterio.transform import Affine
+from rasterio.io import MemoryFile
+from rasterio.transform import Affine, from_origin
 
 from skyline.geodesy import Frame
 from skyline.match.candidate import Candidate, Hypotheses, candidates_of
@@ -30,13 +31,10 @@ def candidate_at(
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
     poses = Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
     return replace(
-        candidates_of(frame, poses)[0],
-        rank=rank,
-        confidence=confidence,
-        confidence_1km=confidence_1km,
-        refined=covariance_m2 is not None,
+        candidates_of(frame, poses)[0], rank=rank, confidence=confidence,
+        confidence_1km=confidence_1km, refined=covariance_m2 is not None,
         covariance_m2=covariance_m2,
-    )
+    )  # fmt: skip
 
 
 def at_m(place):
@@ -70,9 +68,8 @@ def field_from(function, size, spacing_m):
     """Sample height = function(east, north) on a square grid centred on the origin."""
     half = (size - 1) / 2.0 * spacing_m
     east = np.arange(size) * spacing_m - half
-    heights = function(east[np.newaxis, :], -east[:, np.newaxis])
-    heights = np.broadcast_to(heights, (size, size)).astype(np.float64)
-    return HeightField(heights, -half, half, spacing_m, spacing_m, FRAME)
+    heights = function(east[np.newaxis, :], -east[:, np.newaxis]) + np.zeros((size, size))
+    return field_of(heights, spacing_m, west_m=-half, north_m=half)
 
 
 def fractal(rows, cols, relief_m=800.0, seed=0, exponent=2.2):
@@ -83,19 +80,21 @@ def fractal(rows, cols, relief_m=800.0, seed=0, exponent=2.2):
 def write_dem(path, heights, crs="EPSG:32632", **options):
     """Write heights (rows, cols) or (rows, cols, bands) as a GeoTIFF; return its path."""
     heights = np.atleast_3d(heights).transpose(2, 0, 1)
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=heights.shape[2],
-        height=heights.shape[1],
-        count=len(heights),
-        dtype=heights.dtype,
-        crs=crs,
-        **({"transform": Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M)} | options),
-    ) as raster:
+    given = {"transform": Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M)} | options
+    given |= dict(zip(("count", "height", "width"), heights.shape, strict=True))
+    with rasterio.open(path, "w", driver="GTiff", dtype=heights.dtype, crs=crs, **given) as raster:
         raster.write(heights)
     return path
+
+
+def degree_tile(heights, lon, lat):
+    """Return the bytes of a GeoTIFF over a degree, whose south-western corner is given."""
+    with MemoryFile() as memory:
+        step = 1 / len(heights)
+        write_dem(
+            memory.name, heights, "EPSG:4326", transform=from_origin(lon, lat + 1, step, step)
+        )
+        return memory.read()
 
 
 def take_photo(path, terrain, eye, heading_deg=140.0, width_px=1024, **options):

@@ -88,13 +88,16 @@ def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]
         lasts_s, unbroken = time.perf_counter() - started, whole.read_bytes()
         whole.unlink()
         tally = Counter(builds=0, kills=0, lost=0, equal=0)
-        for _ in range(len(range(number, builds, len(kinds)))):
+        for _ in range(number, builds, len(kinds)):
             path = folder / "killed.h5"
             for _ in range(_KILLS_A_BUILD):
                 before = _parts(path)
                 build = _start(terrain, path, plan, workers)
                 time.sleep(generator.uniform(0.0, _LONGER * lasts_s))
-                _kill(build)
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(build.pid or 0, signal.SIGKILL)  # Its workers too
+                build.kill()
+                build.join()
                 if build.exitcode == 0 or path.exists():
                     break
                 tally["kills"] += 1
@@ -105,14 +108,6 @@ def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]
             tally["equal"] += path.read_bytes() == unbroken and not parts_folder(path).exists()
             path.unlink()
         yield {"test": "kills", "rows": name, **tally, "unbroken_s": lasts_s}
-
-
-def _kill(build: ForkProcess) -> None:
-    """Kill a build with its workers, and wait for it."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(build.pid or 0, signal.SIGKILL)
-    build.kill()
-    build.join()
 
 
 def _parts(path: Path) -> dict[str, bytes]:
@@ -154,10 +149,7 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
         tally["silent"] += read == "changed"
         ordinary = read in ("same", "changed", "refused") and checked in ("whole", "damaged")
         tally["crashes"] += not ordinary
-    return {
-        "flips": flips,
-        **{key: tally[key] for key in ("harmful", "found", "silent", "crashes")},
-    }
+    return {"flips": flips} | {key: tally[key] for key in ("harmful", "found", "silent", "crashes")}
 
 
 def _mutations(whole: Path, folder: Path, cases: int) -> Row:
@@ -217,9 +209,6 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-# --- damaged input ---------------------------------------------------------------------------
-
-
 def _command(arguments: list[object]) -> str:
     """Run a command; return "answered", "refused", or a description of any other end."""
     errors = io.StringIO()
@@ -250,10 +239,8 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
     dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
     store = folder / "store.h5"
     outcome_of(partial(_command, ["build", dem, "-o", store, "--spacing", 300]), _COMMAND_S)
-    ascii_dem = (
-        "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
-        + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
-    )
+    ascii_dem = "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
+    ascii_dem += "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
     viewpoints = "easting,northing\n" + "".join(
         f"{_WEST_M + 300 + 20 * k},{_NORTH_M - 400 - 10 * k}\n" for k in range(6)
     )
@@ -262,24 +249,17 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
     )
     rows = np.arange(120)[:, np.newaxis]
     ridge = 60 + 20 * np.sin(np.arange(200) / 15)
-    photo = np.where((rows < ridge)[..., np.newaxis], (230, 180, 120), (40, 60, 50)).astype(
-        np.uint8
-    )
-    jpeg = cv2.imencode(".jpg", photo)[1].tobytes()
-    png = cv2.imencode(".png", photo)[1].tobytes()
+    photo = np.where((rows < ridge)[..., np.newaxis], (230, 180, 120), (40, 60, 50))
+    jpeg, png = (cv2.imencode(kind, photo.astype(np.uint8))[1] for kind in (".jpg", ".png"))
+    matching = "--fov-deg", 60, "--matcher", "unrefined"
+    rendering = "-o", folder / "o.h5", "--viewpoints"
     return {
         "tif": (dem.read_bytes(), lambda path: ["info", path]),
         "asc": (ascii_dem.encode(), lambda path: ["info", path, "--crs", "EPSG:32632"]),
-        "csv": (
-            viewpoints.encode(),
-            lambda path: ["render", dem, "--viewpoints", path, "-o", folder / "o.h5"],
-        ),
-        "trace.csv": (
-            trace.encode(),
-            lambda path: ["match", store, path, "--fov-deg", 60, "--matcher", "unrefined"],
-        ),
-        "jpg": (jpeg, lambda path: ["extract", path, "-o", folder / "jpg-out.csv"]),
-        "png": (png, lambda path: ["extract", path, "-o", folder / "png-out.csv"]),
+        "csv": (viewpoints.encode(), lambda path: ["render", dem, *rendering, path]),
+        "trace.csv": (trace.encode(), lambda path: ["match", store, path, *matching]),
+        "jpg": (jpeg.tobytes(), lambda path: ["extract", path, "-o", folder / "jpg-out.csv"]),
+        "png": (png.tobytes(), lambda path: ["extract", path, "-o", folder / "png-out.csv"]),
     }
 
 
@@ -307,9 +287,6 @@ def _damaged_files(cases: int, seed: int) -> Iterator[Row]:
             yield {"file": suffix, "cases": cases, **counts, "wrong": dict(ends)}
 
 
-# --- processes of their own, in which a crash or a hang is a result --------------------------
-
-
 _FORK = multiprocessing.get_context("fork")
 
 
@@ -330,9 +307,6 @@ def outcome_of(work: Callable[[], str], limit_s: int) -> str:
         if process.exitcode == 0:
             return str(receiving.recv())
         return "raised" if process.exitcode == 1 else "crash"
-
-
-# --- commands --------------------------------------------------------------------------------
 
 
 def store_durability(

@@ -6,14 +6,13 @@ error*, and *uniform against adaptive* stores, of the paper's planner and matche
 
 import json
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import matplotlib
 import numpy as np
 import typer
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 from typer import Argument, Option
@@ -77,11 +76,8 @@ def figures(
     out.mkdir(parents=True, exist_ok=True)
     # Without dates and random names a picture changes only with its records.
     with matplotlib.rc_context({"svg.hashsalt": "skyline", "svg.fonttype": "none"}):
-        for name, figure in (
-            ("speed-error", _draw_speed(speed)),
-            ("uniform-adaptive", _draw_adaptive(stores)),
-        ):
-            figure.savefig(out / f"{name}.svg", metadata={"Date": None})
+        _draw_speed(speed).savefig(out / "speed-error.svg", metadata={"Date": None})
+        _draw_adaptive(stores).savefig(out / "uniform-adaptive.svg", metadata={"Date": None})
 
 
 def _rows(record: Path) -> list[Row]:
@@ -103,20 +99,16 @@ def _markdown(rows: Sequence[Row]) -> str:
 def speed_table(rows: Sequence[Row]) -> list[Row]:
     """Return a row for each way to a skyline; errors are in degrees, at the middle of a view."""
     found = {(row["path"], row["setting"]): row for row in rows}
-    table = list[Row]()
-    for key, way in _SHOWN.items():
-        if key not in found:
-            continue
-        row = found[key]
-        table.append(
-            {
-                "way": way,
-                "ms a viewpoint": shown(row["ms_per_viewpoint"]),
-                "rms error": _degrees(row["rms_px"]),
-                "greatest error": _degrees(row["max_px"]),
-            }
-        )
-    return table
+    return [
+        {
+            "way": way,
+            "ms a viewpoint": shown(found[key]["ms_per_viewpoint"]),
+            "rms error": _degrees(found[key]["rms_px"]),
+            "greatest error": _degrees(found[key]["max_px"]),
+        }
+        for key, way in _SHOWN.items()
+        if key in found
+    ]
 
 
 def _degrees(error_px: float) -> str:
@@ -141,7 +133,8 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
 
 # --- uniform against adaptive ---------------------------------------------------------------
 
-_Compared = Iterable[tuple[str, str, list[Row]]]
+_Compared = Sequence[tuple[str, str, list[Row]]]
+_SHARES = "within_200m", "within_200m_low", "within_200m_high"
 
 
 def adaptive_table(stores: _Compared) -> list[Row]:
@@ -154,14 +147,11 @@ def adaptive_table(stores: _Compared) -> list[Row]:
     for terrain, planner, rows in stores:
         grids, plans = _by_planner(rows)
         for row in plans:
-            uniform = interpolated(
-                [one["renderings"] for one in grids],
-                [one["within_200m"] for one in grids],
-                row["renderings"],
-            )
-            low, high = row["within_200m_low"], row["within_200m_high"]
+            x, y = ([one[key] for one in grids] for key in ("renderings", "within_200m"))
+            uniform = interpolated(x, y, row["renderings"])
             if uniform is None:
                 continue
+            low, high = row["within_200m_low"], row["within_200m_high"]
             better = "adaptive" if uniform < low else "uniform" if uniform > high else "tie"
             table.append(
                 {
@@ -184,30 +174,24 @@ def _by_planner(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def _draw_adaptive(stores: _Compared) -> Figure:
-    stores = list(stores)
     terrains = list(dict.fromkeys(terrain for terrain, _, _ in stores))
     figure = Figure(figsize=(8.4, 3.8), layout="constrained")
     axes = figure.subplots(1, len(terrains), sharey=True, squeeze=False)[0]
     for terrain, planner, rows in stores:
         axis = axes[terrains.index(terrain)]
         colour = "#0072B2" if planner == "ours" else "#D55E00"
-        for some, kind, style in zip(
-            _by_planner(rows), ("uniform", "adaptive"), ("o--", "D-"), strict=True
-        ):
-            _draw_shares(axis, some, style, colour, f"{planner}, {kind}")
+        kinds = ("uniform", "o--"), ("adaptive", "D-")
+        for some, (kind, style) in zip(_by_planner(rows), kinds, strict=True):
+            share, *ends = np.array([[row[key] for row in some] for key in _SHARES])
+            x, off = [row["renderings"] for row in some], np.abs(np.array(ends) - share)
+            label = f"{planner}, {kind}"
+            axis.errorbar(x, share, off, fmt=style, color=colour, label=label, capsize=2)
         axis.set(xscale="log", xlabel="renderings, or four a place", ylim=(0.0, 1.0))
         axis.set_title(terrain, fontsize=10)
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("queries found within 200 m")
     axes[0].legend(fontsize=8)
     return figure
-
-
-def _draw_shares(axis: Axes, rows: Sequence[Row], style: str, colour: str, label: str) -> None:
-    share = np.array([row["within_200m"] for row in rows])
-    ends = np.array([[row["within_200m_low"], row["within_200m_high"]] for row in rows]).T
-    x = [row["renderings"] for row in rows]
-    axis.errorbar(x, share, np.abs(ends - share), fmt=style, color=colour, label=label, capsize=2)
 
 
 # --- the picture of a match -----------------------------------------------------------------
@@ -218,36 +202,27 @@ def readme_picture(
     quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo drawn of the sample terrain, and the place found for it."""
-    options.print_rows([_save_match(out, width=512 if quick else 2048)])
-
-
-def _save_match(path: Path, width: int) -> dict[str, object]:
-    """Save the picture of a photo drawn from depth images of a width, and return the errors."""
     with tempfile.TemporaryDirectory() as name:
         terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
         store = Path(name) / "places.h5"
         build_places(terrain, store, bounds_deg=SAMPLE_BOUNDS_DEG)
         eye = stand_at(terrain, lon=-84.2790, lat=36.6029, summit_within_m=0.0)
         photo, report = Path(name) / "photo.jpg", Path(name) / "report"
-        with DepthRenderer(terrain, width) as renderer:
-            Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1)).save(
-                photo, quality=92
-            )
+        with DepthRenderer(terrain, 512 if quick else 2048) as renderer:
+            taken = Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1))
+        taken.save(photo, quality=92)
         with Matcher(store, terrain) as matcher:
             result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
             report_matches(report, matcher, [result])
-        pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
-        _side_by_side(pictures).save(path, quality=85, optimize=True)
+        # In one row, all as high.
+        parts = []
+        for part in (report / "01-overlay.jpg", report / "01-map.png"):
+            with Image.open(part) as picture:
+                size = picture.width * _HEIGHT_PX // picture.height, _HEIGHT_PX
+                parts.append(np.asarray(picture.convert("RGB").resize(size)))
+        Image.fromarray(np.concatenate(parts, axis=1)).save(out, quality=85, optimize=True)
     best = result.candidates[0]
     apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
     error_m = float(np.hypot(*apart_m))
-    return {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
-
-
-def _side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Return pictures in one row, all as high."""
-    parts = [
-        picture.convert("RGB").resize((picture.width * _HEIGHT_PX // picture.height, _HEIGHT_PX))
-        for picture in pictures
-    ]
-    return Image.fromarray(np.concatenate([np.asarray(part) for part in parts], axis=1))
+    row = {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
+    options.print_rows([row])

@@ -76,10 +76,9 @@ def rows_but(json_file: Path | None, key: str, value: str) -> list[Row]:
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
-    """Print rows as a table; ``columns`` are the keys shown, by default all.
+    """Print rows as a table; ``columns`` are the keys shown, ``key`` or ``key=heading``, or all.
 
-    A key is its own heading, or is given another: ``key=heading``; underscores become spaces. Bytes
-    are shown as megabytes.
+    Underscores become spaces. Bytes are shown as megabytes.
     """
     asked = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
     headings = {}
@@ -90,13 +89,8 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(_cell(row.get(key), heading) for key, heading in headings.items()))
+        cells = ((row.get(key), heading.endswith("MB")) for key, heading in headings.items())
+        table.add_row(*(shown(value / 1e6 if mega and value else value) for value, mega in cells))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
-
-
-def _cell(value: object, heading: str) -> str:
-    if heading.endswith("MB") and isinstance(value, int | float):
-        return shown(value / 1e6)
-    return shown(value)

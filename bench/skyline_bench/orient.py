@@ -101,11 +101,11 @@ def orient(
         raise InputError(f"{photos} names no photograph to locate or to refuse; expected some")
     terrain = read_dem(dem, DemOptions(crs=crs))
     other = read_dem(strange, DemOptions(reproject=True)) if strange else None
+    count = min(queries, _QUICK) if quick else queries
     with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
         if photos:
             rows = photograph_rows(orienter_at, wanted[:2] if quick else wanted, progress)
         else:
-            count = min(queries, _QUICK) if quick else queries
             rows = made_rows(orienter_at, terrain, other, count, seed, progress)
     rows = [{"of": name, **row} for row in rows]
     for measured, columns in _TABLES.items():
@@ -126,24 +126,17 @@ def photograph_rows(
         about = {"measured": "photo", "photo": one.name, "kind": one.kind}
         rows.append(about | figures_of(found, one.heading_deg, one.fov_deg))
         progress(len(rows), len(photographs))
-    return [
-        *rows,
-        *(
-            {"measured": "photos", "group": kind}
-            | summarize([row for row in rows if row["kind"] == kind], is_strange=kind != LOCATE)
-            for kind in dict.fromkeys(one.kind for one in photographs)
-        ),
-    ]
+    for kind in dict.fromkeys(one.kind for one in photographs):
+        some = [row for row in rows if row.get("kind") == kind]
+        about = {"measured": "photos", "group": kind}
+        rows.append(about | summarize(some, is_strange=kind != LOCATE))
+    return rows
 
 
 def made_rows(
-    orienter_at: _OrienterAt,
-    terrain: HeightField,
-    strange: HeightField | None,
-    count: int,
-    seed: int,
-    progress: Progress,
-) -> list[Row]:
+    orienter_at: _OrienterAt, terrain: HeightField, strange: HeightField | None, count: int,
+    seed: int, progress: Progress,
+) -> list[Row]:  # fmt: skip
     """Return the rows of made photos, strangers, labels, places in pixels and a webcam."""
     seen, area = perturbed(terrain, seed=seed), map_bounds(terrain, middle_deg(terrain))
     rng, steps = np.random.default_rng(seed), (2 + (strange is not None)) * count
@@ -158,8 +151,7 @@ def made_rows(
         found = list[Row]()
         for (query,) in make_kind(STRANGERS, terrain, area, count, seed + 1, strange):
             place = rng.uniform(area[0], area[2]), rng.uniform(area[1], area[3])
-            one = _oriented(orienter_at, query.skyline, to_lonlat(*place))
-            found.append(figures_of(one))
+            found.append(figures_of(_oriented(orienter_at, query.skyline, to_lonlat(*place))))
             progress(count + len(found), steps)
         about = {"measured": "strangers", "group": ALL}
         rows.append(about | summarize(found, is_strange=True))
@@ -225,14 +217,9 @@ def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any
 
 
 def webcam_row(
-    orienter_at: _OrienterAt,
-    terrain: HeightField,
-    seen: HeightField,
-    query: SyntheticQuery,
-    count: int,
-    seed: int,
-    progress: Progress,
-) -> Row:
+    orienter_at: _OrienterAt, terrain: HeightField, seen: HeightField, query: SyntheticQuery,
+    count: int, seed: int, progress: Progress,
+) -> Row:  # fmt: skip
     """Return how steady the headings of a camera's frames are that stands still, and the fog's.
 
     Weather and season differ from frame to frame. In the fog of every tenth frame 2 % of the
@@ -261,9 +248,8 @@ def webcam_row(
             progress(number, count)
     answered = np.array([one.answer is not None for one in found])
     clear = [one.pose for one, is_clear in zip(found, answered & ~fog, strict=True) if is_clear]
-    turned = np.array(
-        [in_turn(pose.grid_heading_deg - truth.heading_deg) for pose in clear if pose]
-    )
+    off_deg = (in_turn(pose.grid_heading_deg - truth.heading_deg) for pose in clear if pose)
+    turned = np.array(list(off_deg))
     middle = float(np.median(turned)) if len(turned) else math.nan
     spread = np.abs(turned - middle)
     return {
@@ -294,21 +280,19 @@ def _oriented(
         lon, lat = map(float, lonlat)
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
-        blank = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
-        refusal = str(error)
+        blank, said = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1), str(error)
         if isinstance(query, Path):
-            refusal = refusal.replace(str(query), query.stem)
-        return Orientation(blank, None, refusal=refusal)
+            said = said.replace(str(query), query.stem)
+        return Orientation(blank, None, refusal=said)
 
 
 def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:
     """Return rows of made photos by the distance of their skylines, and of those sharply held."""
     figures = []
     for query, found in held:
-        truth = query.truth
-        place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
-        north_deg = truth.heading_deg + float(terrain.frame.convergence_deg(**place_m))
-        figures.append(figures_of(found, north_deg, truth.fov_deg))
+        place_m = {"easting_m": query.truth.easting_m, "northing_m": query.truth.northing_m}
+        north_deg = query.truth.heading_deg + float(terrain.frame.convergence_deg(**place_m))
+        figures.append(figures_of(found, north_deg, query.truth.fov_deg))
     members = dict(groups([query.distance_m for query, _ in held], by_thirds=False))
     sharp = [number for number, one in enumerate(figures) if one["sd_deg"] <= SHARP_DEG]
     members |= {f"sd <= {SHARP_DEG:g}": sharp} if sharp else {}

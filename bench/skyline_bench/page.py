@@ -11,7 +11,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -53,40 +52,30 @@ _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({})
 
 # --- the page in a process of its own, and a browser ----------------------------------------
 
-_SERVE = "from skyline.cli import main; main()"
+# A process that a shell starts in the background has children that ignore Ctrl-C.
+_SERVE = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from skyline.cli import main
+main()
+"""
 _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
 
 
 @contextmanager
-def _served_page(store: Path) -> Iterator[tuple[str, float]]:
-    """Run ``skyline serve`` on any free port.
-
-    Yields the page's address, and the seconds from the command to the page's first answer.
-    """
-    command = [sys.executable, "-c", _SERVE, "serve", str(store), "--port", "0"]
-    began = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+def serving(*arguments: object) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Run ``skyline serve`` on any free port; yields the page's address and the process."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as run:
         try:
-            line = "" if run.stdout is None else run.stdout.readline()
-            found = re.search(r"http://\S+", line)
+            found = re.search(r"http://\S+", run.stdout.readline() if run.stdout else "")
             if found is None:
-                raise BuildError("the page was not served; run `skyline serve` to see why")
-            with urlopen(found[0]) as answer:
-                answer.read()
-            yield found[0], time.perf_counter() - began
+                said = run.stderr.read().strip() if run.stderr else ""
+                raise BuildError(f"the page was not served ({said}); run `skyline serve` yourself")
+            yield found[0], run
         finally:
             run.terminate()
-
-
-@contextmanager
-def _browser() -> Iterator[Any]:
-    """Start Chromium as `headless` has it; raises likewise."""
-    options, service = headless()
-    from selenium import webdriver  # noqa: PLC0415  (an extra)
-
-    with webdriver.Chrome(options=options, service=service) as running:
-        running.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
-        yield running
 
 
 def headless() -> tuple[Any, Any]:
@@ -118,20 +107,23 @@ def headless() -> tuple[Any, Any]:
 # --- waiting times -----------------------------------------------------------------
 
 
-def page(
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
-) -> None:
+def page(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """The page in a browser: ready, strokes on 12 megapixels, and the live skyline."""
+    chrome, driver = headless()
+    from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)
+
     with tempfile.TemporaryDirectory() as folder, progress_bar("page") as progress:
         store, photo = _made(Path(folder))
         progress(1, 3)
-        with _served_page(store) as (address, ready_s), _browser() as chromium:
+        began = time.perf_counter()
+        with serving(store) as (address, _):
+            with urlopen(address) as answer:
+                answer.read()
+            figures: list[_Figure] = [("server ready", time.perf_counter() - began, "s")]
             progress(2, 3)
-            figures = [
-                ("server ready", ready_s, "s"),
-                *_in_browser(chromium, address, photo, 2.0 if quick else 10.0),
-            ]
+            with Chrome(options=chrome, service=driver) as chromium:
+                chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
+                figures += _in_browser(chromium, address, photo, 2.0 if quick else 10.0)
         progress(3, 3)
     rows = [
         {"figure": name, "value": float(value), "unit": unit, **_PROMISED.get(name, {})}
@@ -189,12 +181,8 @@ def _strokes(chromium: Any) -> list[float]:
         for step in range(8):
             _mouse(chromium, "mouseMoved", column + 3.0 * step, row)
         _mouse(chromium, "mouseReleased", column + 24.0, row)
-        _until(partial(_solved_again, chromium, count))
+        _until(lambda: len(chromium.execute_script(_STROKES)) > count)  # noqa: B023  (called here)
     return [float(duration) for duration in chromium.execute_script(_STROKES)]
-
-
-def _solved_again(chromium: Any, before: int) -> bool:
-    return len(chromium.execute_script(_STROKES)) > before
 
 
 def _drag(chromium: Any, drag_s: float) -> list[_Figure]:

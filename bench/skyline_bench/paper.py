@@ -18,15 +18,7 @@ from typer import Option
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u
 from skyline.errors import InputError
-from skyline.paper.reprojection import (
-    WARPS,
-    affine_mean,
-    displacements_m,
-    errors_px,
-    moved,
-    non_affine,
-    skyline_points_m,
-)
+from skyline.paper import reprojection
 from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, Strategy
 from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer
@@ -53,11 +45,9 @@ def table1(
 def measure_table1(seeds: int) -> list[dict[str, Any]]:
     """Run the strategies on the three rows, each with seeds 0, 1, ...
 
-    Return for each row and strategy: ``row``, ``strategy``, the paper's figures ``paper_A`` and
-    ``paper_B``, means over seeds of ``A``, ``B``,
-    ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage`` (reached),
-    standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``, and ``bound``,
-    ``asked * 10000 / mean_area``.
+    Return for each row and strategy the paper's figures, and the means and standard deviations
+    over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor
+    time), the mean ``coverage`` that is reached, and ``bound``, ``asked * 10000 / mean_area``.
     """
     rows = []
     for number, row in enumerate(TABLE_1, start=1):
@@ -164,9 +154,9 @@ class Simulation:
         """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
         window = self.candidates.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
-        warp = affine_mean if self.row.affine else non_affine
-        errors = errors_px(points, around, DEFAULT_WIDTH, warp).reshape(-1, window, window)
-        areas = errors <= self.row.threshold_px
+        warp = reprojection.affine_mean if self.row.affine else reprojection.non_affine
+        errors = reprojection.errors_px(points, around, DEFAULT_WIDTH, warp)
+        areas = (errors <= self.row.threshold_px).reshape(-1, window, window)
         areas[:, window // 2, window // 2] = True
         return np.asarray(areas)
 
@@ -248,7 +238,7 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> tuple[Cov
         source = coverage.viewpoints[nearest[:, 0]]
         move = (simulation.eyes(candidates) - simulation.eyes(source)).astype(np.float64)
         points = np.stack([known[row] for row in nearest[:, 0].tolist()])
-        return simulation.areas(moved(points, move[:, None])[:, 0])
+        return simulation.areas(reprojection.moved(points, move[:, None])[:, 0])
 
     render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
     everywhere = simulation.candidates.valid
@@ -300,11 +290,12 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     true_px = true_errors_px(views[np.repeat(np.arange(len(views)), _DISPLACEMENTS)], there)
     true_px = true_px.reshape(shape)
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
-    moved_m = displacements_m(views, views.heading, *(part.reshape(shape) for part in eyes_m))
-    points_m, alike = skyline_points_m(views), true_px <= _THRESHOLD_PX
+    eyes_there_m = (part.reshape(shape) for part in eyes_m)
+    moved_m = reprojection.displacements_m(views, views.heading, *eyes_there_m)
+    points_m, alike = reprojection.skyline_points_m(views), true_px <= _THRESHOLD_PX
     rows = list[Row]()
-    for name, warp in WARPS.items():
-        errors = errors_px(points_m, moved_m, views.width, warp)
+    for name, warp in reprojection.WARPS.items():
+        errors = reprojection.errors_px(points_m, moved_m, views.width, warp)
         claimed = errors <= _THRESHOLD_PX
         precision, precision_interval = _share(claimed & alike, claimed, seed)
         recall, recall_interval = _share(claimed & alike, alike, seed)
@@ -337,19 +328,19 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
     northing = generator.uniform(south + margin, north - margin, tried)[:, np.newaxis]
     radius = _AWAY_M * np.sqrt(generator.random((tried, _DISPLACEMENTS)))
     bearing = generator.uniform(0.0, 2.0 * np.pi, radius.shape)
-    there = easting + radius * np.sin(bearing), northing + radius * np.cos(bearing)
-    on_ground = ~np.isnan(field.height_at(easting_m=there[0], northing_m=there[1])).any(axis=1)
-    on_ground &= ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))[:, 0]
-    chosen = np.flatnonzero(on_ground)[:viewpoints]
+    eyes_m = np.stack([easting, northing])
+    others_m = eyes_m + radius * np.stack([np.sin(bearing), np.cos(bearing)])
+    every_m = np.concatenate([eyes_m, others_m], axis=2)
+    heights_m = field.height_at(easting_m=every_m[0], northing_m=every_m[1])
+    chosen = np.flatnonzero(np.isfinite(heights_m).all(axis=1))[:viewpoints]
     if len(chosen) < viewpoints:
         raise InputError(
             f"only {len(chosen)} of {tried} random viewpoints have ground all around; the map is "
             "mostly holes: choose another"
         )
-    eyes = stand_on(field, easting_m=easting[chosen, 0], northing_m=northing[chosen, 0])
-    return eyes, stand_on(
-        field, easting_m=there[0][chosen].ravel(), northing_m=there[1][chosen].ravel()
-    )
+    eyes_m, others_m = (some[:, chosen].reshape(2, -1) for some in (eyes_m, others_m))
+    eyes = stand_on(field, easting_m=eyes_m[0], northing_m=eyes_m[1])
+    return eyes, stand_on(field, easting_m=others_m[0], northing_m=others_m[1])
 
 
 def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:

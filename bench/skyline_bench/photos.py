@@ -85,13 +85,7 @@ def photos(
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
     ] = False,
     page_file: Annotated[
-        Path | None,
-        Option(
-            "--page",
-            metavar="FILE.html",
-            help="Draw each photograph's skylines.",
-            callback=options.in_a_folder,
-        ),
+        Path | None, options.new_file("Draw each photograph's skylines, as HTML.", "--page")
     ] = None,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
@@ -126,18 +120,9 @@ def photos(
     summary = summarize(rows)
     options.print_rows(rows, _COLUMNS)
     options.print_rows(summary)
-    about = {
-        "manifest": manifest.stem,
-        "side_m": side_m,
-        "spacing_m": spacing,
-        "use_gps": use_gps,
-    }
-    write_record(
-        json_file,
-        "photos",
-        [about | row for row in rows],
-        {"photos": [about | row for row in summary]},
-    )
+    about = {"manifest": manifest.stem, "side_m": side_m, "spacing_m": spacing, "use_gps": use_gps}
+    rows, summary = ([about | row for row in some] for some in (rows, summary))
+    write_record(json_file, "photos", rows, {"photos": summary})
     if page_file is not None:
         lead = f"{len(rows)} photographs of {manifest.name}."
         write_with_folders(page_file, page("Photographs", lead, sections))
@@ -145,8 +130,8 @@ def photos(
 
 def _section(measured: Measured, viewer: Viewer | None) -> str:
     """Return the section of a photograph, with a drawing if its skyline was found."""
-    shown_figures = {name: shown(value) for name, value in measured.figures.items()}
-    parts = [table(("", ""), [[k, str(v)] for k, v in shown_figures.items() if v != "-"])]
+    known = ([name, shown(value)] for name, value in measured.figures.items() if value is not None)
+    parts = [table(("", ""), list(known))]
     if measured.query is not None:
         sight = None
         if viewer is not None and measured.best is not None:
@@ -158,13 +143,9 @@ def _section(measured: Measured, viewer: Viewer | None) -> str:
 
 
 def measure(
-    photographs: Sequence[Photograph],
-    terrain: HeightField | None,
-    folder: Path,
-    side_m: float,
-    spacing_m: float | None = None,
-    use_gps: bool = False,
-) -> Iterator[tuple[Measured, Viewer | None]]:
+    photographs: Sequence[Photograph], terrain: HeightField | None, folder: Path, side_m: float,
+    spacing_m: float | None = None, use_gps: bool = False,
+) -> Iterator[tuple[Measured, Viewer | None]]:  # fmt: skip
     """Yield each photograph measured, and what renders its surroundings.
 
     Squares of a side are searched about the photographs; the terrain is not needed where nothing is
@@ -191,10 +172,8 @@ def measure(
 def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return one row for each kind of photograph: how many were found, answered and right."""
     table = []
-    for kind in KINDS:
+    for kind in sorted({row["kind"] for row in rows}, key=KINDS.index):
         some = [row for row in rows if row["kind"] == kind]
-        if not some:
-            continue
         line: dict[str, Any] = {"kind": kind, "photographs": len(some)}
         if kind != EXTRACT:
             answered = [row for row in some if row.get("answered")]
@@ -205,8 +184,7 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
                 "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
                 "answered_right": sum(true) / len(true) if true and kind == LOCATE else None,
             }
-        columns = [row.get("right_columns") for row in some]
-        shares = [share for share in columns if share is not None]
+        shares = [row["right_columns"] for row in some if row.get("right_columns") is not None]
         line |= {
             "right_columns": float(np.mean(shares)) if shares else None,
             "mostly_wrong": sum(share < 0.5 for share in shares) if shares else None,
@@ -282,11 +260,7 @@ def _stages(
 ) -> dict[str, Any]:
     """Return the stage that lost a place: the truth is given to one later stage after the other.
 
-    ``confidence``: it was found, and not believed. ``extraction``: with the true skyline it is
-    found, or there is too little of one. ``search``: with the place given, its skyline fits better
-    than all that was found. ``ranking``: it fits, and a wrong place fits better. ``pose``: even
-    there the pose is missed, but found where that is given. ``skyline``: what was found is not
-    what the model shows from there.
+    docs/howto/comparing-grids.md says what each stage means.
     """
     query = result.query
     if measured.figures["rank"] == 1:
@@ -335,14 +309,12 @@ def _fitted(
     """Return the pose that the true one becomes; None where it is not known, or does not hold."""
     if one.heading_deg is None:
         return None
-    fov_deg = one.fov_deg or query.fov_deg or 60.0
+    held = {"pitch_deg": one.pitch_deg or 0.0, "roll_deg": one.roll_deg or 0.0}
     lon, lat = one.lonlat
     ground_m = float(viewer.terrain.height_at(lon=lon, lat=lat))
-    above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
-    pose = viewer.pose(
-        lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
-        roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
-    )  # fmt: skip
+    held["eye_height_m"] = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
+    held |= {"heading_deg": one.heading_deg, "fov_deg": one.fov_deg or query.fov_deg or 60.0}
+    pose = viewer.pose(lon=lon, lat=lat, **held)
     fitted = next(iter(matcher.fit(query, pose).candidates), None)
     if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
         return None
@@ -403,10 +375,11 @@ def sky_masks(
     Names are split in two by their hash: one half to develop on, and one that is
     only ever measured. Columns whose mask has no edge are left out.
     """
-    masks = sorted(
-        folder.glob("*.mask.png"),
-        key=lambda mask: hashlib.sha256(mask.name.removesuffix(".mask.png").encode()).hexdigest(),
-    )
+
+    def split_by(mask: Path) -> str:
+        return hashlib.sha256(mask.name.removesuffix(".mask.png").encode()).hexdigest()
+
+    masks = sorted(folder.glob("*.mask.png"), key=split_by)
     if len(masks) < 2:
         raise InputError(f"{folder} has {len(masks)} masks NAME.mask.png; expected two or more")
     middle = len(masks) // 2
@@ -417,7 +390,7 @@ def sky_masks(
             for mask in some[: 2 if quick else None]:
                 photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
                 started = time.process_time()
-                counts.append(_columns(_extracted(Photograph(photo, EXTRACT, mask=mask))))
+                counts.append(_columns(Photograph(photo, EXTRACT, mask=mask)))
                 seconds.append(time.process_time() - started)
                 progress(len(rows) * len(some) + len(counts), len(masks))
             trusted, right, far, known = np.array(counts).T
@@ -436,10 +409,11 @@ def sky_masks(
     options.report(json_file, "sky-masks", rows)
 
 
-def _columns(measured: Measured) -> tuple[int, int, int, int]:
-    """Return the figures of `count_columns`; no column is trusted where the photo was refused."""
+def _columns(photo: Photograph) -> tuple[int, int, int, int]:
+    """Return the figures of `count_columns`; no column is trusted where the photo is refused."""
+    measured = _extracted(photo)
     if measured.query is not None and measured.row_px is not None:
         return count_columns(measured.query, measured.row_px)
-    with Image.open(measured.photograph.photo) as photo:
-        true_px = measured.photograph.true_row_px(*photo.size)
+    with Image.open(photo.photo) as picture:
+        true_px = photo.true_row_px(*picture.size)
     return 0, 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())

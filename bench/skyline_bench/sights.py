@@ -36,41 +36,34 @@ _EACH_PX = 24
 def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
     """Return how many visible and hidden summits of photos of ``seen`` are named on ``model``."""
     east_m, north_m = _summits(seen)
-    found, lost, named_hidden, hidden, photos = list[float](), 0, 0, 0, 0
+    off, visible, photos = list[Float64Array](), list[BoolArray](), 0
     for number, (query, pose) in enumerate(posed):
-        east, north, column, row, visible = _in_picture(seen, query, east_m, north_m, number)
+        east, north, column, row, is_seen = _in_picture(seen, query, east_m, north_m, number)
         photos += bool(len(east))
-        peaks = Peaks(
-            names=tuple(map(str, range(len(east)))),
-            easting_m=east,
-            northing_m=north,
-            height_m=np.full(len(east), np.nan),
-        )
+        names, unknown_m = tuple(map(str, range(len(east)))), np.full(len(east), np.nan)
+        peaks = Peaks(names=names, easting_m=east, northing_m=north, height_m=unknown_m)
         with Viewer(model, peaks) as viewer:
             labels = viewer.summits(pose or _true_pose(viewer, query.truth), query.skyline)
-        at = {int(one.name): (one.column_px, one.row_px) for one in labels}
-        for index in range(len(east)):
-            if not visible[index]:
-                hidden, named_hidden = hidden + 1, named_hidden + (index in at)
-            elif index in at:
-                x, y = at[index]
-                found.append(float(np.hypot(x - column[index], y - row[index])))
-            else:
-                lost += 1
-    off_px = np.array(found)
-    total = len(found) + lost
+        at_px = np.full((2, len(east)), np.nan)
+        for one in labels:
+            at_px[:, int(one.name)] = one.column_px, one.row_px
+        off.append(np.hypot(at_px[0] - column, at_px[1] - row))
+        visible.append(is_seen)
+    every_px, is_visible = np.concatenate(off), np.concatenate(visible)
+    is_named, total = np.isfinite(every_px), int(is_visible.sum())
+    off_px = every_px[is_named & is_visible]
     return {
         "measured": "labels",
         **_about(model, seen, posed),
         "photos": photos,
-        "summits": total + hidden,
+        "summits": len(every_px),
         "visible": total,
-        "named": len(found) / total if total else None,
+        "named": len(off_px) / total if total else None,
         "within_5_px": float((off_px <= NEAR_PX).sum()) / total if total else None,
-        "hidden": hidden,
-        "hidden_named": named_hidden,
-        "median_px": float(np.median(off_px)) if found else None,
-        "p95_px": float(np.quantile(off_px, 0.95)) if found else None,
+        "hidden": len(every_px) - total,
+        "hidden_named": int((is_named & ~is_visible).sum()),
+        "median_px": float(np.median(off_px)) if off_px.size else None,
+        "p95_px": float(np.quantile(off_px, 0.95)) if off_px.size else None,
     }
 
 
@@ -125,18 +118,11 @@ def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dic
 
 def _true_pose(viewer: Viewer, truth: Truth) -> Candidate:
     """Return the true pose of a photo; an eye below the model's ground stands on it."""
-    convergence_deg = viewer.frame.convergence_deg(
-        easting_m=truth.easting_m, northing_m=truth.northing_m
-    )
-    lon, lat = viewer.frame.to_lonlat(truth.easting_m, truth.northing_m)
-    pose = viewer.pose(
-        lon=float(lon),
-        lat=float(lat),
-        heading_deg=truth.heading_deg + float(convergence_deg),
-        pitch_deg=truth.pitch_deg,
-        roll_deg=truth.roll_deg,
-        fov_deg=truth.fov_deg,
-    )
+    place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
+    north_deg = float(viewer.frame.convergence_deg(**place_m))
+    lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
+    held = {name: getattr(truth, name) for name in ("pitch_deg", "roll_deg", "fov_deg")}
+    pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.heading_deg + north_deg, **held)
     return replace(pose, eye_elevation_m=truth.eye_elevation_m)
 
 
@@ -154,12 +140,9 @@ def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:
 
 
 def _in_picture(
-    terrain: HeightField,
-    query: SyntheticQuery,
-    east_m: Float64Array,
-    north_m: Float64Array,
+    terrain: HeightField, query: SyntheticQuery, east_m: Float64Array, north_m: Float64Array,
     seed: int,
-) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:  # fmt: skip
     """Return easting, northing, column, row and visibility of summits in a photo, some drawn."""
     truth, size = query.truth, query.skyline
     away_m = truth.off_m(east_m, north_m)

@@ -101,7 +101,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
             seen, key = way.render(way.compared), (way.width, len(way.compared))
             if isinstance(seen, Views):
                 if key not in truths:
-                    truths[key] = _oracle(terrain, way.width)(way.compared)
+                    truths[key] = _oracle(terrain, way.width, way.compared)
                 errors.append(compare(seen, truths[key]))
             else:
                 found_deg = np.degrees(np.arctan(seen.elevation_tan.astype(np.float64)))
@@ -130,11 +130,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
 
 
 def _ways(
-    terrain: HeightField,
-    batch: Viewpoints,
-    compared: Viewpoints,
-    quick: bool,
-    held: ExitStack,
+    terrain: HeightField, batch: Viewpoints, compared: Viewpoints, quick: bool, held: ExitStack
 ) -> Iterator[_Way]:
     """Yield every way that is compared; renderers are released with ``held``."""
     few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
@@ -146,16 +142,12 @@ def _ways(
         exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
         name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
         yield _Way("horizon", width, name, batch, compared, exact.render, details)
-    for azimuths, tolerance_deg in (
-        (_STEPS, 0.0),
-        (_STEPS, DEFAULT_TOLERANCE_DEG),
-        (BINS, DEFAULT_TOLERANCE_DEG),
-    ):
-        panorama = held.enter_context(
-            PanoramaRenderer(terrain, azimuths, tolerance_deg=tolerance_deg)
-        )
-        name = f"{azimuths} azimuths, {tolerance_deg:g} degrees"
-        yield _Way("all round", azimuths, name, batch, compared, _from_north(panorama))
+    usual_deg = DEFAULT_TOLERANCE_DEG
+    for azimuths, off_deg in ((_STEPS, 0.0), (_STEPS, usual_deg), (BINS, usual_deg)):
+        panorama = held.enter_context(PanoramaRenderer(terrain, azimuths, tolerance_deg=off_deg))
+        name = f"{azimuths} azimuths, {off_deg:g} degrees"
+        from_north = partial(_from_north, panorama)
+        yield _Way("all round", azimuths, name, batch, compared, from_north)
     if embree.is_installed():
         peer = embree.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
@@ -164,12 +156,12 @@ def _ways(
             yield _Way("embree", width, name, batch, compared, render, details)
     else:
         _log.warning("Embree is left out: pip install 'skyline-bench[peers]' to measure it")
-    yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
+    yield _Way("oracle", width, "exact", few, some, partial(_oracle, terrain, width))
 
 
-def _from_north(renderer: PanoramaRenderer) -> _Render:
-    """Return a renderer whose azimuths count from grid north on."""
-    return lambda viewpoints: renderer.render(viewpoints, np.zeros(len(viewpoints)))
+def _from_north(renderer: PanoramaRenderer, viewpoints: Viewpoints) -> Horizons:
+    """Render horizons whose azimuths count from grid north on."""
+    return renderer.render(viewpoints, np.zeros(len(viewpoints)))
 
 
 def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
@@ -184,10 +176,8 @@ def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
     easting_m, northing_m = terrain.to_map(row, col)
     stand = stand_on(terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=0.0)
     found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
-    turn_deg = -terrain.frame.convergence_deg(
-        easting_m=stand.easting_m, northing_m=stand.northing_m
-    )
-    true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
+    north_deg = terrain.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+    true_deg = _true_deg(terrain, stand, -north_deg, Curvature(enabled=False))
     each_s = float(np.median(seconds))
     return {
         "path": "grass",
@@ -214,13 +204,10 @@ def _true_deg(
         order = np.argsort(grid_deg)
         heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
         away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
-        views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
-        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
+        u = np.tan(away[0])
+        views = oracle.skyline_at(terrain, eyes[index : index + 1], u, curvature)
+        true_deg[index, order] = elevation_deg(views.elevation_tan.astype(np.float64), u).ravel()
     return true_deg
-
-
-def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
-    return elevation_deg(views.elevation_tan.astype(np.float64), u)
 
 
 def _errors_px(off_deg: Float64Array) -> Row:
@@ -234,10 +221,10 @@ def _errors_px(off_deg: Float64Array) -> Row:
     }
 
 
-def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
-    """Return the oracle as a renderer that uses all cores."""
+def _oracle(terrain: HeightField, width: int, viewpoints: Viewpoints) -> Views:
+    """Return the oracle's skylines, computed on all cores."""
     render = partial(oracle.skyline, terrain, width=width)
-    return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))
+    return Views.concatenate(over_cores(render, viewpoints, 1))
 
 
 # --- very large DEMs ------------------------------------------------------------------------

@@ -135,8 +135,6 @@ class _File:
 
 _Places = tuple[Float64Array, Float64Array, Float64Array]
 """Easting, northing and height (P,) of places."""
-_Sights = tuple[Int64Array, Float64Array]
-"""The summits (S,) that eyes (3, S) see: easting, northing, elevation."""
 
 
 def summits(
@@ -169,7 +167,6 @@ def measure(
     read_s = time.process_time() - started
     file = _File.read(dem, dem_options, field)
     row, col = file.summits(config.summits)
-    sights = _sights(file, row, col, config)
     surfaces = {"as read": field}
     if field.provenance.resampling != "none":
         surfaces["bilinear"] = _bilinear(file, field)
@@ -181,17 +178,14 @@ def measure(
                 "file_spacing_m": f"{file.spacing_m[0]:.3g} x {file.spacing_m[1]:.3g}",
                 "surface": name,
                 "spacing_m": surface.spacing_m,
-                **_summit_errors(surface, file, row, col, sights),
+                **_summit_errors(surface, file, row, col, config),
                 **_sample_errors(surface, file),
                 "samples": surface.heights_m.size,
                 "read_cpu_s": read_s if name == "as read" else math.nan,
                 "place_cpu_ms": _place_cpu_ms(surface, config.places),
             }
         )
-    seen = {
-        **_horizons_beside(field, file, config),
-        **_horizons_anywhere(field, config),
-    }
+    seen = {**_horizons_beside(field, file, config), **_horizons_anywhere(field, config)}
     return [{**rows[0], **seen}, *rows[1:]]
 
 
@@ -204,10 +198,8 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
     row, col = _prominent(field)
     if not row.size:
         return {"prominent": 0}
-    rng = np.random.default_rng(0)
-    east_m, north_m = (
-        rng.uniform(-0.5, 0.5, (2, config.beside, row.size)).T * np.array(file.spacing_m)
-    ).T
+    beside = np.random.default_rng(0).uniform(-0.5, 0.5, (2, config.beside, row.size))
+    east_m, north_m = (beside.T * np.array(file.spacing_m)).T
     easting, northing = field.to_map(row, col)
     seen = horizons_of(field, stand_on(field, easting_m=easting, northing_m=northing)).elevation_deg
     found: dict[str, float] = {
@@ -233,23 +225,16 @@ def _prominent(field: HeightField) -> tuple[Int64Array, Int64Array]:
     rows, cols = field.rows // side, field.cols // side
     squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
     row, col, _ = prominences(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
-    found: list[tuple[int, int]] = []
-    for top, left in zip((side * row).tolist(), (side * col).tolist(), strict=True):
+    for index, (top, left) in enumerate(zip(side * row, side * col, strict=True)):
         square = field.heights_m[top : top + side, left : left + side]
         at = np.unravel_index(np.nanargmax(square), square.shape)
-        place = top + int(at[0]), left + int(at[1])
-        reach = [round(_APART_M / step) for step in (field.spacing_north_m, field.spacing_east_m)]
-        around = field.heights_m[
-            max(place[0] - reach[0], 0) : place[0] + reach[0] + 1,
-            max(place[1] - reach[1], 0) : place[1] + reach[1] + 1,
-        ]
-        is_inner = around.shape == (2 * reach[0] + 1, 2 * reach[1] + 1)
-        if is_inner and not np.isnan(around).any():
-            found.append(place)
-        if len(found) == _PROMINENT:
-            break
-    places = np.array(found, np.int64).reshape(-1, 2)
-    return places[:, 0], places[:, 1]
+        row[index], col[index] = top + at[0], left + at[1]
+    window = [
+        2 * round(_APART_M / step) + 1 for step in (field.spacing_north_m, field.spacing_east_m)
+    ]
+    inner = minimum_filter(~np.isnan(field.heights_m), window, mode="constant", cval=False)
+    kept = np.flatnonzero(inner[row, col])[:_PROMINENT]
+    return row[kept], col[kept]
 
 
 def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
@@ -257,9 +242,8 @@ def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
     rng = np.random.default_rng(0)
     west, south, east, north = field.bounds_m
     drawn = rng.uniform((west, south), (east, north), (4 * config.anywhere, 2))
-    easting, northing = drawn[
-        np.isfinite(field.height_at(easting_m=drawn[:, 0], northing_m=drawn[:, 1]))
-    ][: config.anywhere].T
+    on_ground = np.isfinite(field.height_at(easting_m=drawn[:, 0], northing_m=drawn[:, 1]))
+    easting, northing = drawn[on_ground][: config.anywhere].T
     before = stand_on(field, easting_m=easting, northing_m=northing)
     after = stand_on(field, easting_m=easting, northing_m=northing, summit_within_m=None)
     lifted = after.eye_elevation_m > before.eye_elevation_m
@@ -300,10 +284,10 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
 
 
 def _summit_errors(
-    surface: HeightField, file: _File, row: Int64Array, col: Int64Array, sights: _Sights
+    surface: HeightField, file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> Row:
     """Return how far summits are too high or low, also as seen, in metres at their distance."""
-    summit, eyes = sights
+    summit, eyes = _sights(file, row, col, config)
     error_m, seen_m = [], []
     # Of a fine lattice that reaches one sample from a summit.
     south, east = (side.ravel() for side in np.meshgrid(_LATTICE, _LATTICE, indexing="ij"))
@@ -352,8 +336,13 @@ def _sample_errors(surface: HeightField, file: _File) -> Row:
     }
 
 
-def _sights(file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig) -> _Sights:
-    """Draw eyes about each summit; keep those below it that see it over the file's terrain."""
+def _sights(
+    file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
+) -> tuple[Int64Array, Float64Array]:
+    """Draw eyes about each summit; keep those below it that see it over the file's terrain.
+
+    Return the summits (S,) that eyes (3, S) see: easting, northing, elevation.
+    """
     rng = np.random.default_rng(0)
     shape = row.size * config.eyes
     away_m = rng.uniform(_NEAREST_M, _FARTHEST_M, shape)

@@ -43,8 +43,7 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, comm
     monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
     given = [{"DEM": dem}.get(word, word) for word in command]
     record = tmp_path / "record.json"
-    done = run_bench(*given, "--json", record)
-    assert done.code == 0, done.err
+    run_bench(*given, "--json", record).ok()
     written = json.loads(record.read_text())
     assert written["bench"] == command[0]
     assert len(written["rows"]) >= rows
@@ -53,28 +52,20 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, comm
 
 def test_pictures_are_drawn_from_the_records(run_bench, tmp_path):
     results = Path(__file__).parents[2] / "bench" / "results"
-    done = run_bench("figures", results, "--out", tmp_path)
-    assert done.code == 0, done.err
-    table = done.out[done.out.index("| terrain") :]
-    assert {line.split("|")[-2].strip() for line in table.splitlines()[2:] if line} <= {
-        "adaptive", "uniform", "tie",
-    }  # fmt: skip
+    done = run_bench("figures", results, "--out", tmp_path).ok()
+    table = done.out[done.out.index("| terrain") :].splitlines()[2:]
+    better = {line.split("|")[-2].strip() for line in table if line}
+    assert better <= {"adaptive", "uniform", "tie"}
     for name in ("speed-error", "uniform-adaptive"):
         assert "<svg" in (tmp_path / f"{name}.svg").read_text()
     assert_refused(run_bench("figures", tmp_path), "speed_error.json does not exist")
 
 
-@pytest.fixture
-def three_cases(monkeypatch):
-    """Only three hard cases, since all of them are tested one by one in test_stability."""
-    cases = stability.HARD_CASES[:3]
-    monkeypatch.setattr(stability, "HARD_CASES", cases)
-    return cases
-
-
 @pytest.mark.parametrize("fails", [False, True])
-def test_stability_says_what_holds(run_bench, three_cases, tmp_path, monkeypatch, fails):
-    measured = stability.measure
+def test_stability_says_what_holds(run_bench, tmp_path, monkeypatch, fails):
+    # All hard cases are tested one by one in test_stability.
+    measured, three_cases = stability.measure, stability.HARD_CASES[:3]
+    monkeypatch.setattr(stability, "HARD_CASES", three_cases)
 
     def spoiled(*arguments):
         rows = measured(*arguments)
@@ -105,8 +96,7 @@ def test_the_page_is_measured(run_bench, tmp_path, monkeypatch):
     monkeypatch.setattr(page, "_SPACING_M", 400.0)
     monkeypatch.setattr(page, "_PHOTO_PX", (1200, 900))
     record = tmp_path / "page.json"
-    done = run_bench("page", "--quick", "--json", record)
-    assert done.code == 0, done.err
+    run_bench("page", "--quick", "--json", record).ok()
     rows = {row["figure"]: row["value"] for row in json.loads(record.read_text())["rows"]}
     assert {"server ready", "place found", "hand to skyline, median"} <= rows.keys()
     assert all(isinstance(value, float) for value in rows.values())
@@ -119,17 +109,12 @@ def test_predictors_are_compared_with_renderings():
     rows = {row["predictor"]: row for row in found}
     assert rows["affine-mean"]["recall"] > rows["non-affine"]["recall"]
     for row in rows.values():
-        for share, (low, high) in (
-            (row["precision"], row["precision_interval"]),
-            (row["recall"], row["recall_interval"]),
-        ):
-            assert 0.0 <= low <= share <= high <= 1.0
+        for share in ("precision", "recall"):
+            low, high = row[f"{share}_interval"]
+            assert 0.0 <= low <= row[share] <= high <= 1.0
         assert 0.0 < row["answered"] <= 1.0
     with pytest.raises(InputError, match=r"5\.4 x 5\.4 km; expected more than 6\.6"):
         paper.measure_quality(field_of(heights, 30.0), 8, seed=3)
-
-
-# --- records --------------------------------------------------------------------------------
 
 
 def test_a_record_names_the_machine_and_says_nothing_that_json_cannot(tmp_path):

@@ -15,8 +15,6 @@ from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.search.trials import Trial, against_uniform, summarize, trial_of
 
-# --- commands, each run small ---------------------------------------------------------------
-
 
 @pytest.fixture
 def run(run_bench, dem, tmp_path):
@@ -24,8 +22,7 @@ def run(run_bench, dem, tmp_path):
 
     def run_command(command, *arguments):
         record = tmp_path / "record.json"
-        done = run_bench(command, *arguments, "--json", record)
-        assert done.code == 0, done.err
+        done = run_bench(command, *arguments, "--json", record).ok()
         written = json.loads(record.read_text())
         assert written["bench"] == command
         assert written["rows"][0]["store"] in done.out
@@ -34,13 +31,8 @@ def run(run_bench, dem, tmp_path):
     return run_command
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    """A folder in which stores are kept."""
-    return tmp_path_factory.mktemp("kept")
-
-
-def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
+def test_stores_matchers_and_kinds_are_compared(run, dem, tmp_path):
+    kept = tmp_path / "kept"
     asked = (
         "matching", dem, "--spacing", 600, "--spacing", 300, "--places", 400, "--queries", 3,
         "--matcher", "correlation", "--matcher", "unrefined", "--folder", kept,
@@ -65,16 +57,13 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, kept):
         assert row["within_200m"] <= row["within_1km"]
         assert row["build_s"] > 0.0
         # No query is dropped: the groups make up the whole.
-        mine = [
-            one for one in rows
-            if [one[key] for key in ("store", "matcher", "queries")]
-            == [row[key] for key in ("store", "matcher", "queries")]
-        ]  # fmt: skip
-        assert sum(one["n"] for one in mine) == 6
+        about = [row[key] for key in ("store", "matcher", "queries")]
+        mine = [one["n"] for one in rows if [one["store"], one["matcher"], one["queries"]] == about]
+        assert sum(mine) == 6
     assert every[0]["places"] < every[5]["places"] == every[15]["places"]
     # Stores that are there are not built again.
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.h5")}
-    run(*asked[:-1], kept, "--kind", "plain")
+    run(*asked, "--kind", "plain")
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -130,9 +119,8 @@ def test_growing_areas_are_searched(run, dem, store, caplog):
 def test_photos_of_one_place_and_strangers(run, dem, store):
     rows = run("same-place", dem, "--store", store, "--queries", 3)["rows"]
     every = {row["queries"]: row for row in rows if row["group"] == "all"}
-    assert {name: row["n"] for name, row in every.items()} == {
-        "alone": 9, "together": 3, "with a stranger": 3,
-    }  # fmt: skip
+    count = {name: row["n"] for name, row in every.items()}
+    assert count == {"alone": 9, "together": 3, "with a stranger": 3}
     assert every["together"]["within_200m"] >= every["alone"]["within_200m"]
     asked = ("strangers", dem, "--store", store, "--strange", dem, "--queries", 1)
     row = run(*asked)["rows"][-1]
@@ -159,9 +147,6 @@ def test_bad_options_are_one_line_and_write_nothing(
     given = [{"DEM": dem, "RENDERINGS": renderings}.get(word, word) for word in arguments]
     assert_refused(run_bench(command, dem, "--folder", tmp_path / "kept", *given), message)
     assert not list(tmp_path.iterdir())
-
-
-# --- trials and what they come to -----------------------------------------------------------
 
 
 SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)

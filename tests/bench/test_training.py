@@ -10,15 +10,8 @@ from skyline.cli.console import run_app
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
+from skyline_training import confidence as training
 from skyline_training.__main__ import app
-from skyline_training.confidence import (
-    Example,
-    calibration_error,
-    learn,
-    probabilities,
-    save_reliability,
-    write_models,
-)
 from skyline_training.landscapes import GROUND, SKY
 from skyline_training.photos import draw_training_photo, draw_view
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
@@ -60,15 +53,14 @@ def test_hard_photos_are_traced_or_masked(condition, wrong):
     assert np.median(error_px) < 1200.0 / 640.0
 
 
-def landscape(seed):
-    return draw_training_photo((5, seed), 200, 152)
-
-
-def view(seed):
-    return draw_view((5, seed), 1, (200, 152))
-
-
-@pytest.mark.parametrize("draw", [landscape, view])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda seed: draw_training_photo((5, seed), 200, 152),
+        lambda seed: draw_view((5, seed), 1, (200, 152)),
+    ],
+    ids=["landscape", "view"],
+)
 def test_training_photographs_have_sky_above_and_ground_below_their_skyline(draw):
     shown = 0
     for seed in range(12):
@@ -103,34 +95,34 @@ def test_a_trained_network_is_written_and_read(train, tmp_path):
     assert again.stat().st_size < 600_000
 
 
-def examples(count: int, seed: int) -> list[Example]:
+def examples(count: int, seed: int) -> list[training.Example]:
     """Return examples whose odds of being right are exp(2 a - 1), whatever b is."""
     generator = np.random.default_rng(seed)
     figures = generator.normal(size=(count, 2))
     right = generator.random(count) < 1.0 / (1.0 + np.exp(1.0 - 2.0 * figures[:, 0]))
     return [
-        Example({"a": float(a), "b": float(b)}, 0.0 if hit else np.inf)
+        training.Example({"a": float(a), "b": float(b)}, 0.0 if hit else np.inf)
         for (a, b), hit in zip(figures, right, strict=True)
     ]
 
 
 def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
-    model = learn(examples(4000, seed=2), NEAR_M)
+    model = training.learn(examples(4000, seed=2), NEAR_M)
     weight = np.array(model.weight) / np.array(model.scale)
     assert weight[0] == pytest.approx(2.0, abs=0.35)
     assert weight[1] == pytest.approx(0.0, abs=0.15)
     others = examples(4000, seed=3)
-    sure = probabilities(model, others)
+    sure = training.probabilities(model, others)
     right = np.array([one.error <= NEAR_M for one in others])
-    assert calibration_error(sure, right) < 0.03
-    assert calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
-    save_reliability(tmp_path / "reliability.png", [("made", sure, right)])
+    assert training.calibration_error(sure, right) < 0.03
+    assert training.calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
+    training.save_reliability(tmp_path / "reliability.png", [("made", sure, right)])
     assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:
-    model = learn(examples(300, seed=4), NEAR_M)
+    model = training.learn(examples(300, seed=4), NEAR_M)
     names = [confidence.model_name("refined", within_m) for within_m in DISTANCES_M]
-    write_models(tmp_path / "confidence.json", dict.fromkeys(names, model), {"seed": 4})
+    training.write_models(tmp_path / "confidence.json", dict.fromkeys(names, model), {"seed": 4})
     monkeypatch.setattr(confidence.resources, "files", lambda _: tmp_path)
     assert confidence.models() == dict.fromkeys(names, model)

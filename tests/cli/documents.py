@@ -7,17 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = (
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
-)
+DOCUMENTS = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
 
 _NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 _REFERENCE = re.compile(
     r"`((?:skyline|shaders|bench|tests|examples)/[\w./-]+)`(?:: ((?:`[\w.]+`(?:, )?)+))?"
 )
-_SHOWN_NAME = re.compile(r"^::: skyline\.(\w+)$", re.MULTILINE)
 _LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
 
@@ -62,19 +57,6 @@ def links(document: Path) -> list[Path]:
     """Return where a document's relative links lead."""
     found = _LINK.findall(document.read_text(encoding="utf-8"))
     return [document.parent / target for target in found]
-
-
-def api_names(document: Path) -> list[str]:
-    """Return the public names whose docstrings a page shows."""
-    return _SHOWN_NAME.findall(document.read_text(encoding="utf-8"))
-
-
-def import_order(document: Path) -> list[set[str]]:
-    """Return the layers of folders in a page, the highest first."""
-    shown = next(
-        block.text for block in blocks_of(document) if block.text.startswith("cli, web > ")
-    )
-    return [set(re.findall(r"\w+", row)) for row in shown.split(">")]
 
 
 def defined_in(path: Path) -> set[str]:

@@ -9,14 +9,15 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
-from commands import csv_of, lonlat_of
+from commands import csv_of, lonlat_of, trace_of
 
 from skyline import Matcher, cli
 from skyline.fetch.dem_tiles import FetchResult
 from skyline.store import open_store
 
+IN_DEM, BOX = ("--dem", "{dem}"), ("--bbox", "9,46,10,47")
+POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
 COMMANDS = {
     "info": (("{dem}",), "data.read_terrain"),
     "explain": (("{dem}", "--at", "601800,5178000"), "data.read_terrain"),
@@ -24,22 +25,10 @@ COMMANDS = {
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
-    "label": (
-        ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--peaks", "{peaks}", "-o", "{out}.png"),
-        "orient.read_terrain",
-    ),
-    "pixels": (
-        ("{photo}", "--pose", "{pose}", "--dem", "{dem}", "--step", "40", "-o", "{out}.npz"),
-        "orient.read_terrain",
-    ),
-    "orient": (
-        ("{trace}", "--at", "{at}", "--dem", "{dem}", "--csv", "{out}.csv"),
-        "orient.read_terrain",
-    ),
-    "locate": (
-        ("{photo}", "--near", "{at},1", "--dem", "{dem}", "-o", "{out}"),
-        "locate.prepare_area",
-    ),
+    "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "orient.read_terrain"),
+    "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "orient.read_terrain"),
+    "orient": (("{trace}", *PLACED, "--csv", "{out}.csv"), "orient.read_terrain"),
+    "locate": (("{photo}", "--near", "{at},1", *IN_DEM, "-o", "{out}"), "locate.prepare_area"),
     "cache": ((), "data.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
@@ -48,11 +37,8 @@ COMMANDS = {
     "store repair": (("{store}", "-o", "{out}.h5"), "data.repair_store"),
     "store merge": (("{store}", "-o", "{out}.h5"), "data.merge_stores"),
     "store export": (("{store}", "-o", "{out}.gpkg"), "data.open_store"),
-    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "data.fetch_dem"),
-    "peaks": (
-        ("--bbox", "9,46,10,47", "--server", "http://localhost/", "-o", "{out}.geojson"),
-        "data.fetch_peaks",
-    ),
+    "dem fetch": ((*BOX, "-o", "{tmp}"), "data.fetch_dem"),
+    "peaks": ((*BOX, "--server", "http://localhost/", "-o", "{out}.geojson"), "data.fetch_peaks"),
 }
 """Each command's arguments, and a function of the package that it calls."""
 
@@ -91,10 +77,7 @@ def unread(monkeypatch):
 
 @pytest.fixture
 def trace(tmp_path):
-    rows = [f"{q},{40 + 10 * np.sin(q / 7.0):.2f}" for q in range(160)]
-    path = tmp_path / "trace.csv"
-    path.write_text("\n".join(["# width=160 height=120 fov_deg=60", "column_px,row_px", *rows]))
-    return path
+    return trace_of(tmp_path / "trace.csv", 7.0, " fov_deg=60")
 
 
 @pytest.fixture
@@ -117,19 +100,12 @@ def peaks(tmp_path):
 
 
 @pytest.fixture
-def command(request, tmp_path, dem):
+def command(store, photo, trace, pose, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
-    given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path}
-
-    def arguments_of(name):
-        arguments = [str(one) for one in COMMANDS[name][0]]
-        for fixture in ("store", "photo", "trace", "pose", "peaks"):
-            if f"{{{fixture}}}" in arguments:
-                given[fixture] = request.getfixturevalue(fixture)
-        return [*name.split(), *(one.format(**given) for one in arguments)]
-
-    return arguments_of
+    given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
+    given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks}
+    return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]
 
 
 def test_each_command_is_tried():

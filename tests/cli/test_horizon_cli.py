@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import assert_refused, csv_of
+from commands import assert_refused, csv_of, lonlat_of
 from scenes import fractal, write_dem
 
 from skyline import horizon, read_dem
@@ -35,29 +35,23 @@ def table(text):
 
 
 def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places, caplog):
-    done = run("horizon", dem, "--at", places[0], "--at", places[1])
-    assert done.code == 0, done.err
+    done = run("horizon", dem, "--at", places[0], "--at", places[1]).ok()
     assert "look over the DEM's border or over a hole" in caplog.text
     rows = table(done.out)
     assert list(rows[0]) == ["lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
     assert len(rows) == 2 * 720
     lon, lat = np.array([place.split(",") for place in places[:2]], dtype=float).T
     found = horizon(read_dem([dem]), lon=lon, lat=lat)
-    for name, values in (
-        ("azimuth_deg", found.azimuth_deg),
-        ("elevation_deg", found.elevation_deg),
-        ("distance_m", found.distance_m),
-    ):
+    for name in ("azimuth_deg", "elevation_deg", "distance_m"):
         written = [float(row[name]) for row in rows]
-        np.testing.assert_allclose(written, values.ravel(), rtol=1e-5, atol=0.05)
+        np.testing.assert_allclose(written, getattr(found, name).ravel(), rtol=1e-5, atol=0.05)
     assert rows[720]["lon"] == places[1].split(",")[0]
 
 
 def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
     canopy = write_dem(tmp_path / "canopy.tif", np.full((120, 140), 20.0, np.float32))
     common = ("horizon", dem, "--at", places[0])
-    done = run(*common, "--surface", canopy)
-    assert done.code == 0, done.err
+    done = run(*common, "--surface", canopy).ok()
     rows, bare = table(done.out), table(run(*common).out)
     assert all(float(row.pop("surface_deg")) >= float(row["elevation_deg"]) for row in rows)
     assert rows == bare
@@ -75,8 +69,7 @@ def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
 def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     points = csv_of(tmp_path / "points.csv", places, "lon,lat")
     target = tmp_path / "horizons.json"
-    done = run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target)
-    assert done.code == 0, done.err
+    run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target).ok()
     written = json.loads(target.read_text())["places"]
     assert len(written) == 3
     assert written[2]["azimuth_deg"] == list(range(0, 360, 10))
@@ -89,8 +82,7 @@ def test_places_on_standard_input_keep_their_ids(run, dem, places, monkeypatch):
         f'{place.replace(",", ";")};"site {number}, A"\n' for number, place in enumerate(places)
     )
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(listed.encode())))
-    done = run("horizon", dem, "--points", "-", "--step-deg", "10", "-o", "-")
-    assert done.code == 0, done.err
+    done = run("horizon", dem, "--points", "-", "--step-deg", "10", "-o", "-").ok()
     rows = table(done.out)
     assert [row["id"] for row in rows[::36]] == ["site 0, A", "site 1, A", "site 2, A"]
     assert float(rows[36]["lon"]) == pytest.approx(float(places[1].split(",")[0]), abs=1e-7)
@@ -142,18 +134,16 @@ def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, mountain, tmp
 
 
 def test_a_place_on_a_hole_is_one_line(run, dem, tmp_path):
-    terrain = read_dem([dem])
-    lon, lat = (float(at) for at in terrain.frame.to_lonlat(*terrain.to_map(15.0, 80.0)))
-    for command in (("horizon",), ("sun", "--date", "2026-06-21"),
-                    ("panorama", "-o", tmp_path / "panorama.png")):  # fmt: skip
-        done = run(command[0], dem, "--at", f"{lon:.6f},{lat:.6f}", *command[1:])
+    at = "{:.6f},{:.6f}".format(*lonlat_of(dem, *read_dem([dem]).to_map(15.0, 80.0)))
+    panorama = "panorama", "-o", tmp_path / "panorama.png"
+    for command in (("horizon",), ("sun", "--date", "2026-06-21"), panorama):
+        done = run(command[0], dem, "--at", at, *command[1:])
         assert_refused(done, "is on a hole of the DEM")
     assert not list(tmp_path.iterdir())
 
 
 def test_the_sun_comes_and_goes(run, dem, places):
-    done = run("sun", dem, "--at", places[0], "--date", "2026-06-21")
-    assert done.code == 0, done.err
+    done = run("sun", dem, "--at", places[0], "--date", "2026-06-21").ok()
     rows = table(done.out)
     assert rows
     assert all(row["from_utc"] < row["to_utc"] for row in rows)
@@ -164,7 +154,7 @@ def test_the_sun_comes_and_goes(run, dem, places):
 def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
     terrain = read_dem([dem])
     row, col = np.unravel_index(np.nanargmax(terrain.heights_m), terrain.heights_m.shape)
-    lon, lat = (float(at) for at in terrain.frame.to_lonlat(*terrain.to_map(row, col)))
+    lon, lat = lonlat_of(dem, *terrain.to_map(row, col))
     point = {"type": "Point", "coordinates": [lon, lat]}
     features = [
         {"type": "Feature", "properties": properties, "geometry": geometry}
@@ -178,8 +168,7 @@ def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
     peaks.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     target = tmp_path / "panorama.svg"
     arguments = ("panorama", dem, "--at", places[1], "--eye-height", "900", "-o", target)
-    done = run(*arguments, "--peaks", peaks)
-    assert done.code == 0, done.err
+    done = run(*arguments, "--peaks", peaks).ok()
     assert "1 of 1 peaks are seen" in done.out
     assert target.read_bytes().startswith(b"<?xml")
     for text in ('{"features": 3}', "[]", "{", '{"features": [{"properties": null}]}'):

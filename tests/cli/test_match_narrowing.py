@@ -15,14 +15,11 @@ CELL_M = 40.0 * math.sqrt(2.0)
 
 def retrieved(run, store, photo, *options):
     """Return what was found for a photo taken at (601800, 5178000), looking 141 degrees."""
-    found = run(
-        *("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined", "--json"),
-        *options,
-    )
-    assert found.code == 0, found.err
-    record = json.loads(found.out)
-    assert record["candidates"]
-    return record["candidates"]
+    common = "match", store, photo, "--fov-deg", "60", "--matcher", "unrefined", "--json"
+    found = run(*common, *options).ok()
+    candidates = json.loads(found.out)["candidates"]
+    assert candidates
+    return candidates
 
 
 def test_match_near_a_place(run, store, dem, photo):

@@ -11,12 +11,10 @@ from PIL.TiffImagePlugin import IFDRational
 
 def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     """The photo spans 60 degrees: 36 mm of film at 31 mm."""
-    frame = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
-    whole = frame | {Base.FocalLengthIn35mmFilm: 24}
-    cropped = noting(photo, tmp_path / "cropped.jpg", whole)
+    size = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
+    cropped = noting(photo, tmp_path / "cropped.jpg", size | {Base.FocalLengthIn35mmFilm: 24})
     lie = noting(photo, tmp_path / "lie.jpg", {Base.FocalLengthIn35mmFilm: 9999})
-    found = run("match", store, cropped, lie, "--json")
-    assert found.code == 0, found.err
+    found = run("match", store, cropped, lie, "--json").ok()
     records = [json.loads(line) for line in found.out.splitlines()]
     assert all(off_m(one["answer"]) < 60.0 for one in records)
     assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in records)
@@ -59,8 +57,7 @@ def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp
         claiming(photo, tmp_path / "beside.jpg", lonlat_of(dem, *beside), 300.0, "M"),
         claiming(photo, tmp_path / "far.jpg", (-70.0, -33.0), 12.0),
     ]
-    found = run("match", store, *claims, "--fov-deg", "60", "--use-gps", "--json")
-    assert found.code == 0, found.err
+    found = run("match", store, *claims, "--fov-deg", "60", "--use-gps", "--json").ok()
     records = [json.loads(line) for line in found.out.splitlines()]
     assert all(off_m(one["answer"]) < 30.0 for one in records)
     assert off_m(records[0]["answer"]) < 10.0

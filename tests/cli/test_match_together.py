@@ -13,13 +13,13 @@ from skyline import read_dem, stand_on
 def photos_of_one_place(dem, photo, tmp_path_factory):
     """The photo, one more from its place, and one from another place."""
     folder, terrain = tmp_path_factory.mktemp("photos"), read_dem([dem])
-    looks = {
-        "other_way.jpg": (601_800.0, 5_178_000.0, 30.0),
-        "stranger.jpg": (601_200.0, 5_178_600.0, 200.0),
-    }
-    for name, (*place, heading_deg) in looks.items():
-        take_photo(folder / name, terrain, stand_on(terrain, **at_m(place)), heading_deg, 1600)
-    return [photo, *(folder / name for name in looks)]
+    here, there = (601_800.0, 5_178_000.0), (601_200.0, 5_178_600.0)
+
+    def taken(name, place, heading_deg):
+        eye = stand_on(terrain, **at_m(place))
+        return take_photo(folder / name, terrain, eye, heading_deg, 1600)
+
+    return [photo, taken("other_way.jpg", here, 30.0), taken("stranger.jpg", there, 200.0)]
 
 
 @pytest.mark.slow
@@ -43,12 +43,9 @@ def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_plac
     assert abs(record["photos"][1]["heading_deg"] - 31.0) < 1.0
     assert "heading_deg" not in record["photos"][2]
     features = json.loads(points.read_text())["features"]
-    at = [
-        one["geometry"]["coordinates"] for one in features
-        if one["geometry"]["type"] == "Point" and one["properties"]["rank"] == 1
-    ]  # fmt: skip
-    assert len(at) == 2
-    assert at[0] == at[1]
+    first = [one["geometry"] for one in features if one["properties"]["rank"] == 1]
+    at, same = [one["coordinates"] for one in first if one["type"] == "Point"]
+    assert at == same
 
 
 def test_options_that_do_not_go_with_one_place_are_refused_at_once(run, photo, tmp_path):

@@ -15,8 +15,7 @@ def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
     at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
     table = tmp_path / "held.csv"
     asked = ("orient", photo, photo, "--at", at, "--dem", dem, "--fov-deg", "60")
-    done = run(*asked, "--csv", table)
-    assert done.code == 0, done.err
+    done = run(*asked, "--csv", table).ok()
     assert "not trusted" not in done.out
     assert "heading" in done.out
     rows = list(csv.DictReader(table.read_text().splitlines()))
@@ -47,6 +46,5 @@ def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):
     assert_refused(run(*orient, "--at", "9"), "expected LON,LAT or LON,LAT,ELEV")
     assert_refused(run(*orient, "--at", "0,0"), "off the map")
     assert_refused(run(*orient, "--at", "9.2,46.7", "--within", "900"), "skyline match")
-    assert_refused(
-        run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46"), "does not exist"
-    )
+    absent = run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46")
+    assert_refused(absent, "does not exist")

@@ -114,18 +114,11 @@ def plain(folder):
     return read_dem([folder / "a.tif", folder / "b.tif"])
 
 
-BOTH = (
-    "{folder}/here.vrt",
-    "{server}/both.vrt",
-    "{folder}/items.json",
-    'STACIT:"{server}/items.json"',
-)
-
-
-@pytest.mark.parametrize("name", BOTH)
-def test_every_name_of_both_tiles_gives_both_tiles(server, folder, plain, name):
-    terrain = read_dem(name.format(server=server.address, folder=folder))
-    assert terrain.digest == plain.digest
+def test_every_name_of_both_tiles_gives_both_tiles(server, folder, plain):
+    names = "{folder}/here.vrt", "{server}/both.vrt", "{folder}/items.json"
+    for name in (*names, 'STACIT:"{server}/items.json"'):
+        terrain = read_dem(name.format(server=server.address, folder=folder))
+        assert terrain.digest == plain.digest
 
 
 @pytest.mark.parametrize("prefix", ["", "/vsicurl/"])
@@ -173,8 +166,7 @@ def test_commands_take_addresses(server, folder, plain, run, tmp_path):
     address, place = f"{server.address}/both.vrt", "10.345,46.755"
     facts = json.loads(run("info", address, "--json").out)
     assert (facts["digest"], facts["files"]) == (plain.digest, [address])
-    here = run("horizon", folder / "here.vrt", "--at", place)
-    assert here.code == 0, here.err
+    here = run("horizon", folder / "here.vrt", "--at", place).ok()
     assert run("horizon", address, "--at", place).out == here.out
     store = tmp_path / "store.h5"
     assert run("build", address, "-o", store, "--spacing", "300").code == 0

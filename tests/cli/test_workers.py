@@ -2,13 +2,12 @@
 
 import json
 
-import numpy as np
 import pytest
+from commands import csv_of, trace_of
 
 
 def test_workers_make_the_same_store(run, dem, dask_cluster, tmp_path):
-    here = run("build", dem, "-o", tmp_path / "here.h5", "--spacing", 200)
-    assert here.code == 0, here.err
+    run("build", dem, "-o", tmp_path / "here.h5", "--spacing", 200).ok()
     workers = "--workers", dask_cluster.scheduler_address
     spread = run("build", dem, "-o", tmp_path / "spread.h5", "--spacing", 200, *workers)
     assert (spread.code, spread.err) == (0, "")
@@ -18,12 +17,8 @@ def test_workers_make_the_same_store(run, dem, dask_cluster, tmp_path):
 @pytest.fixture
 def traces(tmp_path):
     """Three traces with skylines of their own, and one with none."""
-    paths = []
-    for index in range(4):
-        rows = [f"{q},{40 + 10 * np.sin(q / (5 + 3 * index)):.2f}" for q in range(160)]
-        paths.append(tmp_path / f"{index}.csv")
-        head = ["# width=160 height=120", "column_px,row_px"]
-        paths[-1].write_text("\n".join(head + (rows if index < 3 else [])) + "\n")
+    paths = [trace_of(tmp_path / f"{index}.csv", 5 + 3 * index) for index in range(4)]
+    csv_of(paths[3], [], "# width=160 height=120\ncolumn_px,row_px")
     return paths
 
 

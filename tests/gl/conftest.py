@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal, scattered
+from scenes import SPACING_M, field_of, fractal, scattered, write_dem
+
+from skyline import read_dem
 
 
 @pytest.fixture(autouse=True)
@@ -26,3 +28,14 @@ def uneven():
     """Three fields, each rougher than the one before, and eight eyes on each."""
     fields = [field_of(fractal(120, 120, 200.0 * (1 + seed), seed)) for seed in range(3)]
     return [(field, scattered(field, 8, seed)) for seed, field in enumerate(fields)]
+
+
+@pytest.fixture(scope="package")
+def terrain(tmp_path_factory):
+    """Hills within a ring of mountains, so that no skyline lies on the data's border."""
+    heights = fractal(280, 280, relief_m=1200.0, seed=11, exponent=2.2)
+    across = SPACING_M * (np.arange(280) - 139.5)
+    ring_m = np.hypot(across, across[:, np.newaxis]) - 3300.0
+    heights = heights + 900.0 * np.exp(-((ring_m / 500.0) ** 2))
+    path = tmp_path_factory.mktemp("dem") / "dem.tif"
+    return read_dem([write_dem(path, heights.astype(np.float32))])

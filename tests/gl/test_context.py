@@ -1,41 +1,33 @@
 """The OpenGL context on whatever this machine has, and the error where it has nothing."""
 
-import ctypes
+import inspect
 import json
 import os
 import subprocess
 import sys
 import textwrap
-import threading
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
+from ctypes.util import find_library
 from functools import partial
 from unittest.mock import MagicMock
 
-import moderngl
 import pytest
 
 from skyline.errors import ContextError, InputError
 from skyline.render import context as context_module
-from skyline.render.context import _OSMESA_LIBRARIES, acquire_context, release_context
+from skyline.render.context import acquire_context, release_context
 
 
-def loadable(names: tuple[str, ...]) -> bool:
-    for name in names:
-        with suppress(OSError):
-            return bool(ctypes.CDLL(name))
-    return False
-
-
-def cleared(ctx: moderngl.Context) -> list[int]:
+def cleared() -> list[int]:
     """Return the pixel of an image that is cleared to green."""
-    target = ctx.simple_framebuffer((1, 1), components=4)
+    target = acquire_context().ctx.simple_framebuffer((1, 1), components=4)
     target.clear(0.0, 1.0, 0.0, 1.0)
     return list(target.read(components=4))
 
 
 GREEN = [0, 255, 0, 255]
 
-PRELUDE = """
+PRELUDE = f"""
 import json, os, sys, threading
 from skyline.errors import ContextError
 from skyline.render import context
@@ -47,28 +39,17 @@ def refusal():
     except ContextError as error:
         return error
 
-def cleared():
-    target = acquire_context().ctx.simple_framebuffer((1, 1), components=4)
-    target.clear(0.0, 1.0, 0.0, 1.0)
-    return list(target.read(components=4))
+{inspect.getsource(cleared)}
 """
 
 
 def run_python(code: str, **environment: str) -> list[str]:
     """Run code in a process of its own, without a display; return the lines that it prints."""
-    inherited = {
-        name: value
-        for name, value in os.environ.items()
-        if name not in {"DISPLAY", "WAYLAND_DISPLAY", "SKYLINE_GL", "EGL_LOG_LEVEL"}
-    }
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", PRELUDE + textwrap.dedent(code)],
-        env={**inherited, **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
+    hidden = "DISPLAY", "WAYLAND_DISPLAY", "SKYLINE_GL", "EGL_LOG_LEVEL"
+    inherited = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, "-W", "error", "-c", PRELUDE + textwrap.dedent(code)]
+    options = {"env": inherited | environment, "timeout": 120, "text": True}
+    done = subprocess.run(command, capture_output=True, check=True, **options)
     assert done.stderr == ""
     return done.stdout.splitlines()
 
@@ -81,25 +62,18 @@ def test_one_context_is_shared_and_a_released_one_is_made_anew():
     release_context()
     after = acquire_context()
     assert after is not before
-    assert cleared(after.ctx) == GREEN
+    assert cleared() == GREEN
 
 
 def test_another_thread_is_refused():
     acquire_context()
-    refusals: list[ContextError] = []
-
-    def intrude():
-        for function in (acquire_context, release_context):
-            try:
-                function()
-            except ContextError as error:
-                refusals.append(error)
-
-    thread = threading.Thread(target=intrude, name="intruder")
-    thread.start()
-    thread.join()
-    assert ["'intruder'" in str(refusal) for refusal in refusals] == [True, True]
-    assert cleared(acquire_context().ctx) == GREEN
+    for function in (acquire_context, release_context):
+        with (
+            ThreadPoolExecutor(thread_name_prefix="intruder") as pool,
+            pytest.raises(ContextError, match="'intruder_0'"),
+        ):
+            pool.submit(function).result()
+    assert cleared() == GREEN
 
 
 def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone():
@@ -123,7 +97,7 @@ def test_an_unknown_backend_names_those_known(monkeypatch):
         acquire_context()
 
 
-@pytest.mark.skipif(not loadable(_OSMESA_LIBRARIES), reason="no libOSMesa here")
+@pytest.mark.skipif(find_library("OSMesa") is None, reason="no libOSMesa here")
 @pytest.mark.parametrize(
     ("egl_library", "environment", "reason"),
     [
@@ -131,16 +105,10 @@ def test_an_unknown_backend_names_those_known(monkeypatch):
         ("libNo.so.1", {}, "EGL gave no context"),
     ],
 )
-def test_osmesa_can_be_forced_and_comes_after_an_egl_that_fails(
-    egl_library: str, environment: dict[str, str], reason: str
-):
-    hidden = f"context._EGL_LIBRARY = {egl_library!r}\n"
-    described, pixel = map(
-        json.loads,
-        run_python(
-            hidden + "print(json.dumps(describe_context()))\nprint(cleared())", **environment
-        ),
-    )
+def test_osmesa_can_be_forced_and_comes_after_a_failing_egl(egl_library, environment, reason):
+    code = f"context._EGL_LIBRARY = {egl_library!r}\nprint(json.dumps(describe_context()))"
+    lines = run_python(f"{code}\nprint(cleared())", **environment)
+    described, pixel = map(json.loads, lines)
     assert described["backend"] == "osmesa"
     assert reason in described["reason"]
     assert pixel == GREEN
@@ -161,9 +129,7 @@ def test_without_opengl_the_error_has_all_attempts_and_the_packages():
 
 def test_drivers_that_fail_stay_off_stderr():
     (line,) = run_python(
-        "print(refusal())",
-        SKYLINE_GL="egl",
-        __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent.json",
+        "print(refusal())", SKYLINE_GL="egl", __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent.json"
     )
     assert "libegl1 libgl1-mesa-dri" in line
     assert "libosmesa6" not in line

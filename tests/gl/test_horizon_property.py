@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scenes import field_of
+from scenes import at_m, field_of
 
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
@@ -19,7 +19,6 @@ class Recipe:
 
     rows: int
     cols: int
-    spacing_east_m: float
     spacing_north_m: float
     relief: str
     base_m: float
@@ -53,7 +52,6 @@ recipes = st.builds(
     Recipe,
     rows=st.integers(1, 40),
     cols=st.integers(1, 40),
-    spacing_east_m=st.just(16.0),
     spacing_north_m=st.sampled_from([16.0, 16.0, 5.0, 12.0, 47.0]),
     relief=st.sampled_from(sorted(RELIEFS)),
     base_m=st.sampled_from([0.0, 1500.0, 8000.0, -400.0]),
@@ -73,23 +71,16 @@ def scene_of(recipe):
     shape = (recipe.rows, recipe.cols)
     heights = (recipe.base_m + RELIEFS[recipe.relief](generator, shape)).astype(np.float32)
     heights[generator.random(shape) < recipe.hole_share] = np.nan
-    field = field_of(
-        heights, recipe.spacing_east_m, recipe.spacing_north_m, west_m=2.0**19, north_m=2.0**22
-    )
+    spacings_m, corner = (16.0, recipe.spacing_north_m), (2.0**19, 2.0**22)
+    field = field_of(heights, *spacings_m, *corner)
     row, col, share = generator.integers(0, 64, (3, 40)) / 64.0
-    row, col = PLACES[recipe.eye_place](
-        row * (recipe.rows - 1) * 0.999, col * (recipe.cols - 1) * 0.999, share
-    )
+    most = 0.999 * np.array([recipe.rows - 1, recipe.cols - 1])
+    row, col = PLACES[recipe.eye_place](row * most[0], col * most[1], share)
     row, col = (np.round(place * 2**18) / 2**18 for place in (row, col))
-    easting, northing = field.to_map(np.minimum(row, recipe.rows - 1), col)
-    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
-    viewpoints = stand_on(
-        field,
-        easting_m=easting[standing][:2],
-        northing_m=northing[standing][:2],
-        eye_height_m=recipe.eye_height_m,
-    )
-    return SkylineScene(field, viewpoints, recipe.width, recipe.curvature)
+    place = np.array(field.to_map(np.minimum(row, recipe.rows - 1), col))
+    standing = ~np.isnan(field.height_at(**at_m(place)))
+    eyes = stand_on(field, **at_m(place[:, standing][:, :2]), eye_height_m=recipe.eye_height_m)
+    return SkylineScene(field, eyes, recipe.width, recipe.curvature)
 
 
 @pytest.mark.slow

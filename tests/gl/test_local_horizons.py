@@ -16,10 +16,8 @@ UTM = Frame.from_crs("EPSG:32632")
 EAST_M, NORTH_M = 1_270_000.0, 5_250_000.0
 
 
-def far_east(heights_m, spacing_m=30.0):
-    return HeightField(
-        np.asarray(heights_m, np.float32), EAST_M, NORTH_M, spacing_m, spacing_m, UTM
-    )
+def far_east(heights_m):
+    return HeightField(heights_m, EAST_M, NORTH_M, 30.0, 30.0, UTM)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +25,9 @@ def rough():
     return far_east(fractal(90, 80, relief_m=700.0, seed=3))
 
 
-def places_on(field, count, seed=4):
-    place = np.random.default_rng(seed)
-    row, col = place.uniform(3, field.rows - 4, count), place.uniform(3, field.cols - 4, count)
+def places_on(field, count):
+    most = np.array([[field.rows - 4], [field.cols - 4]])
+    row, col = np.random.default_rng(4).uniform(3, most, (2, count))
     return field.frame.to_lonlat(*field.to_map(row, col))
 
 
@@ -59,10 +57,8 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
             np.testing.assert_array_equal(found.flags[index, columns], truth.flags[side])
             clear = np.abs(off_deg) < 1e-4
             assert clear.mean() > 0.9
-            away_m = truth.depth_m[side] / cosine
-            np.testing.assert_allclose(
-                found.distance_m[index, columns][clear], away_m[clear], rtol=1e-4
-            )
+            found_m, away_m = found.distance_m[index, columns], truth.depth_m[side] / cosine
+            np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
 
 
 @pytest.mark.parametrize("azimuth_deg", [44.5, 271.5])
@@ -123,20 +119,18 @@ def test_a_summit_does_not_stand_before_who_stands_on_it():
     towards = 2 * 128
     assert slope.elevation_deg[0, towards] > 30.0
     assert slope.distance_m[0, towards] < 60.0
-    for found in (
-        horizon(MOUNTAIN, **at_deg(BESIDE_DEG)),
-        horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=100.0),
-    ):
+    for within_m in (None, 100.0):
+        found = horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=within_m)
         assert found.eye_elevation_m[0] == pytest.approx(3002.0, abs=1e-3)
         assert found.elevation_deg.max() < 0.0
 
 
-@pytest.mark.parametrize("place", ["Whitney", "Half Dome"])
-def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, place):
-    tile, lon, lat = {
-        "Whitney": ("N36W119", -118.29204, 36.57857),
-        "Half Dome": ("N37W120", -119.5332, 37.7461),
-    }[place]
+@pytest.mark.parametrize(
+    ("tile", "lon", "lat"),
+    [("N36W119", -118.29204, 36.57857), ("N37W120", -119.5332, 37.7461)],
+    ids=["Whitney", "Half Dome"],
+)
+def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, tile, lon, lat):
     terrain = read_dem(shared_data / "california" / f"{tile}.hgt.gz")
     assert horizon(terrain, lon=lon, lat=lat, summit_within_m=0.0).elevation_deg.max() > 25.0
     for within_m in (None, 100.0):

@@ -53,12 +53,12 @@ def test_two_workers_find_what_one_process_finds(
     # Jobs screen a block at a time.
     monkeypatch.setattr(match_queries, "_PART_BLOCKS", 1)
     jobs = []
+
+    def counting(work, items, names):
+        jobs.extend(names)
+        return runner(work, items, names)
+
     with runner_of(dask_cluster.scheduler_address) as runner:
-
-        def counting(work, items, names):
-            jobs.extend(names)
-            return runner(work, items, names)
-
         found = list(match_many(counting, (str(store), None, FULL, config), queries))
     assert len(jobs) == count * (blocks + 1)
     for one, other in zip(found, wanted, strict=True):

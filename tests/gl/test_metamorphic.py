@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FRAME, fractal
+from scenes import FRAME, field_of, fractal
 
-from skyline import HeightField, MatchConfig, Matcher, build_places
+from skyline import MatchConfig, Matcher, build_places
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 SIZE, SPACING_M = 200, 30.0
@@ -20,33 +20,20 @@ SQUARE_M = 600.0
 PLACES_M = 50.0
 QUERY = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.005, 0.005), smooth_share=0.0, masked_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0, fov_slack=0.05)
-STEP_M = SPACING_M
-"""Two answers agree to a sample."""
 
 
 def terrain_of(heights_m, shift=0.0):
     """Return terrain about the frame's origin, or shifted (east + i north, metres)."""
-    return HeightField(
-        np.ascontiguousarray(heights_m),
-        shift.real - HALF_M,
-        shift.imag + HALF_M,
-        SPACING_M,
-        SPACING_M,
-        FRAME,
-    )
-
-
-def square_deg(shift=0.0):
-    west_south = shift - SQUARE_M * (1 + 1j)
-    east_north = shift + SQUARE_M * (1 + 1j)
-    corners = np.array([west_south, east_north])
-    lon, lat = FRAME.to_lonlat(corners.real, corners.imag)
-    return float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    corner = {"west_m": shift.real - HALF_M, "north_m": shift.imag + HALF_M}
+    return field_of(np.ascontiguousarray(heights_m), SPACING_M, **corner)
 
 
 def answers(terrain, queries, store, shift=0.0):
     """Return place (east + i north) and grid heading of the best candidate of each query."""
-    build_places(terrain, store, PLACES_M, square_deg(shift))
+    corners = shift + SQUARE_M * np.array([-1 - 1j, 1 + 1j])
+    lon, lat = FRAME.to_lonlat(corners.real, corners.imag)
+    square_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    build_places(terrain, store, PLACES_M, square_deg)
     with Matcher(store, terrain, config=BOLD) as matcher:
         best = [matcher.match(query).candidates[0] for query in queries]
     place = np.array([one.easting_m + 1j * one.northing_m for one in best])
@@ -74,14 +61,8 @@ def plain(heights, queries, tmp_path_factory):
     return answers(terrain_of(heights), queries, tmp_path_factory.mktemp("plain") / "store.h5")
 
 
-def mirrored(query):
-    """Return the skyline of the photo's mirror image."""
-    row_px, confidence = query.row_px[::-1].copy(), query.confidence[::-1].copy()
-    return replace(query, row_px=row_px, confidence=confidence)
-
-
 def assert_same(got, place, heading_deg):
-    assert np.abs(got[0] - place).max() < STEP_M
+    assert np.abs(got[0] - place).max() < SPACING_M  # A sample
     assert np.abs((got[1] - heading_deg + 180.0) % 360.0 - 180.0).max() < 1.0
 
 
@@ -93,7 +74,10 @@ def test_turned(heights, queries, plain, tmp_path):
 
 def test_mirrored(heights, queries, plain, tmp_path):
     # West and east change places.
-    photos = [mirrored(query) for query in queries]
+    photos = [
+        replace(query, row_px=query.row_px[::-1].copy(), confidence=query.confidence[::-1].copy())
+        for query in queries
+    ]
     got = answers(terrain_of(heights[:, ::-1]), photos, tmp_path / "store.h5")
     assert_same(got, -plain[0].conj(), -plain[1])
 

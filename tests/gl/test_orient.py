@@ -5,22 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scenes import NORTH_M, WEST_M, field_of
-from test_matcher import MIDDLE, SHARP, write_hills
+from scenes import NORTH_M, WEST_M, at_deg, field_of
+from test_matcher import MIDDLE, SHARP
 
-from skyline import Orienter, orient, read_dem
+from skyline import Orienter, orient
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.photo.exif import NotedPlace
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.synthetic import make_queries
-
-AWAY_M = 30.0
-
-
-@pytest.fixture(scope="module")
-def terrain(tmp_path_factory):
-    return read_dem([write_hills(tmp_path_factory.mktemp("dem") / "dem.tif", seed=11)])
 
 
 @pytest.fixture(scope="module")
@@ -28,27 +21,17 @@ def queries(terrain):
     return make_queries(terrain, MIDDLE, 5, seed=3, config=SHARP)
 
 
-def beside(terrain, truth, away_m=AWAY_M):
+def beside(terrain, truth, away_m=30.0):
     """Return the longitude and latitude of a place so far east of a query's."""
-    lon, lat = terrain.frame.to_lonlat(truth.easting_m + away_m, truth.northing_m)
-    return {"lon": float(lon), "lat": float(lat)}
+    return at_deg(map(float, terrain.frame.to_lonlat(truth.easting_m + away_m, truth.northing_m)))
 
 
 def off_deg(found, truth):
     """Return the errors of heading, pitch, roll and field of view."""
     pose = found.pose
-    return np.array(
-        [
-            float(in_turn(pose.grid_heading_deg - truth.heading_deg)),
-            pose.pitch_deg - truth.pitch_deg,
-            pose.roll_deg - truth.roll_deg,
-            pose.fov_deg - truth.fov_deg,
-        ]
-    )
-
-
-def errors_deg(found):
-    return np.array([found.heading_sd_deg, found.pitch_sd_deg, found.roll_sd_deg, found.fov_sd_deg])
+    names = ("pitch_deg", "roll_deg", "fov_deg")
+    heading_deg = float(in_turn(pose.grid_heading_deg - truth.heading_deg))
+    return np.array([heading_deg, *(getattr(pose, one) - getattr(truth, one) for one in names)])
 
 
 def test_angles_are_found_from_a_place_beside_the_true_one(terrain, queries):
@@ -56,7 +39,8 @@ def test_angles_are_found_from_a_place_beside_the_true_one(terrain, queries):
     assert not any(one.refusal for one in found)
     off = np.array([off_deg(one, query.truth) for one, query in zip(found, queries, strict=True)])
     assert np.median(np.abs(off)) < 0.1
-    shares = np.abs(off) / [errors_deg(one) for one in found]
+    names = [f"{angle}_sd_deg" for angle in ("heading", "pitch", "roll", "fov")]
+    shares = np.abs(off) / [[getattr(one, name) for name in names] for one in found]
     assert np.median(shares) < 1.0
     assert shares.max() < 4.0
 
@@ -100,7 +84,7 @@ def test_the_place_that_a_photo_notes_is_used(terrain, queries):
 
 def test_a_flat_horizon_has_no_heading():
     plain = field_of(np.zeros((200, 200)), 30.0, west_m=WEST_M, north_m=NORTH_M)
-    lon, lat = plain.frame.to_lonlat(WEST_M + 3000.0, NORTH_M - 3000.0)
+    place = at_deg(map(float, plain.frame.to_lonlat(WEST_M + 3000.0, NORTH_M - 3000.0)))
     level = QuerySkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
-    found = orient(level, plain, lon=float(lon), lat=float(lat))
+    found = orient(level, plain, **place)
     assert found.answer is None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rasterio.transform import Affine
-from scenes import FRAME, HeightField, at_deg, field_from, fractal, write_dem
+from scenes import FRAME, at_deg, at_m, field_from, field_of, fractal, write_dem
 from scipy.ndimage import maximum_filter
 
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
@@ -34,10 +34,8 @@ def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_
     near_deg, far_deg = np.degrees(np.arctan([48.0 / 600.0, 528.0 / 3000.0]))
     np.testing.assert_allclose(two_walls.skyline_deg, far_deg, atol=0.1)
     assert two_walls.reach_m == pytest.approx(3000.0, rel=0.01)
-    elevation = np.array(
-        [-60.0, -1.0, near_deg - 0.3, near_deg + 0.3, far_deg - 0.1, far_deg + 0.1]
-    )
-    seen = two_walls.seen(slice(100, 140), elevation)
+    elevation = [-60.0, -1.0, near_deg - 0.3, near_deg + 0.3, far_deg - 0.1, far_deg + 0.1]
+    seen = two_walls.seen(slice(100, 140), np.array(elevation))
     seen_m = np.append(two_walls.distance_m, np.inf)[seen]
     assert seen_m.shape == (6, 40)
     np.testing.assert_allclose(seen_m[0], 2.0 / np.tan(np.radians(60.0)), atol=10.0)
@@ -101,29 +99,19 @@ def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
 @pytest.fixture(scope="module")
 def mountains():
     heights = 1500.0 + fractal(300, 300, 1500.0, seed=8)
-    field = HeightField(heights.astype(np.float32), 0.0, 0.0, 60.0, 60.0, FRAME)
+    field = field_of(heights, 60.0)
     # The highest within 180 m, so that each is the summit that its name stands for.
     row, col = np.nonzero(field.heights_m == maximum_filter(field.heights_m, 7))
-    easting, northing = field.to_map(row, col)
     names = tuple(f"{'Great ' * (index % 3)}Peak {index}" for index in range(len(row)))
-    return field, Peaks(
-        names=names,
-        easting_m=easting,
-        northing_m=northing,
-        height_m=field.heights_m[row, col].astype(np.float64),
-    )
-
-
-def view_from(field, row, col, peaks, **config):
-    """Return the view 500 m above a sample."""
-    lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(row, col)))
-    config = PanoramaConfig(eye_height_m=500.0, **config)
-    return panorama_view(TerrainBlocks.of(field), (lon, lat), peaks, config)
+    heights_m = field.heights_m[row, col].astype(np.float64)
+    return field, Peaks(names=names, **at_m(field.to_map(row, col)), height_m=heights_m)
 
 
 def test_no_name_overlaps_another_or_leaves_the_picture(mountains):
     field, peaks = mountains
-    figure, _ = draw_panorama(view_from(field, 165.0, 240.0, peaks))
+    lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(165.0, 240.0)))
+    config = PanoramaConfig(eye_height_m=500.0)
+    figure, _ = draw_panorama(panorama_view(TerrainBlocks.of(field), lonlat, peaks, config))
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
     assert len(names) > 8
@@ -146,9 +134,8 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     landscape = view.landscape
     # Of the line between tenths of a degree, notches of the skyline are cut off.
     assert np.percentile(view.surface_deg - landscape.skyline_deg, [1, 50]).min() > 0.0
-    over = Landscape.of(
-        TerrainBlocks.of(trees), field.to_map(150.0, 150.0), 75.0, landscape.azimuth_deg
-    )
+    place_m = field.to_map(150.0, 150.0)
+    over = Landscape.of(TerrainBlocks.of(trees), place_m, 75.0, landscape.azimuth_deg)
     assert np.abs(view.surface_deg - over.skyline_deg).mean() < 0.01
     line = draw_panorama(view)[0].axes[0].lines[0]
     np.testing.assert_array_equal(line.get_ydata(), view.surface_deg)
@@ -169,16 +156,11 @@ def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
 
     field = field_from(height, 701, 40.0)
     names = (*(f"Knoll {index}" for index in range(6)), "Lonely Mountain")
-    peaks = Peaks(
-        names=names,
-        easting_m=np.append(row_m, 0.0),
-        northing_m=np.array([9000.0] * 6 + [5000.0]),
-        height_m=np.full(7, np.nan),
-    )
+    place_m = np.append(row_m, 0.0), np.array([9000.0] * 6 + [5000.0])
+    peaks = Peaks(names=names, **at_m(place_m), height_m=np.full(7, np.nan))
     lonlat = tuple(float(at) for at in FRAME.to_lonlat(0.0, 0.0))
-    view = panorama_view(
-        TerrainBlocks.of(field), lonlat, peaks, PanoramaConfig(0.0, 60.0, eye_height_m=1200.0)
-    )
+    config = PanoramaConfig(0.0, 60.0, eye_height_m=1200.0)
+    view = panorama_view(TerrainBlocks.of(field), lonlat, peaks, config)
     assert len(view.sightings) == 7
     figure, unnamed = draw_panorama(view)
     named = [one.get_text() for one in figure.findobj(lambda one: one.get_gid() == SUMMIT)]

@@ -11,17 +11,11 @@ FITTED_HEADING_DEG = 275.96
 
 @pytest.mark.slow
 def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
-    terrain = read_dem(
-        [shared_data / "rofental" / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632")
-    )
+    dem = shared_data / "rofental" / "dem_rofental_50.asc"
+    terrain = read_dem([dem], DemOptions(crs="EPSG:32632"))
     station = terrain.frame.from_lonlat(10.78277, 46.79586)
-    around = 0.012, 0.008
-    west, south, east, north = (
-        degrees + side * half
-        for side in (-1, 1)
-        for degrees, half in zip((10.78277, 46.79586), around, strict=True)
-    )
-    build_places(terrain, tmp_path / "station.h5", bounds_deg=(west, south, east, north))
+    around_deg = 10.77077, 46.78786, 10.79477, 46.80386
+    build_places(terrain, tmp_path / "station.h5", bounds_deg=around_deg)
     # The field of view was fitted with the angles: it is known.
     matcher = Matcher(tmp_path / "station.h5", config=MatchConfig(fov_slack=0.002))
     photo = shared_data / "rofental" / "hintereisferner_webcam.jpg"

@@ -13,7 +13,7 @@ from skyline.match.scene import joined_views
 from skyline.match.solver import Curves
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import at_elevation, stand_on
 
 TRUTH = {"heading_deg": 160.0, "pitch_deg": 1.5, "roll_deg": -1.0}
 PLACE = np.array([4000.0, -6000.0])
@@ -112,15 +112,13 @@ def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
 
 def test_neither_order_nor_far_places_matter(scene, rays):
     query = rays_of(*rays, 60.0)
-    far = poses(
-        4, easting_m=[2000, 9000, 5000, 7000], northing_m=-8000.0, heading_deg=50.0, score=9.0
-    )
+    east_m = [2000, 9000, 5000, 7000]
+    far = poses(4, easting_m=east_m, northing_m=-8000.0, heading_deg=50.0, score=9.0)
     some = Hypotheses.concatenate([_around(), far])
     order = np.random.default_rng(0).permutation(len(some))
     one, other = (Refinement(query, scene, SHORT).run(h) for h in (some, some[order]))
-    np.testing.assert_allclose(
-        one.hypotheses.easting_m[0], other.hypotheses.easting_m[0], atol=1e-3
-    )
+    first_m, same_m = (found.hypotheses.easting_m[0] for found in (one, other))
+    np.testing.assert_allclose(first_m, same_m, atol=1e-3)
     assert _off_m(one.hypotheses)[0] < 3.0
     assert one.margin[0] > 0.0
 
@@ -130,13 +128,10 @@ def test_the_derivatives_predict_the_next_rendering(scene):
     place = np.stack([PLACE, PLACE + step_m])
     ground = scene.ground_m(place[:, 0], place[:, 1])
     slope = (ground[1] - ground[0]) * step_m / (step_m @ step_m)
-    views = scene.renderer.render(
-        Viewpoints(easting_m=place[:, 0], northing_m=place[:, 1], eye_elevation_m=ground + 2.0)
-    )
+    views = scene.renderer.render(at_elevation(scene.field, *place.T, ground + 2.0))
     y, distance_m = joined_views(views, np.repeat([0, 1], 4), 2, 1440)
-    channels = Curves.of(
-        y[:1], distance_m[:1], np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
-    ).channels[0]
+    eye = np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
+    channels = Curves.of(y[:1], distance_m[:1], *eye).channels[0]
     forecast = channels[:, 2:4] @ step_m
     change = y[1] - y[0]
     known = np.isfinite(forecast) & np.isfinite(change)

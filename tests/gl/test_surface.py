@@ -80,19 +80,9 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
     plain = horizon(bare, lon=lon, lat=lat)
     np.testing.assert_array_equal(plain.elevation_deg, found.elevation_deg)
     assert not plain.has_surface
-    under = (
-        forest.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
-        > eyes.eye_elevation_m
-    )
-    assert under.tolist() == [False, False, True]
+    over_m = forest.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    assert (over_m > eyes.eye_elevation_m).tolist() == [False, False, True]
     assert found.surface_deg[2].min() > 30.0
-
-
-def _photo(forest, bare, place_m, camera):
-    """Return the rays of a camera that stands on the ground and sees the forest."""
-    u, v = photographed_from(forest, stand_on(bare, **at_m(place_m)), **camera)
-    noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
-    return rays_of(u, v + noise, 60.0)
 
 
 def _open_places(bare, canopy, count):
@@ -102,9 +92,8 @@ def _open_places(bare, canopy, count):
     places = []
     while len(places) < count:
         place = generator.uniform((3000.0, -9000.0), (9000.0, -3000.0))
-        if not canopy.height_at(
-            easting_m=place[0] + ring.real, northing_m=place[1] + ring.imag
-        ).any():
+        around = place[0] + ring.real, place[1] + ring.imag
+        if not canopy.height_at(**at_m(around)).any():
             places.append(place)
     return np.array(places)
 
@@ -119,14 +108,14 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
     }
     for index, place in enumerate(_open_places(bare, canopy, 18)):
         camera = {"heading_deg": 37.0 * index, "pitch_deg": 1.0, "roll_deg": -1.0, "fov_deg": 60.0}
-        query = _photo(forest, bare, place, camera)
+        # The camera stands on the ground and sees the forest.
+        u, v = photographed_from(forest, stand_on(bare, **at_m(place)), **camera)
+        noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
+        query = rays_of(u, v + noise, 60.0)
         ring = 60.0 * np.exp(2j * np.pi * np.arange(6) / 6)
-        start = poses(
-            6,
-            easting_m=place[0] + ring.real,
-            northing_m=place[1] + ring.imag,
-            heading_deg=camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6),
-        )
+        around = at_m((place[0] + ring.real, place[1] + ring.imag))
+        heading_deg = camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6)
+        start = poses(6, **around, heading_deg=heading_deg)
         for name, scene in scenes.items():
             best = Refinement(query, scene, SHORT).run(start).hypotheses
             off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))

@@ -33,16 +33,10 @@ def numbered_views(start, stop):
     skyline[number % 5 == 0, 3:7] = np.nan
     keypoints = np.full((len(number), DEFAULT_MAX_KEYPOINTS), NO_KEYPOINT, dtype=np.uint16)
     keypoints[:, 0] = number % WIDTH
-    views = Views(
-        easting_m=7.5e5 + number,
-        northing_m=5.2e6 - number / 3.0,
-        eye_elevation_m=1500.0 + number / 7.0,
-        heading=(number % 4).astype(np.uint8),
-        elevation_tan=skyline,
-        depth_m=1000.0 * np.abs(skyline) + number[:, np.newaxis].astype(np.float32),
-        flags=((number[:, np.newaxis] + np.arange(WIDTH)) % 8).astype(np.uint8),
-    )
-    return views, keypoints
+    place = 7.5e5 + number, 5.2e6 - number / 3.0, 1500.0 + number / 7.0
+    depth_m = 1000.0 * np.abs(skyline) + number[:, np.newaxis].astype(np.float32)
+    flags = ((number[:, np.newaxis] + np.arange(WIDTH)) % 8).astype(np.uint8)
+    return Views(*place, (number % 4).astype(np.uint8), skyline, depth_m, flags), keypoints
 
 
 def numbered_places(start, stop):
@@ -63,11 +57,9 @@ def numbered_places(start, stop):
 
 def write_rows(path, start, stop, header=VIEWS_HEADER):
     """Write a store of rows ``start`` to ``stop`` of the header's kind."""
-    if header.holds == PLACES:
-        columns = columns_of(header, numbered_places(start, stop))
-    else:
-        columns = columns_of(header, *numbered_views(start, stop))
-    write_store(path, header, columns)
+    is_places = header.holds == PLACES
+    rows = [numbered_places(start, stop)] if is_places else numbered_views(start, stop)
+    write_store(path, header, columns_of(header, *rows))
     return path
 
 
@@ -75,7 +67,7 @@ def assert_holds(store, rows, index=slice(None)):
     """Assert that rows of a store, read in every way there is, are those numbered ``rows``."""
     wanted, last = np.atleast_1d(rows[index]), int(rows.max(initial=-1)) + 1
     if store.header.holds == PLACES:
-        got, whole = store.places().take(np.atleast_1d(np.arange(len(store))[index])), None
+        got = store.places().take(np.atleast_1d(np.arange(len(store))[index]))
         whole = numbered_places(0, last)
     else:
         whole, keypoints = numbered_views(0, last)

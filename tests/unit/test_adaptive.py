@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 from scenes import field_of
 
-from skyline.build.spacing import (
-    BLOCK_M,
-    AdaptivePlanner,
-    Prices,
-    blocks_of,
-    expected_finds,
-    lost_shares,
-    spread_over,
-)
+from skyline.build import spacing
+from skyline.build.spacing import BLOCK_M, AdaptivePlanner, blocks_of, expected_finds, lost_shares
 from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
 
@@ -70,29 +63,32 @@ def positions(places):
     return set(zip(places.easting_m.tolist(), places.northing_m.tolist(), strict=True))
 
 
-class TestLoss:
-    def test_it_is_the_mean_over_the_directions_of_a_photo(self):
-        generator = np.random.default_rng(3)
-        distance = np.exp(generator.normal(7.0, 2.0, (3, BINS))).astype(np.float32)
-        distance[:, 40:43] = np.nan
-        plain = np.zeros((3, 2))
-        for place, skyline in enumerate(np.nan_to_num(distance, nan=1e6)):
-            for start in range(0, BINS, 10):
-                window = np.take(skyline, np.arange(start, start + 60), mode="wrap")
-                ratio = np.array([50.0, 300.0]) * np.mean(1.0 / window.astype(float))
-                odds = (ratio / 0.72) ** 1.55
-                plain[place] += odds / (1.0 + odds) / 36
-        lost = lost_shares(distance, np.array([50.0, 300.0]))
-        np.testing.assert_allclose(lost, plain, rtol=1e-9)
+def test_a_loss_is_the_mean_over_the_directions_of_a_photo():
+    generator = np.random.default_rng(3)
+    distance = np.exp(generator.normal(7.0, 2.0, (3, BINS))).astype(np.float32)
+    distance[:, 40:43] = np.nan
+    plain = np.zeros((3, 2))
+    for place, skyline in enumerate(np.nan_to_num(distance, nan=1e6)):
+        for start in range(0, BINS, 10):
+            window = np.take(skyline, np.arange(start, start + 60), mode="wrap")
+            ratio = np.array([50.0, 300.0]) * np.mean(1.0 / window.astype(float))
+            odds = (ratio / 0.72) ** 1.55
+            plain[place] += odds / (1.0 + odds) / 36
+    lost = lost_shares(distance, np.array([50.0, 300.0]))
+    np.testing.assert_allclose(lost, plain, rtol=1e-9)
+
+
+def near_in_the_west(easting_m):
+    return np.where(easting_m < BLOCK_M, 300.0, 3e4)
 
 
 class TestPrice:
-    look = staticmethod(looking(lambda easting: np.where(easting < BLOCK_M, 300.0, 3e4)))
+    look = staticmethod(looking(near_in_the_west))
 
     @pytest.mark.parametrize("loss", [0.05, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        price = Prices(plain, AREA, self.look).of_loss(loss)
-        lost = lost_shares(self.look(spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
+        price = spacing.Prices(plain, AREA, self.look).of_loss(loss)
+        lost = lost_shares(self.look(spacing.spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -103,8 +99,8 @@ class TestPrice:
 
     @pytest.mark.parametrize("number", [1000, 20_000])
     def test_it_suits_the_number(self, plain, number):
-        price = Prices(plain, AREA, self.look).of_number(number)
-        places = planned(plain, lambda east: np.where(east < BLOCK_M, 300.0, 3e4), price)
+        price = spacing.Prices(plain, AREA, self.look).of_number(number)
+        places = planned(plain, near_in_the_west, price)
         # Spacings are steps of the root of 2, so numbers are steps of 2 where all is alike.
         assert number <= 1.05 * len(places) <= 2.1 * number
 
@@ -112,26 +108,20 @@ class TestPrice:
 class TestPlan:
     @pytest.mark.parametrize("level", [0, 7])
     def test_the_same_all_over_makes_a_lattice(self, plain, level):
-        def far(easting):
-            return np.full(len(easting), 2000.0)
-
-        places = planned(plain, far, price_of_level(level, 2000.0))
+        price = price_of_level(level, 2000.0)
+        places = planned(plain, lambda easting: np.full(len(easting), 2000.0), price)
         assert np.unique(places.tolerance_m) == np.float32(SPACINGS_M[level] / 2.0)
         # Places on the far sides of the area belong to blocks beyond it.
         assert len(places) == len(positions(places))
         assert len(places) == round(AREA[2] * AREA[3] / SPACINGS_M[level] ** 2)
 
     def test_it_is_dense_where_skylines_are_near(self, plain):
-        def distance_m(easting):
-            return np.where(easting < BLOCK_M, 300.0, 3e4)
-
-        sample = looking(distance_m)(spread_over(plain, AREA)[0])
-        price = Prices(plain, AREA, looking(distance_m)).of_loss(0.15)
-        places = planned(plain, distance_m, price)
+        look = looking(near_in_the_west)
+        price = spacing.Prices(plain, AREA, look).of_loss(0.15)
+        lost = lost_shares(look(spacing.spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
+        wanted = SPACINGS_M[np.argmin(lost + price / SPACINGS_M**2, axis=1)]
+        places = planned(plain, near_in_the_west, price)
         west = places.easting_m < BLOCK_M
-        wanted = SPACINGS_M[
-            np.argmin(lost_shares(sample.distance_m, SPACINGS_M) + price / SPACINGS_M**2, axis=1)
-        ]
         assert np.median(places.tolerance_m[west]) == np.float32(wanted.min() / 2.0)
         assert np.median(places.tolerance_m[~west]) == np.float32(wanted.max() / 2.0)
         assert len(places) == len(positions(places))
@@ -162,9 +152,8 @@ class TestPlan:
         assert len(blocks) == 2
         parts = [planner.places(blocks[one]) for one in (1, 0)]
         assert positions(parts[0]) | positions(parts[1]) == positions(whole)
-        np.testing.assert_array_equal(
-            Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
-        )
+        joined = Places.concatenate(parts[::-1])
+        np.testing.assert_array_equal(joined.tolerance_m, whole.tolerance_m)
 
 
 class TestExpectedFinds:

@@ -73,7 +73,7 @@ def resized(tags, width, height):
 
 
 @pytest.mark.parametrize("camera", ALL)
-def test_originals_and_files_of_another_size(camera):
+def test_originals_upright_files_and_files_of_another_size(camera):
     _, _, width, height, _, notes = camera
     tags = tags_of(camera)
     found = lens_of(tags, (width, height))
@@ -88,14 +88,9 @@ def test_originals_and_files_of_another_size(camera):
     # A focal plane that is now too small is no witness.
     reason = lens_of(resized(tags, *size), size).reason
     assert ("; EXIF's focal plane" in reason) == ("plane" in notes)
-
-
-@pytest.mark.parametrize("camera", ALL)
-def test_upright_files(camera):
-    _, _, width, height, _, _ = camera
-    tags, upright = tags_of(camera), fov_of(camera, height / width)
+    upright_deg = fov_of(camera, height / width)
     for noted in (tags, resized(tags, height, width)):
-        assert lens_of(noted, (height, width)).fov_deg == pytest.approx(upright, rel=0.06)
+        assert lens_of(noted, (height, width)).fov_deg == pytest.approx(upright_deg, rel=0.06)
 
 
 @pytest.mark.parametrize("camera", ALL)

@@ -68,27 +68,22 @@ def cone(slope):
     return (4000.0 - slope * SPACING_M * np.hypot(row, col)).astype(np.float32)
 
 
-def cliff():
+def block(where, height_m):
     heights = np.zeros((30, 30), dtype=np.float32)
-    heights[:, 15:] = 3000.0
+    heights[where] = height_m
     return heights
 
 
 def arete():
     """A wall of one sample, 500 m over its feet on either side, with both ends inside the map."""
-    heights = np.zeros((30, 30), dtype=np.float32)
-    heights[15, 5:25] = 500.0
-    return heights
+    return block(np.s_[15, 5:25], 500.0)
 
 
-def mesa():
-    heights = np.zeros((30, 30), dtype=np.float32)
-    heights[10:13, 10:13] = 1000.0
-    return heights
+CLIFF, MESA = block(np.s_[:, 15:], 3000.0), block(np.s_[10:13, 10:13], 1000.0)
 
 
 @pytest.mark.parametrize(
-    "terrain", [cone(1.0), cone(2.4), cliff(), cliff().T.copy(), arete(), mesa(), -arete()]
+    "terrain", [cone(1.0), cone(2.4), CLIFF, CLIFF.T.copy(), arete(), MESA, -arete()]
 )
 def test_real_shapes_stay(terrain):
     np.testing.assert_array_equal(despiked(terrain), terrain)
@@ -122,10 +117,7 @@ def test_real_terrain_stays(shared_data, path, spacing_m, expected, monkeypatch)
     np.testing.assert_array_equal(changed, planted | (np.isnan(cleaned) & ~np.isnan(heights)))
 
 
-@given(
-    void=hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))),
-    limit=st.integers(0, 12),
-)
+@given(void=hnp.arrays(np.bool_, st.tuples(*[st.integers(1, 12)] * 2)), limit=st.integers(0, 12))
 def test_voids_are_filled_by_size(void, limit):
     heights = np.random.default_rng(1).uniform(0, 100, void.shape).astype(np.float32)
     heights[void] = np.nan

@@ -26,11 +26,10 @@ def test_a_margin_is_over_the_best_rival():
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name("refined", within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
-    poses = RefinedPoses(
-        retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
-        one, 1e3 * one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one, np.ones((4, 4)),
-        np.zeros((4, 0)),
-    )  # fmt: skip
+    figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *np.zeros((3, 4))
+    covariance_m2 = np.tile(100.0 * np.eye(2), (4, 1, 1))
+    figures = *figures, np.ones((4, 4)), np.zeros((4, 0))
+    poses = RefinedPoses(retrieved([0.0] * 4, [0.0] * 4), covariance_m2, *figures)
     sure = model.probability(confidence.lone_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9

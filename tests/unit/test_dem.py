@@ -7,7 +7,7 @@ import pytest
 from dem_files import UTM, plane, plane_grid, write
 from pyproj import CRS
 from rasterio.transform import Affine, from_origin
-from scenes import at_m
+from scenes import at_deg
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
@@ -21,9 +21,8 @@ from skyline.terrain.warp import Warp, local_maxima
 @pytest.mark.parametrize("tag", ["Area", "Point"])
 def test_heights_are_where_the_file_puts_them(tmp_path, step_east, step_north, tag):
     transform = Affine(step_east, 0.0, 500_000.0, 0.0, step_north, 5_200_000.0)
-    path = write(
-        tmp_path / "dem.tif", plane_grid(23, 31, transform), transform, tags={"AREA_OR_POINT": tag}
-    )
+    heights, tags = plane_grid(23, 31, transform), {"AREA_OR_POINT": tag}
+    path = write(tmp_path / "dem.tif", heights, transform, tags=tags)
     field = read_dem(path)
     assert (field.rows, field.cols) == (23, 31)
     assert (field.spacing_east_m, field.spacing_north_m) == (30.0, 20.0)
@@ -31,11 +30,9 @@ def test_heights_are_where_the_file_puts_them(tmp_path, step_east, step_north, t
     corners_x = sorted([500_000.0 + 0.5 * step_east, 500_000.0 + 30.5 * step_east])
     corners_y = sorted([5_200_000.0 + 0.5 * step_north, 5_200_000.0 + 22.5 * step_north])
     assert [west, east, south, north] == [*corners_x, *corners_y]
-    x = np.random.default_rng(0).uniform(west, east, 200)
-    y = np.random.default_rng(1).uniform(south, north, 200)
-    np.testing.assert_allclose(
-        field.height_at(easting_m=x, northing_m=y), plane(x - 500_000.0, y - 5_200_000.0), atol=1e-3
-    )
+    x, y = np.random.default_rng(0).uniform((west, south), (east, north), (200, 2)).T
+    expected = plane(x - 500_000.0, y - 5_200_000.0)
+    np.testing.assert_allclose(field.height_at(easting_m=x, northing_m=y), expected, atol=1e-3)
     assert field.provenance.files == (str(path.absolute()),)
     assert field.provenance.resampling == "none"
     assert field.frame.name == UTM
@@ -71,11 +68,9 @@ def test_degrees_are_warped_to_where_they_belong(tmp_path, names, south, west):
     assert field.spacing_m == spacing_m
     rng = np.random.default_rng(0)
     lon, lat = rng.uniform(0.02, len(names) - 0.02, 500), rng.uniform(0.02, 0.98, 500)
-    easting, northing = field.frame.from_lonlat(west + lon, south + lat)
+    found = field.height_at(lon=west + lon, lat=south + lat)
     # The remaining difference is the curvature of the plane within a cell of the target.
-    np.testing.assert_allclose(
-        field.height_at(easting_m=easting, northing_m=northing), degree_plane(lon, lat), atol=0.02
-    )
+    np.testing.assert_allclose(found, degree_plane(lon, lat), atol=0.02)
     centre = Frame.local(lon=(west + 0.5 * len(names) + 180.0) % 360.0 - 180.0, lat=south + 0.5)
     assert field.frame == centre
     # Samples stand at whole multiples of the spacing.
@@ -132,9 +127,8 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     lifted = np.zeros(warped.shape, dtype=bool)
     for summit_row, summit_col in zip(*local_maxima(heights), strict=True):
         easting, northing = frame.from_lonlat(9.0 + step * summit_col, 47.0 - step * summit_row)
-        lifted[round((target.north - northing) / 70.0), round((easting - target.west) / 70.0)] = (
-            True
-        )
+        at = (target.north - northing) / 70.0, (easting - target.west) / 70.0
+        lifted[round(at[0]), round(at[1])] = True
     apart = warped[row, col] - expected
     assert np.abs(apart[~lifted[row, col]]).max() < 1e-2
     assert apart.min() > -1e-2
@@ -152,12 +146,8 @@ def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
     assert warped.spacing_m == 30.0
     assert float(warped.frame.angular_distortion_deg(easting_m=0.0, northing_m=0.0)) < 1e-5
     easting, northing = own.to_map([300.0, 600.0], [500.0, 200.0])
-    there = warped.frame.from_lonlat(*own.frame.to_lonlat(easting, northing))
-    np.testing.assert_allclose(
-        warped.height_at(**at_m(there)),
-        own.height_at(easting_m=easting, northing_m=northing),
-        atol=5.0,
-    )
+    there = at_deg(own.frame.to_lonlat(easting, northing))
+    np.testing.assert_allclose(warped.height_at(**there), own.height_at(**there), atol=5.0)
 
 
 def test_a_saved_field_is_read_as_it_was(tmp_path):

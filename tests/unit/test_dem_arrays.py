@@ -15,10 +15,7 @@ from skyline.terrain.heightfield import HeightField
 
 rioxarray = pytest.importorskip("rioxarray")
 
-DEGREES = {
-    "crs": "EPSG:4326",
-    "transform": Affine(1 / 1200, 0.0, 9.7, 0.0, -1 / 1200, 46.9),
-}
+DEGREES = {"crs": "EPSG:4326", "transform": Affine(1 / 1200, 0.0, 9.7, 0.0, -1 / 1200, 46.9)}
 VOID = -9999.0
 
 
@@ -34,17 +31,13 @@ FILES = {
     "metric": {"nodata": VOID},
     "degrees": {"nodata": VOID, **DEGREES},
     "no nodata value declared": DEGREES,
-    "from the south": {
-        "nodata": VOID, "transform": Affine(30.0, 0.0, 6e5, 0.0, 30.0, 5.17e6)
-    },
-}  # fmt: skip
+    "from the south": {"nodata": VOID, "transform": Affine(30.0, 0.0, 6e5, 0.0, 30.0, 5.17e6)},
+}
 
 
 def assert_same(field, other):
-    assert field.digest == other.digest
-    assert field.frame == other.frame
-    counts = "filled", "hollow", "despiked", "options", "resampling"
-    for name in counts:
+    assert (field.digest, field.frame) == (other.digest, other.frame)
+    for name in ("filled", "hollow", "despiked", "options", "resampling"):
         assert getattr(field.provenance, name) == getattr(other.provenance, name), name
     assert other.provenance.despiked >= 1
     assert other.provenance.filled >= 6

@@ -32,14 +32,9 @@ PLACES = {
     "ESRI:102003": (-119.2, 37.7),
     "+proj=tmerc +lat_0=0 +lon_0=9 +k=1 +x_0=0 +y_0=0 +ellps=bessel +units=m +no_defs "
     "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7": (9.9, 48.2),
-    "+proj=lcc +lat_1=46.8 +lat_0=46.8 +lon_0=0 +k_0=0.99987742 +x_0=600000 +y_0=2200000 "
-    "+a=6378249.2 +b=6356515 +towgs84=-168,-60,320,0,0,0,0 +pm=paris +units=m +no_defs": (
-        2.9,
-        45.5,
-    ),
+    "+proj=lcc +lat_1=46.8 +lat_0=46.8 +lon_0=0 +k_0=0.99987742 +x_0=600000 +y_0=2200000 +no_defs "
+    "+a=6378249.2 +b=6356515 +towgs84=-168,-60,320,0,0,0,0 +pm=paris +units=m": (2.9, 45.5),
 }
-
-
 SOUTHWARD = "EPSG:5513", "EPSG:2053"
 """Axes that point south or west."""
 
@@ -129,11 +124,9 @@ def in_unit(path, unit, values, crs=UTM, **profile):
     ("unit", "metres"), [(unit, metres) for metres in UNITS for unit in UNITS[metres].split("|")]
 )
 def test_heights_are_in_the_unit_of_the_band(tmp_path, unit, metres):
-    values = np.array([[2000.0, 2001.0], [2002.0, 2003.0]], np.float32) / np.float32(metres)
-    path = in_unit(tmp_path / "dem.tif", unit, values)
-    np.testing.assert_allclose(
-        read_dem(path).heights_m, [[2000.0, 2001.0], [2002.0, 2003.0]], rtol=3e-7
-    )
+    heights_m = np.array([[2000.0, 2001.0], [2002.0, 2003.0]], np.float32)
+    path = in_unit(tmp_path / "dem.tif", unit, heights_m / np.float32(metres))
+    np.testing.assert_allclose(read_dem(path).heights_m, heights_m, rtol=3e-7)
 
 
 @pytest.mark.parametrize("unit", ["degree", "m/s", "m²", "10 cm", "1"])
@@ -145,17 +138,10 @@ def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path, unit):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("crs", "metres"),
-    [
-        ("EPSG:32632+5783", 1.0),
-        ("EPSG:32632+6360", US_FOOT_M),
-        ("EPSG:32632+6358", -US_FOOT_M),
-    ],
-)
+@pytest.mark.parametrize(("datum", "metres"), [(5783, 1.0), (6360, US_FOOT_M), (6358, -US_FOOT_M)])
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
-def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, crs, metres, version):
-    values = np.array([[1000.0, 1001.0], [1002.0, 1003.0]], np.float32)
+def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, metres, version):
+    values, crs = np.array([[1000.0, 1001.0], [1002.0, 1003.0]], np.float32), f"{UTM}+{datum}"
     field = read_dem(write(tmp_path / "dem.tif", values, crs=crs, GEOTIFF_VERSION=version))
     np.testing.assert_allclose(field.heights_m, values * metres, rtol=2e-7)
     assert field.frame.name == UTM
@@ -245,21 +231,15 @@ def test_places_that_cannot_be_known_are_refused(tmp_path, crs, corner, message)
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "model"),
-    [
+def test_a_product_is_known_by_its_name_or_a_tag_and_files_must_agree(tmp_path):
+    for name, model in (
         ("davos_srtm1_30m.tif", f"{SURFACE}, SRTM"),
         ("N046E009_AVE_DSM.tif", SURFACE),
         ("tirol_dtm_5m.asc", GROUND),
         ("N46E009_FABDEM_V1-2.tif", f"{GROUND}, FABDEM"),
         ("N46E009.hgt.gz", UNKNOWN),
-    ],
-)
-def test_a_product_is_known_by_its_name(name, model):
-    assert model_of([name]) == model
-
-
-def test_a_product_is_known_by_a_tag_and_files_must_agree(tmp_path):
+    ):
+        assert model_of([name]) == model
     tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
     tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
     plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))

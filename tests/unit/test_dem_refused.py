@@ -64,15 +64,15 @@ def test_gdal_prints_nothing(tmp_path):
     write(path, np.ones((300, 300), np.int16), compress="deflate")
     path.write_bytes(path.read_bytes()[:600])
     assert "a.tif cannot be read as a raster" in refused(path)
-    program = (
-        "import sys\nfrom skyline.errors import SkylineError\n"
-        "from skyline.terrain.dem import read_dem\n"
-        "try:\n    read_dem(sys.argv[1])\n"
-        "except SkylineError as error:\n    sys.exit(error.exit_code)\n"
-    )
-    command = [sys.executable, "-c", program, str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+    program = f"""
+from skyline import InputError, read_dem
+try:
+    read_dem({str(path)!r})
+except InputError as error:
+    raise SystemExit(error.exit_code)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
 
 
 def test_damaged_gzip(tmp_path):

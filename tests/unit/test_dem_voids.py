@@ -108,7 +108,7 @@ def test_water_stays(level):
 
 def test_the_sea_stays_where_the_fill_goes():
     heights = mountains()
-    row, col = np.mgrid[: heights.shape[0], : heights.shape[1]]
+    row, col = np.indices(heights.shape)
     away = np.hypot(row - 90, col - 110)
     heights[:] = np.minimum(heights, np.maximum(away - 25.0, 0.0) * 20.0)
     heights[:, :12] = 0.0

@@ -14,8 +14,8 @@ AZIMUTH_RAD = np.radians(np.append(np.arange(0.0, 360.0, 7.3), [90.0, 180.0, 270
 CURVED, FLAT = Curvature(), Curvature(enabled=False)
 
 
-def _inside(easting_m, northing_m):
-    west, south, east, north = BOUNDS_M
+def _inside(easting_m, northing_m, bounds_m=BOUNDS_M):
+    west, south, east, north = bounds_m
     return (west <= easting_m) & (easting_m <= east) & (south <= northing_m) & (northing_m <= north)
 
 
@@ -50,17 +50,13 @@ def test_terrain_beyond_is_as_high_as_terrain_near_the_edge():
     heights[20:40, :30] = np.nan
     field = field_of(heights, spacing_m=1000.0)
     edge = DataEdge.of(field, FLAT)
-    west, south, east, north = edge.bounds_m
-    row, col = np.indices(heights.shape)
-    sample_east, sample_north = field.to_map(row, col)
-    places = np.random.default_rng(9).uniform((west, south), (east, north), (40, 2))
+    sample_east, sample_north = field.to_map(*np.indices(heights.shape))
+    away_m = np.arange(0.0, 150_000.0, 10.0)
+    places = np.random.default_rng(9).uniform(edge.bounds_m[:2], edge.bounds_m[2:], (40, 2))
     for (place_east, place_north), azimuth in zip(places, AZIMUTH_RAD[:40], strict=True):
-        away_m = np.arange(0.0, 150_000.0, 10.0)
-        on_east, on_north = (
-            place_east + away_m * np.sin(azimuth),
-            place_north + away_m * np.cos(azimuth),
-        )
-        inside = (west <= on_east) & (on_east <= east) & (south <= on_north) & (on_north <= north)
+        on_east = place_east + away_m * np.sin(azimuth)
+        on_north = place_north + away_m * np.cos(azimuth)
+        inside = _inside(on_east, on_north, edge.bounds_m)
         left_m = away_m[inside][-1]
         exit_east, exit_north = on_east[inside][-1], on_north[inside][-1]
         most = edge.elevation_tan(place_east, place_north, 0.0, azimuth) * left_m

@@ -24,11 +24,13 @@ def test_a_place_is_degrees_with_their_side():
         GPS.GPSAltitude: 2500.5, GPS.GPSImgDirection: 360.0, GPS.GPSImgDirectionRef: "T",
     }  # fmt: skip
     assert place_from_exif(gps) == NotedPlace((-70.25, -33.51), 2500.5, 0.0)
-
-
-@pytest.mark.parametrize("south", ["S", "s", "S\0", b"S\0", "South"])
-def test_a_side_is_read_however_it_is_written(south):
-    assert place_from_exif(SOUTH_WEST | {GPS.GPSLatitudeRef: south}).lonlat_deg == (-70.25, -33.51)
+    # However the side is written.
+    for south in ("S", "s", "S\0", b"S\0", "South"):
+        noted = place_from_exif(SOUTH_WEST | {GPS.GPSLatitudeRef: south})
+        assert noted.lonlat_deg == (-70.25, -33.51)
+    for below in (1, b"\x01", "1"):
+        gps = {GPS.GPSAltitude: 400.0, GPS.GPSAltitudeRef: below}
+        assert place_from_exif(gps) == NotedPlace(elevation_m=-400.0)
 
 
 def test_the_north_that_a_direction_counts_from_is_kept():
@@ -39,12 +41,6 @@ def test_the_north_that_a_direction_counts_from_is_kept():
         assert (noted.accuracy_m, noted.left_aside) == (4.7, "")
     assert place_from_exif(gps).is_magnetic is None
     assert place_from_exif(SOUTH_WEST).is_magnetic is False
-
-
-def test_below_the_sea_is_negative():
-    for ref in (1, b"\x01", "1"):
-        gps = {GPS.GPSAltitude: 400.0, GPS.GPSAltitudeRef: ref}
-        assert place_from_exif(gps) == NotedPlace(elevation_m=-400.0)
 
 
 def test_a_position_is_carried_to_wgs_84():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
+from scenes import at_m, field_of, fractal
 
 from skyline.camera import pixel_size
 from skyline.cli.data import curvature_bound_px, sight_range_m
@@ -13,12 +13,9 @@ from skyline_bench.truth import oracle
 
 def test_leaving_curvature_out_costs_no_more_than_its_bound():
     for seed in range(5):
-        field = field_of(fractal(64, 64, relief_m=900.0, seed=seed), 300.0)
-        eyes = stand_on(field, easting_m=9000.0, northing_m=-9000.0)
-        mars = Curvature(radius_m=3_389_500.0, refraction_k=0.0)
-        bound_px = curvature_bound_px(
-            field.reach_m(easting_m=9000.0, northing_m=-9000.0), mars.drop_per_m2, 160
-        )
+        field, place = field_of(fractal(64, 64, 900.0, seed=seed), 300.0), at_m((9000.0, -9000.0))
+        eyes, mars = stand_on(field, **place), Curvature(radius_m=3_389_500.0, refraction_k=0.0)
+        bound_px = curvature_bound_px(field.reach_m(**place), mars.drop_per_m2, 160)
         curved = oracle.skyline(field, eyes, 160, mars)
         flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
         cost_px = np.abs(curved.elevation_tan - flat.elevation_tan).max() / pixel_size(160)

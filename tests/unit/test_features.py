@@ -4,7 +4,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyline.paper.curves import local_patches
 from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
 
 
@@ -46,11 +45,3 @@ def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
     assert 30 not in kept
     whole = polyline_vertices(curve, 0.1, 50)[0]
     assert {29, 30, 31, 69, 70, 71} <= set(whole.tolist())
-
-
-def test_patches_of_closed_curves_are_relative_to_their_keypoint():
-    curve = np.arange(20.0)[np.newaxis] ** 2
-    offsets = np.array([-2, 0, 2])
-    patches = local_patches(curve, np.array([0, 0]), np.array([10, 0]), offsets)
-    np.testing.assert_allclose(patches[0], [64.0 - 100.0, 0.0, 144.0 - 100.0])
-    np.testing.assert_allclose(patches[1], [18.0**2, 0.0, 4.0])

@@ -75,12 +75,11 @@ def view_store(tmp_path):
 def test_places_are_a_dataset_by_azimuth(place_store):
     data, places = place_store.to_xarray(), numbered_places(0, 50)
     assert data.elevation_deg.dims == ("place", "grid_azimuth_deg")
-    np.testing.assert_allclose(
-        np.tan(np.radians(data.elevation_deg)), places.elevation_tan(), atol=1e-5
-    )
+    tan = np.tan(np.radians(data.elevation_deg))
+    np.testing.assert_allclose(tan, places.elevation_tan(), atol=1e-5)
     np.testing.assert_array_equal(data.distance_m[:, 1::3], places.distance_m())
     np.testing.assert_array_equal(data.grid_azimuth_deg, np.arange(360) + 0.5)
-    assert set(data.attrs) == set()
+    assert not data.attrs
     some = place_store.to_xarray([7, 3])
     assert some.identical(data.isel(place=[7, 3]))
     assert len(place_store.to_xarray(slice(0)).place) == 0

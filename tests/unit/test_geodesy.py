@@ -29,28 +29,25 @@ def test_true_azimuth_is_grid_azimuth_plus_convergence(name):
     easting, northing = frame.from_lonlat([lon, lon], [lat - 1e-4, lat + 1e-4])
     # Walking north along the meridian: true azimuth 0.
     grid_azimuth_deg = math.degrees(math.atan2(np.diff(easting)[0], np.diff(northing)[0]))
-    convergence_deg = float(
-        frame.convergence_deg(easting_m=easting.mean(), northing_m=northing.mean())
-    )
+    middle = {"easting_m": easting.mean(), "northing_m": northing.mean()}
+    convergence_deg = float(frame.convergence_deg(**middle))
     turn_deg = in_turn(grid_azimuth_deg + convergence_deg)
     # The factors are of the CRS's own ellipsoid; Bessel's north is 2e-4 degrees off WGS 84's.
     assert turn_deg == pytest.approx(0.0, abs=1e-3)
     assert abs(convergence_deg) > 0.1
 
 
-@given(
-    lon=st.floats(-180.0, 180.0),
-    lat=st.floats(-84.0, 84.0),
-    east=st.floats(-2e5, 2e5),
-    north=st.floats(-2e5, 2e5),
-)
+LON, LAT, AWAY_M = st.floats(-180.0, 180.0), st.floats(-84.0, 84.0), st.floats(-2e5, 2e5)
+
+
+@given(lon=LON, lat=LAT, east=AWAY_M, north=AWAY_M)
 def test_round_trip_through_longitude_and_latitude(lon, lat, east, north):
     frame = Frame.local(lon=lon, lat=lat)
     back = frame.from_lonlat(*frame.to_lonlat(east, north))
     np.testing.assert_allclose(back, (east, north), atol=1e-4)
 
 
-@given(lon=st.floats(-180.0, 180.0), lat=st.floats(-84.0, 84.0), azimuth=st.floats(0.0, 360.0))
+@given(lon=LON, lat=LAT, azimuth=st.floats(0.0, 360.0))
 def test_local_frame_is_true_at_its_centre(lon, lat, azimuth):
     frame = Frame.local(lon=lon, lat=lat)
     there_lon, there_lat, _ = WGS84.fwd(lon, lat, azimuth, 1000.0)
@@ -66,9 +63,8 @@ def test_scale_is_map_metres_per_metre_on_the_ground():
     expected = np.diff(easting)[0] / ground_m
     scale = mercator.scale(easting_m=easting[0], northing_m=northing[0])
     assert float(scale) == pytest.approx(expected, rel=1e-6)
-    assert float(
-        Frame.local(lon=9.9, lat=46.8).scale(easting_m=0.0, northing_m=0.0)
-    ) == pytest.approx(1.0, abs=1e-9)
+    local = Frame.local(lon=9.9, lat=46.8).scale(easting_m=0.0, northing_m=0.0)
+    assert float(local) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2227", "rubbish"])
@@ -95,10 +91,9 @@ def test_a_box_in_degrees_holds_its_rectangle_and_no_more(name):
     )
     edge = np.meshgrid(np.linspace(west_m, east_m, 301), np.linspace(south_m, north_m, 301))
     lon, lat = frame.to_lonlat(*edge)
-    east_of_west = (lon - west + 1e-7) % 360.0 - 1e-7
-    assert (east_of_west.min(), east_of_west.max()) == pytest.approx(
-        (0.0, width_deg(box)), abs=1e-4 * (1.0 + width_deg(box))
-    )
+    east_of_west, width = (lon - west + 1e-7) % 360.0 - 1e-7, width_deg(box)
+    ends = east_of_west.min(), east_of_west.max()
+    assert ends == pytest.approx((0.0, width), abs=1e-4 * (1.0 + width))
     assert (lat.min(), lat.max()) == pytest.approx((south, north), abs=1e-4)
     assert (west > east) is name.startswith("across")
     assert -180.0 <= west < 180.0
@@ -108,14 +103,11 @@ def test_a_box_in_degrees_holds_its_rectangle_and_no_more(name):
     assert (np.array(back_m[2:]) >= np.array([east_m, north_m]) - 1.0).all()
 
 
-@pytest.mark.parametrize(
-    ("frame", "pole"),
-    [
-        (Frame.from_crs("EPSG:3413"), 90.0),
-        (Frame.from_crs("EPSG:3031"), -90.0),
-        (Frame.local(lon=30.0, lat=89.9), 90.0),
-    ],
-)
+ARCTIC, ANTARCTIC = Frame.from_crs("EPSG:3413"), Frame.from_crs("EPSG:3031")
+POLES = [(ARCTIC, 90.0), (ANTARCTIC, -90.0), (Frame.local(lon=30.0, lat=89.9), 90.0)]
+
+
+@pytest.mark.parametrize(("frame", "pole"), POLES)
 def test_a_box_round_a_pole_has_all_longitudes(frame, pole):
     sides_m = [-50e3, 50e3]
     box = frame.box_deg(easting_m=sides_m, northing_m=sides_m)

@@ -28,18 +28,15 @@ def on_triangle(heights, row, col):
     north_west, south_east = (top, left), (top + 1, left + 1)
     third = (top, left + 1) if col - left > row - top else (top + 1, left)
     corners = np.array([north_west, south_east, third])
-    plane = np.linalg.solve(
-        np.column_stack([corners, np.ones(3)]), heights[corners[:, 0], corners[:, 1]]
-    )
+    plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), heights[tuple(corners.T)])
     return float(plane @ [row, col, 1.0])
 
 
 @given(data=st.data())
 def test_height_is_the_triangle_s(data):
     shape = data.draw(st.tuples(st.integers(2, 6), st.integers(2, 6)))
-    heights = data.draw(
-        hnp.arrays(np.float64, shape, elements=st.floats(-500, 9000) | st.just(np.nan))
-    )
+    height_m = st.floats(-500, 9000) | st.just(np.nan)
+    heights = data.draw(hnp.arrays(np.float64, shape, elements=height_m))
     part = st.floats(0.001, 0.999)
     south, east = data.draw(st.tuples(part, part).filter(lambda p: abs(p[0] - p[1]) > 1e-3))
     row = data.draw(st.integers(0, shape[0] - 2)) + south

@@ -10,11 +10,8 @@ from skyline.photo.lens import lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.query import Lens, Projection
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
-PLANE = {
-    Base.FocalLength: IFDRational(127, 10),
-    Base.FocalPlaneXResolution: IFDRational(4000, 1),
-    Base.FocalPlaneResolutionUnit: 2,
-} | SIZE
+PLANE = SIZE | {Base.FocalLength: IFDRational(127, 10), Base.FocalPlaneResolutionUnit: 2}
+PLANE[Base.FocalPlaneXResolution] = IFDRational(4000, 1)
 """4000 pixels at 4000 an inch: a sensor an inch wide; at 25.4 / 2 mm it sees 90 degrees."""
 FILM = 12.7 * np.hypot(36.0, 24.0) / np.hypot(25.4, 19.05)
 """The 35 mm equivalent of the same."""
@@ -28,11 +25,9 @@ def fov_of(half_width, focal):
 def test_the_focal_plane_of_a_whole_frame_however_resized(size):
     assert lens_of(PLANE, size).fov_deg == pytest.approx(90.0, abs=1e-9)
     assert lens_of(PLANE, size[::-1]).fov_deg == pytest.approx(fov_of(0.375, 0.5))
-    centimetres = {
-        Base.FocalPlaneResolutionUnit: 3,
-        Base.FocalPlaneXResolution: IFDRational(4_000_000, 2540),
-    }
-    assert lens_of(PLANE | centimetres, size).fov_deg == pytest.approx(90.0, abs=1e-3)
+    per_cm = {Base.FocalPlaneXResolution: IFDRational(4_000_000, 2540)}
+    centimetres = PLANE | per_cm | {Base.FocalPlaneResolutionUnit: 3}
+    assert lens_of(centimetres, size).fov_deg == pytest.approx(90.0, abs=1e-3)
 
 
 def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
@@ -40,21 +35,13 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     found = swept_lens_of(tags, (8000, 2500))
     # Of the camera's height, which sees 36 mm of film, 2500 pixels are between 70 and 100 %.
     for kept in (0.7, 0.97):
-        assert found.fov_deg == pytest.approx(
-            np.degrees(8000 / (28 / 36 * 2500 / kept)), abs=2.0 * found.sd_deg
-        )
+        true_deg = np.degrees(8000 / (28 / 36 * 2500 / kept))
+        assert found.fov_deg == pytest.approx(true_deg, abs=2.0 * found.sd_deg)
     assert found.most_deg == 360.0
     assert "panorama" in found.reason
     assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
     assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
-
-
-def searched(lens, *, is_panorama=False):
-    """Return the least and the greatest field of view that a match tries."""
-    one = np.zeros(1)
-    rays = QueryRays(one, one, one + 1.0, lens.fov_deg, is_panorama=is_panorama)
-    return rays.about(lens.sd_deg, lens.most_deg or np.inf).fov_bounds_deg
 
 
 def test_sources_that_contradict_one_another_widen_what_is_possible():
@@ -123,7 +110,8 @@ def test_a_panorama_resized_or_cropped_has_the_field_of_view_that_is_left(size, 
 )
 def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, most_deg):
     _, lens = panorama_of_xmp(gpano(**WHOLE), size)
-    low, high = searched(lens, is_panorama=True)
+    rays = QueryRays(*np.zeros((2, 1)), np.ones(1), lens.fov_deg, is_panorama=True)
+    low, high = rays.about(lens.sd_deg, lens.most_deg).fov_bounds_deg
     assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
     assert f"a panorama of {most_deg:.1f} degrees, but the photo was cropped" in lens.reason
 

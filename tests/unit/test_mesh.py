@@ -22,14 +22,11 @@ def vertices_met(heights, start, slope, first, last):
     return greatest
 
 
-@given(
-    seed=st.integers(0, 1000),
-    lines=st.integers(2, 40),
-    columns=st.integers(2, 40),
-    steepest=st.sampled_from([0.4, 1.0, 2.5]),
-    place=st.floats(-0.2, 1.2),
-    turn=st.floats(-1.0, 1.0),
-)
+SIZE = st.integers(2, 40)
+
+
+@given(st.integers(0, 1000), SIZE, SIZE, st.sampled_from([0.4, 1.0, 2.5]),
+       st.floats(-0.2, 1.2), st.floats(-1.0, 1.0))  # fmt: skip
 def test_no_ray_meets_more_than_its_bound(seed, lines, columns, steepest, place, turn):
     heights = np.random.default_rng(seed).uniform(0, 100, (lines, columns)).astype(np.float32)
     slopes = np.linspace(-steepest, steepest, 9)

@@ -80,10 +80,10 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
     errors, azimuth, distance = _setting()
     errors = HeightErrors.of(azimuth, distance, np.full_like(distance, 5e-4), 6)
     residual = np.random.default_rng(4).normal(0.0, sd_rad, (1, 40))
-    costs = []
-    for scale in np.geomspace(0.1, 1.3, 121):
-        scaled = replace(errors, blur_rad=scale * errors.blur_rad)
-        costs.append(_converged(residual, scaled, scale=scale).cost[0])
+    costs = [
+        _converged(residual, replace(errors, blur_rad=scale * errors.blur_rad), scale=scale).cost[0]
+        for scale in np.geomspace(0.1, 1.3, 121)
+    ]
     found = _converged(residual, errors)
     assert found.odds.min() > 0.95
     # The odds are of the errors before they are scaled; the cost is a bound for any odds.
@@ -95,17 +95,14 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
     assert held.fit[0] == pytest.approx(fit, rel=1e-6)
 
 
-def _with_beyond(errors, beyond_deg):
-    return replace(errors, beyond_rad=np.full_like(errors.blur_rad, np.radians(beyond_deg)))
-
-
 @pytest.mark.parametrize(("off_deg", "is_cheaper"), [(1.0, True), (3.0, False), (-1.0, False)])
 def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_cheaper):
     _, azimuth, distance = _setting()
     errors = HeightErrors.of(azimuth, np.full_like(distance, 5e4), 0.0 * distance, 6)
     residual = np.random.default_rng(6).normal(0.0, 0.0005, (1, 40))
     residual[0, 10:20] = np.radians(off_deg)
-    with_beyond = _with_beyond(errors, np.where(np.arange(40) // 10 == 1, 2.0, 0.0))
+    beyond_rad = np.radians(np.where(np.arange(40) // 10 == 1, 2.0, 0.0))[np.newaxis]
+    with_beyond = replace(errors, beyond_rad=beyond_rad)
     without, there = (_converged(residual, some) for some in (errors, with_beyond))
     assert there.odds[0, 10:20].max() < 0.01
     np.testing.assert_allclose(there.odds[0, 20:], without.odds[0, 20:], atol=0.02)
@@ -123,12 +120,10 @@ def test_the_magnification_pull_is_the_slope_of_the_cost(magnified):
     residual = np.random.default_rng(5).normal(0.0, 0.003, (1, 40))
     residual[0, 5] = np.nan
     residual[0, 20] = np.radians(4.0)
-    step = 1e-4
-    costs = [
-        _converged(residual, errors, magnified * np.exp(change)).cost[0] for change in (-step, step)
-    ]
+    scales = magnified * np.exp([-1e-4, 1e-4])
+    more, less = (_converged(residual, errors, scale).cost[0] for scale in scales)
     pull = _converged(residual, errors, magnified).magnification_pull(np.nan_to_num(residual))
-    assert pull[0] == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=1e-4)
+    assert pull[0] == pytest.approx((more - less) / 2e-4, rel=1e-4)
 
 
 def test_an_error_of_the_eye_s_height_shows_in_full_far_away_and_not_at_all_near_by():

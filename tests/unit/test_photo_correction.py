@@ -7,15 +7,8 @@ import pytest
 from photo_scenes import make_scene
 
 from skyline import Correction, InputError, NotedPlace, Photo, Projection, QuerySkyline, Stroke
+from skyline.photo import extract
 from skyline.photo.correction import StrokeKind, _forbidden, _labels
-from skyline.photo.extract import (
-    FORBIDDEN,
-    STEPS,
-    Extraction,
-    extract_skyline,
-    on_photo,
-    shortest_path,
-)
 from skyline.photo.sky_model import skyline_of_mask
 
 WIDTH, HEIGHT = 960, 640
@@ -50,7 +43,7 @@ def same(one, other):
 def test_without_a_stroke_it_is_the_extractor_s_skyline(kind):
     image = make_scene(kind, 1).image
     found = Correction(photo_of(image)).solve()
-    assert same(found, extract_skyline(image))
+    assert same(found, extract.extract_skyline(image))
     assert found.fov_deg == 60.0
 
 
@@ -96,7 +89,7 @@ def test_erased_columns_are_not_trusted_until_they_are_drawn_again(correction):
 def test_the_quick_way_is_the_slow_way():
     """All columns solved and refined again, and not those alone that a stroke has changed."""
     image = make_scene("layers", 5, 1440, 960).image
-    correction, whole = Correction(photo_of(image)), Extraction.of(image)
+    correction, whole = Correction(photo_of(image)), extract.Extraction.of(image)
     before = correction.solve()
     columns = np.arange(500, 900, 10)
     rows = before.row_px[columns] + 40.0
@@ -104,9 +97,9 @@ def test_the_quick_way_is_the_slow_way():
     after = correction.solve([painted])
     evidence = whole.evidence
     forbidden = _forbidden(_labels([painted], whole))
-    cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
-    path = shortest_path(cost, *STEPS)
-    slow, _ = on_photo(image, evidence, path)
+    cost = np.where(forbidden, evidence.cost + np.float32(extract.FORBIDDEN), evidence.cost)
+    path = extract.shortest_path(cost, *extract.STEPS)
+    slow, _ = extract.on_photo(image, evidence, path)
     inner = np.arange(490, 890)
     known = inner[after.trusted[inner]]
     assert len(known) > 390

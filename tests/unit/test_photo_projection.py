@@ -18,22 +18,17 @@ from skyline.photo.trace import write_trace
 CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
 
 
-def panorama(azimuth_deg, elevation_deg, width, height, fov_deg, projection):
-    """Rows at which a panorama shows elevations, worked out the other way round."""
-    focal = width / np.radians(fov_deg)
-    elevation = np.radians(elevation_deg)
-    up = np.tan(elevation) if projection is CYLINDER else elevation
-    row = (height - 1.0) / 2.0 - focal * up
-    return QuerySkyline(row, np.ones(width), width, height, fov_deg, projection)
-
-
 @pytest.mark.parametrize("projection", [CYLINDER, SPHERE])
 @pytest.mark.parametrize("fov_deg", [40.0, 160.0, 360.0])
 def test_rays_of_a_panorama_point_where_it_looks(projection, fov_deg):
     width = 320
     azimuth = (np.arange(width) + 0.5) / width * fov_deg - fov_deg / 2.0
     elevation = 8.0 + 6.0 * np.sin(np.radians(7.0 * azimuth))
-    query = panorama(azimuth, elevation, width, 120, fov_deg, projection)
+    # Rows at which a panorama shows these, worked out the other way round.
+    up = np.radians(elevation)
+    up = np.tan(up) if projection is CYLINDER else up
+    row_px = 59.5 - width / np.radians(fov_deg) * up
+    query = QuerySkyline(row_px, np.ones(width), width, 120, fov_deg, projection)
     u, v = query.image_plane()
     assert_allclose(np.degrees(u), azimuth, atol=1e-9)
     assert_allclose(np.degrees(np.arctan(v)), elevation, atol=1e-9)
@@ -80,15 +75,11 @@ def test_xmp_notes_what_a_panorama_spans(form):
     assert panorama_of_xmp("<x:xmpmeta/>", (4000, 3000)) is None
 
 
-def save_panorama(path, noted_width):
-    scene = make_scene("clear", 104, 960, 240)
-    noted = ATTRIBUTES + "<GPano:CroppedAreaImageHeightPixels>240<"
-    xmp = noted.format("cylindrical", 960, noted_width).encode()
-    Image.fromarray(scene.image).save(path, quality=95, xmp=xmp)
-
-
 def test_panorama_file_says_its_own_span(tmp_path):
-    save_panorama(tmp_path / "wide.jpg", 960 * 3)
+    noted = ATTRIBUTES + "<GPano:CroppedAreaImageHeightPixels>240<"
+    xmp = noted.format("cylindrical", 960, 960 * 3).encode()
+    image = make_scene("clear", 104, 960, 240).image
+    Image.fromarray(image).save(tmp_path / "wide.jpg", quality=95, xmp=xmp)
     query = read_query(tmp_path / "wide.jpg")
     assert (query.projection, query.fov_deg) == (CYLINDER, 120.0)
     # Options take precedence over notes of the file.

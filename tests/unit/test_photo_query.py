@@ -106,11 +106,6 @@ def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
-def saved(folder, image):
-    Image.fromarray(image).save(folder / "mask.png")
-    return folder / "mask.png"
-
-
 def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     mask = np.full((40, 5), 255, np.uint8)
     mask[10:, 0] = 0
@@ -118,7 +113,8 @@ def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     mask[0:, 2] = 0  # skyline above the image
     mask[20:, 4] = 0  # column 3: skyline below the image
     mask[30:, 4] = 255  # a lake in column 4
-    query = read_query(saved(tmp_path, mask), 50.0)
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    query = read_query(tmp_path / "mask.png", 50.0)
     assert_array_equal(query.row_px, [9.5, 10.5, np.nan, np.nan, 19.5])
     assert_array_equal(query.confidence, [1, 1, 0, 0, 1])
     assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
@@ -137,7 +133,8 @@ def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):
     border = 20.0 + np.linspace(0.0, 3.0, 60)
     share = np.clip(np.arange(200)[:, np.newaxis] + 0.5 - border, 0.0, 1.0)
     mask = np.rint(255 * (1 - share)).astype(np.uint8)
-    query = read_query(saved(tmp_path, mask))
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    query = read_query(tmp_path / "mask.png")
     # Halfway between two levels differs from the area by at most 1/8 (at a share of 1/4).
     assert np.abs(query.row_px - border).max() < 0.13
 

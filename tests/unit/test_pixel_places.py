@@ -13,17 +13,11 @@ from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.query import Projection, QuerySkyline
 from skyline.report.viewer import Viewer, directions_of, pixels_of, sight_of
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)
 WIDTH_PX, HEIGHT_PX = 90, 45
-
-
-def size_of(projection=Projection.PERSPECTIVE):
-    """A query of a small photo, without a skyline."""
-    unknown = np.full(WIDTH_PX, np.nan)
-    return QuerySkyline(unknown, np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, projection=projection)
 
 
 CAMERAS = {
@@ -38,16 +32,13 @@ CAMERAS = {
 
 def pose_at(field, east_m, north_m, eye_height_m, name, heading_deg=130.0):
     angles, projection = CAMERAS[name]
-    ground_m = float(field.height_at(easting_m=east_m, northing_m=north_m))
-    pose = candidate_at(
-        east_m, north_m, heading_deg, **angles, eye_elevation_m=ground_m + eye_height_m
-    )
-    pose = replace(
-        pose,
-        distortion=0.06 if "distorted" in name else 0.0,
-        wander=(0.03, -0.02, 0.01, 0.02) if name == "panorama" else (),
-    )
-    return pose, size_of(projection)
+    eye_m = float(field.height_at(easting_m=east_m, northing_m=north_m)) + eye_height_m
+    pose = candidate_at(east_m, north_m, heading_deg, **angles, eye_elevation_m=eye_m)
+    wander = (0.03, -0.02, 0.01, 0.02) if name == "panorama" else ()
+    pose = replace(pose, distortion=0.06 if "distorted" in name else 0.0, wander=wander)
+    # The query of a small photo without a skyline.
+    unknown, size = (np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX)), (WIDTH_PX, HEIGHT_PX)
+    return pose, QuerySkyline(*unknown, *size, projection=projection)
 
 
 def rays_of(pose, query):
@@ -56,16 +47,10 @@ def rays_of(pose, query):
     return np.radians(azimuth_deg), elevation_tan
 
 
-def eye_of(pose):
-    names = ("easting_m", "northing_m", "eye_elevation_m")
-    return Viewpoints(**{name: np.array([getattr(pose, name)]) for name in names})
-
-
 def marched_m(field, pose, curvature, azimuth_rad, elevation_tan, step_m):
     """Return where rays (N,) first are below the surface, to ``step_m``; NaN for sky."""
-    away_m = np.arange(
-        step_m, field.reach_m(easting_m=pose.easting_m, northing_m=pose.northing_m), step_m
-    )
+    reach_m = field.reach_m(easting_m=pose.easting_m, northing_m=pose.northing_m)
+    away_m = np.arange(step_m, reach_m, step_m)
     found = np.full(len(azimuth_rad), np.nan)
     for index, (azimuth, tan) in enumerate(zip(azimuth_rad, elevation_tan, strict=True)):
         ground_m = field.height_at(
@@ -121,13 +106,10 @@ def test_rough_terrain_is_met_where_a_march_meets_it(rough, name):
     is_exact = (off_m <= 0.5 * step_m + 1e-3) | (np.isnan(found_m) & np.isnan(true_m))
     assert is_exact.mean() > 0.96
     column_deg = query.projection.column_deg(WIDTH_PX, pose.fov_deg).min()
-    rest = np.flatnonzero(~is_exact)
     beside = np.radians(column_deg) * np.linspace(-0.26, 0.26, 41)
-    for index in rest:
-        around_m = marched_m(
-            rough, pose, curvature, azimuth_rad[index] + beside,
-            np.full(len(beside), elevation_tan[index]), step_m,
-        )  # fmt: skip
+    for index in np.flatnonzero(~is_exact):
+        rays = azimuth_rad[index] + beside, np.full(len(beside), elevation_tan[index])
+        around_m = marched_m(rough, pose, curvature, *rays, step_m)
         if np.isnan(found_m[index]):
             assert np.isnan(around_m).any()
         else:
@@ -154,14 +136,13 @@ def test_places_are_seen_in_their_pixels_and_sky_is_above_the_skyline(rough, nam
     # The elevation is that of the terrain, except where a quarter of a pixel beside is seen.
     off_m = np.abs(places.elevation_m - rough.height_at(easting_m=easting_m, northing_m=northing_m))
     assert np.mean(off_m[seen] < 0.01) > 0.96
-    sight = sight_of(pose, query, oracle.skyline(rough, eye_of(pose), 2048))
+    eye = at_elevation(rough, pose.easting_m, pose.northing_m, pose.eye_elevation_m)
+    sight = sight_of(pose, query, oracle.skyline(rough, eye, 2048))
     order = np.argsort(sight.column_px)
     border = np.interp(np.arange(WIDTH_PX), sight.column_px[order], sight.row_px[order])
     steep = np.abs(np.gradient(border))
-    is_ground = np.arange(HEIGHT_PX)[:, np.newaxis] > border
-    wrong = (seen != is_ground) & (
-        np.abs(np.arange(HEIGHT_PX)[:, np.newaxis] - border) > 1.0 + steep
-    )
+    below_px = np.arange(HEIGHT_PX)[:, np.newaxis] - border
+    wrong = (seen != (below_px > 0.0)) & (np.abs(below_px) > 1.0 + steep)
     if name != "around":  # Its last column is where the sight begins.
         assert wrong.sum() == 0
     assert not wrong[:, 2:-2].any()

@@ -5,22 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from place_scenes import places_of
 
-from skyline.skylines import Horizons
-from skyline.store.places import BINS, DISTANCE_BINS, RISES, Places, decode_rises, encode_rises
+from skyline.store.places import BINS, DISTANCE_BINS, RISES, decode_rises, encode_rises
 
-
-def horizons(y, distance_m=1000.0):
-    count = len(y)
-    distance = np.where(np.isfinite(y), np.broadcast_to(np.float32(distance_m), y.shape), np.nan)
-    place = np.arange(count) + 7.5e5, np.arange(count) + 5.2e6, np.full(count, 2000.0)
-    return Horizons(*place, np.float32(y), np.float32(distance), np.zeros(y.shape, np.uint8))
+NOISE = st.floats(-0.25, 0.25, width=32)
 
 
-@given(
-    arrays.arrays(np.float32, (4, BINS), elements=st.floats(-0.25, 0.25, width=32)),
-    st.floats(-1.0, 2.0),
-)
+@given(arrays.arrays(np.float32, (4, BINS), elements=NOISE), st.floats(-1.0, 2.0))
 @settings(max_examples=25)
 def test_a_tangent_is_within_half_a_step_of_its_rise(noise, level):
     y = (noise * np.float32(0.5) + np.float32(level)).astype(np.float32)
@@ -32,13 +24,10 @@ def test_a_tangent_is_within_half_a_step_of_its_rise(noise, level):
     assert (np.abs(back - y) <= half + 1e-5).all()
 
 
-def test_errors_do_not_add_up():
+def test_errors_do_not_add_up_and_a_cliff_is_made_up_for():
     y = (0.0003 * np.arange(BINS))[np.newaxis].astype(np.float32)
     back = decode_rises(*encode_rises(y))
     assert np.abs(back - y).max() < 0.0002
-
-
-def test_a_cliff_is_made_up_for():
     y = np.zeros((1, BINS), dtype=np.float32)
     y[:, 100:] = 3.0
     back = decode_rises(*encode_rises(y))
@@ -60,8 +49,7 @@ def test_a_distance_is_the_nearest_of_its_bins_to_a_fortieth():
     generator = np.random.default_rng(0)
     metres = np.exp(generator.uniform(np.log(2.0), np.log(3e5), (5, BINS)))
     metres[:, 30:36] = np.nan
-    y = np.where(np.isnan(metres), np.nan, 0.1)
-    places = Places.of(horizons(y, metres), 40.0)
+    places = places_of(np.where(np.isnan(metres), np.nan, 0.1), metres)
     nearest = np.fmin.reduce(metres.reshape(5, DISTANCE_BINS, -1), axis=2)
     back = places.distance_m()
     np.testing.assert_array_equal(np.isnan(back), np.isnan(nearest))

@@ -15,12 +15,6 @@ from skyline_bench.paper import TABLE_1, Simulation, simulate
 SPACING = {"coarse_m": 300.0, "candidate_m": 30.0}
 
 
-def disc(radius, reach):
-    """The tolerance area of a view: a disc about it."""
-    step = np.arange(-reach, reach + 1)
-    return np.hypot(step[:, None], step) <= radius
-
-
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_the_same_seed_plans_the_same(terrain, name):
     first, again = (run_plan(terrain, views_at, name).views for _ in range(2))
@@ -37,17 +31,9 @@ def test_areas_of_table_1_are_as_large_as_the_papers():
 
 def views_at(viewpoints, heading):
     """Views whose skylines depend on where they are."""
-    count = len(viewpoints)
     tan = np.tile((viewpoints.easting_m % 7.0)[:, None], 8).astype(np.float32)
-    return Views(
-        viewpoints.easting_m,
-        viewpoints.northing_m,
-        viewpoints.eye_elevation_m,
-        heading,
-        tan,
-        np.full((count, 8), 100.0, dtype=np.float32),
-        np.zeros((count, 8), dtype=np.uint8),
-    )
+    eyes = viewpoints.easting_m, viewpoints.northing_m, viewpoints.eye_elevation_m
+    return Views(*eyes, heading, tan, np.full_like(tan, 100.0), np.zeros(tan.shape, np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +48,9 @@ def discs(monkeypatch):
     """Every view's tolerance area is a disc of three candidates."""
 
     def errors(points, *_, size, **__):
-        return np.broadcast_to(np.where(disc(3.0, size // 2), 0.0, 9.0), (len(points), size, size))
+        step = np.arange(size) - size // 2
+        disc = np.where(np.hypot(step[:, None], step) <= 3.0, 0.0, 9.0)
+        return np.broadcast_to(disc, (len(points), size, size))
 
     monkeypatch.setattr(planning, "tolerance_errors_px", errors)
 

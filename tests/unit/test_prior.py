@@ -11,7 +11,6 @@ from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.solver import FINE, Curves, Solver
 
 NOTED = PlacePrior(1000.0, 2000.0, 25.0)
-of_noted = PlacePrior.of_noted
 THERE = np.array([1000.0 + 2000.0j])
 NORTH = SEA = np.zeros(1)
 
@@ -32,9 +31,8 @@ def test_its_compass_is_a_weak_hint():
     assert said[0] < said[1] < said[2]
     assert said[2] - said[0] < 4.0
     turns = np.radians(np.linspace(0.0, 360.0, 3601)[:-1])
-    more = np.exp(
-        NOTED.cost(THERE, SEA, NORTH) - looking.cost(np.repeat(THERE, 3600), np.zeros(3600), turns)
-    )
+    cost = looking.cost(np.repeat(THERE, 3600), np.zeros(3600), turns)
+    more = np.exp(NOTED.cost(THERE, SEA, NORTH) - cost)
     assert more.mean() == pytest.approx(1.0, abs=1e-3)
 
 
@@ -56,9 +54,8 @@ def test_its_pull_is_the_slope_of_the_cost():
 def test_a_step_is_pulled_to_the_noted_place(prior):
     query = rays_of(*seen(hills, 350.0), 60.0)
     solver = Solver(query, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
-    curves = Curves.of(
-        *panorama_of(hills, distance_m=1e6), THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
-    )
+    eye = THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
+    curves = Curves.of(*panorama_of(hills, distance_m=1e6), *eye)
     fit = solver.settle(curves, solver.start(poses(heading_deg=350.0)))
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
     # Terrain so far away does not constrain the place.

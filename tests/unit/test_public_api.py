@@ -12,27 +12,21 @@ import skyline
 from skyline.cli import COMMANDS
 
 HEAVY = {"cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray"}
-INTERNAL = {
-    "Horizons", "Sighting", "SkySession", "Spec", "WholeFile",
-}  # fmt: skip
+INTERNAL = {"Horizons", "Sighting", "SkySession", "Spec", "WholeFile"}
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 
 
-def names_of(*subjects):
-    """Return the names of the commands of these subjects."""
-    return [path.split(".")[1] for subject in subjects for path in COMMANDS[subject]]
-
-
 @pytest.mark.parametrize(
-    ("names", "unwanted"),
+    ("subjects", "unwanted"),
     [
-        ([], HEAVY),
-        (names_of("Stores", "Views from a place", "Data"), {"scipy", "skyline.photo"}),
-        (names_of(*COMMANDS), {"matplotlib", "pandas", "ephem"}),
+        ((), HEAVY),
+        (("Stores", "Views from a place", "Data"), {"scipy", "skyline.photo"}),
+        (COMMANDS, {"matplotlib", "pandas", "ephem"}),
     ],
     ids=["none", "of stores", "all"],
 )
-def test_commands_load_what_they_need_alone(names, unwanted):
+def test_commands_load_what_they_need_alone(subjects, unwanted):
+    names = [path.split(".")[1] for subject in subjects for path in COMMANDS[subject]]
     code = (
         "import sys, skyline; from skyline.cli import loaded; "
         f"[loaded(name) for name in {names}]; print({unwanted} & set(sys.modules))"

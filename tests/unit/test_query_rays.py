@@ -11,11 +11,6 @@ from query_scenes import equally_trusted
 from skyline.match.query_rays import QueryRays, level, project
 
 
-def _rays(fov_range_deg=None):
-    u = np.array([-0.5, 0.5])
-    return QueryRays(u, u**2, np.ones(2), 60.0, fov_range_deg)
-
-
 def test_the_frame_s_edge_stays_the_frame_s_edge():
     edge = np.array([np.tan(np.radians(30.0))])
     turned = equally_trusted(edge, edge, 60.0).with_fov(90.0)
@@ -24,7 +19,8 @@ def test_the_frame_s_edge_stays_the_frame_s_edge():
 
 
 def test_a_field_of_view_is_searched_about_the_one_given():
-    rays = _rays()
+    u = np.array([-0.5, 0.5])
+    rays = equally_trusted(u, u**2, 60.0)
     about = rays.about(1.5)
     assert about.fov_sd_deg == pytest.approx(1.5)
     assert about.fov_bounds_deg == pytest.approx((54.0, 66.0))

@@ -55,25 +55,17 @@ def oracle_viewer(monkeypatch):
     monkeypatch.setattr("skyline.report.match_report.Viewer", OracleViewer)
 
 
-def true_query():
-    """The query that the best candidate would take, a fifth of its columns masked."""
-    sight = sight_of(BEST, BLANK, VIEWS)
-    order = np.argsort(sight.column_px)
-    row_px = np.interp(np.arange(WIDTH_PX), sight.column_px[order], sight.row_px[order])
-    row_px[200:380] = np.nan
-    row_px[(row_px < 0.0) | (row_px > HEIGHT_PX)] = np.nan
-    return QuerySkyline(row_px, np.isfinite(row_px).astype(float), WIDTH_PX, HEIGHT_PX, 70.0)
-
-
-QUERY = true_query()
-SIGHT = sight_of(BEST, QUERY, VIEWS)
+SIGHT = sight_of(BEST, BLANK, VIEWS)
+ORDER = np.argsort(SIGHT.column_px)
+ROW_PX = np.interp(np.arange(WIDTH_PX), SIGHT.column_px[ORDER], SIGHT.row_px[ORDER])
+ROW_PX[200:380] = np.nan
+ROW_PX[(ROW_PX < 0.0) | (ROW_PX > HEIGHT_PX)] = np.nan
+QUERY = replace(BLANK, row_px=ROW_PX, confidence=np.isfinite(ROW_PX) * 1.0)
+"""The query that the best candidate would take, a fifth of its columns masked."""
 MATCHER = SimpleNamespace(
-    frame=FIELD.frame,
-    viewpoints=uniform_grid(FIELD, 600.0),
-    terrain=FIELD,
-    header=VIEWS_HEADER,
+    frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD, header=VIEWS_HEADER,
     render_thread=None,
-)
+)  # fmt: skip
 
 
 def pixels(data):
@@ -109,14 +101,13 @@ def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
 
 
 def test_a_report_says_where_and_shows_it(tmp_path):
-    at = {"easting_m": [1500.0], "northing_m": [3000.0], "height_m": [np.nan]}
-    peaks = Peaks(names=("<i>Top</i> $",), **{name: np.array(at[name]) for name in at})
+    place = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
+    peaks = Peaks(names=("<i>Top</i> $",), **place, height_m=np.array([np.nan]))
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
     html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
-    lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
-    assert f"{float(lat):.5f}" in html
-    assert f"{float(lon):.5f}" in html
+    assert f"{BEST.lat:.5f}" in html
+    assert f"{BEST.lon:.5f}" in html
     assert "confidence 90\N{NO-BREAK SPACE}%" in html
     assert "&lt;script&gt;.jpg" in html
     assert "<script" not in html
@@ -147,7 +138,7 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     assert "1 of 3 queries answered" in html
     assert "Not answered: not sure (latitude" in html
     assert "Not answered: too little skyline." in html
-    without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None, "header": VIEWS_HEADER})
+    without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None})
     bare = report(tmp_path, results[2:], without_terrain)
     assert "no elevation model" in bare
     assert "no skyline was rendered" in bare
@@ -157,14 +148,10 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
 def test_a_browser_shows_the_page(tmp_path):
     report(tmp_path / "report", [MatchResult(QUERY, (BEST, OTHER), 1.5, name="photo.jpg")])
     shot = tmp_path / "shot.png"
-    subprocess.run(
-        [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-            f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1000,1900",
-            f"--screenshot={shot}", (tmp_path / "report" / "index.html").as_uri(),
-        ],
-        check=True, capture_output=True, timeout=120,
-    )  # fmt: skip
+    flags = "--headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1000,1900"
+    paths = f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}"
+    command = [CHROMIUM, *flags.split(), *paths, (tmp_path / "report" / "index.html").as_uri()]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
     seen = pixels(shot.read_bytes())
     # The overlay's canvas and both its lines, then the map below it, then the table's text.
     overlay, below = seen[150:750], seen[850:1600]

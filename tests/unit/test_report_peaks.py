@@ -5,7 +5,7 @@ import logging
 
 import numpy as np
 import pytest
-from scenes import FRAME, candidate_at, field_from, field_of, fractal
+from scenes import FRAME, at_m, candidate_at, field_from, field_of, fractal
 from scipy import ndimage
 
 from skyline.errors import InputError
@@ -23,19 +23,6 @@ def cone(east, north, at_east, at_north, height_m, slope=1.0):
     return np.maximum(height_m - slope * np.hypot(east - at_east, north - at_north), 0.0)
 
 
-def field(wall_m):
-    """Two cones north of the eye, and a wall before the eastern one."""
-    return field_from(
-        lambda east, north: (
-            cone(east, north, -900.0, 3000.0, 600.0)
-            + cone(east, north, 900.0, 3000.0, 600.0)
-            + np.where((north == 1500.0) & (east > 0.0), wall_m, 0.0)
-        ),
-        301,
-        30.0,
-    )
-
-
 def named(**places):
     east, north = np.array(list(places.values()), dtype=float).T
     unknown_m = np.full(len(places), np.nan)
@@ -46,10 +33,16 @@ def named(**places):
 TWO = named(west=(-860.0, 3030.0), east=(930.0, 2960.0))
 
 
-def names_seen(wall_m, peaks=TWO):
-    terrain = field(wall_m)
+def names_seen(wall_m):
+    """Two cones north of the eye, and a wall before the eastern one."""
+
+    def height_m(east, north):
+        cones = cone(np.abs(east), north, 900.0, 3000.0, 600.0)
+        return cones + np.where((north == 1500.0) & (east > 0.0), wall_m, 0.0)
+
+    terrain = field_from(height_m, 301, 30.0)
     eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
-    return [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
+    return [peak.label for peak in visible_peaks(terrain, eye, TWO, FLAT)]
 
 
 def test_a_peak_is_seen_unless_something_before_it_stands_higher():
@@ -146,9 +139,8 @@ def truly_over_deg(terrain, eye_m, summit_m):
     east_m, north_m, up_m = summit_m - eye_m
     away_m = np.hypot(east_m, north_m)
     share = np.arange(12.0, away_m - SUMMIT_RADIUS_M, 3.0) / away_m
-    ground_m = terrain.height_at(
-        easting_m=eye_m[0] + share * east_m, northing_m=eye_m[1] + share * north_m
-    )
+    place = eye_m[0] + share * east_m, eye_m[1] + share * north_m
+    ground_m = terrain.height_at(**at_m(place))
     drop_m = Curvature().drop_m(share * away_m)
     between = np.arctan2(ground_m - drop_m - eye_m[2], share * away_m).max()
     return np.degrees(between - np.arctan2(up_m - Curvature().drop_m(away_m), away_m))
@@ -165,13 +157,10 @@ def test_of_thirty_summits_the_visible_are_named_where_a_camera_shows_them(headi
     summits_m = np.stack([*terrain.to_map(rows, cols), heights[rows, cols]], axis=1)[highest]
     beside = np.random.default_rng(2).uniform(-40.0, 40.0, (30, 2))
     peaks = named(**{f"P{n}": tuple(summits_m[n, :2] + beside[n]) for n in range(30)})
-    pose = candidate_at(
-        3300.0, -3300.0, heading_deg, 3.0, -4.0, 75.0,
-        eye_elevation_m=float(terrain.height_at(easting_m=3300.0, northing_m=-3300.0)) + 400.0,
-    )  # fmt: skip
+    eye_m = float(terrain.height_at(easting_m=3300.0, northing_m=-3300.0)) + 400.0
+    pose = candidate_at(3300.0, -3300.0, heading_deg, 3.0, -4.0, 75.0, eye_elevation_m=eye_m)
     camera = Camera(heading_deg, 3.0, -4.0, 75.0, 900, 600)
-    unknown = np.full(900, np.nan)
-    photo = QuerySkyline(unknown, np.zeros(900), 900, 600)
+    photo = QuerySkyline(np.full(900, np.nan), np.zeros(900), 900, 600)
     found = {one.name: one for one in Viewer(terrain, peaks).summits(pose, photo)}
     eye_m = np.array([pose.easting_m, pose.northing_m, pose.eye_elevation_m])
     rays = camera.rays().reshape(-1, 3)

@@ -32,11 +32,17 @@ def path(request, tmp_path):
     return tmp_path / f"results{request.param}"
 
 
-def test_a_search_goes_on_where_it_was_stopped(path):
+def write(path, *rows):
+    """Add rows to a file of results; return the queries that were there before."""
     kept = ResultsFile(path, "one")
-    assert kept.queries == set()
-    for row in (FOUND, NOTHING, BROKEN):
+    before = set(kept.queries)
+    for row in rows:
         kept.add(row)
+    return before
+
+
+def test_a_search_goes_on_where_it_was_stopped(path):
+    assert write(path, FOUND, NOTHING, BROKEN) == set()
     kept = ResultsFile(path, "one")
     assert kept.queries == {"a,b.jpg", "c.jpg", "d.jpg"}
     kept.add(replace(RESULT, name="e\n\udce4.jpg").to_row())
@@ -63,9 +69,7 @@ def test_another_file_is_refused_and_kept(path):
 @pytest.mark.parametrize("cut", range(1, 36, 5))
 def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
     path = tmp_path / "results.csv"
-    kept = ResultsFile(path, "one")
-    for row in (FOUND, NOTHING):
-        kept.add(row)
+    write(path, FOUND, NOTHING)
     path.write_bytes(path.read_bytes()[:-cut])
     assert ResultsFile(path, "one").queries == {"a,b.jpg"}
     with path.open(newline="") as file:
@@ -94,9 +98,7 @@ def test_a_geopackage_in_a_folder_without_file_locks(tmp_path, monkeypatch):
 def test_geopandas_reads_the_geopackage(tmp_path):
     geopandas = pytest.importorskip("geopandas")
     path = tmp_path / "results.gpkg"
-    kept = ResultsFile(path, "one")
-    for row in (FOUND, NOTHING):
-        kept.add(row)
+    write(path, FOUND, NOTHING)
     table = geopandas.read_file(path)
     assert table.crs.to_epsg() == 4326
     np.testing.assert_allclose([table.geometry[0].x, table.geometry[0].y], [PLACE.lon, PLACE.lat])

@@ -42,9 +42,8 @@ def test_an_ellipse_has_the_covariance_s_axes():
     outline = ellipse.outline_m
     away = outline - [5.0, 7.0]
     assert np.degrees(np.arctan2(*away[0])) % 180.0 == pytest.approx(azimuth_deg)
-    np.testing.assert_allclose(
-        np.einsum("pi,ij,pj->p", away, np.linalg.inv(covariance), away), quantile**2
-    )
+    off = np.einsum("pi,ij,pj->p", away, np.linalg.inv(covariance), away)
+    np.testing.assert_allclose(off, quantile**2)
     np.testing.assert_array_equal(outline[0], outline[-1])
     assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
 
@@ -67,23 +66,17 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     )
     collection = json.loads(path.read_text())
     assert collection["type"] == "FeatureCollection"
-    about = [
-        (f["properties"]["query"], f["properties"]["rank"], f["properties"]["shape"])
-        for f in collection["features"]
-    ]
-    assert about == [
-        ("<b>.jpg", 1, "candidate"),
-        ("<b>.jpg", 1, "view"),
-        ("<b>.jpg", 1, "ellipse95"),
-        ("<b>.jpg", 2, "candidate"),
-        ("<b>.jpg", 2, "view"),
-    ]
+    noted = [feature["properties"] for feature in collection["features"]]
+    assert {one["query"] for one in noted} == {"<b>.jpg"}
+    assert [(one["rank"], one["shape"]) for one in noted] == [
+        (1, "candidate"), (1, "view"), (1, "ellipse95"), (2, "candidate"), (2, "view"),
+    ]  # fmt: skip
     point, view, ellipse, *_ = collection["features"]
     np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
     convergence_deg = float(UTM.convergence_deg(**at_m(PLACE)))
     assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
-    assert {"lon", "lat", "easting_m", "northing_m", "pitch_deg", "roll_deg", "fov_deg", "score",
-            "confidence", "refined"} <= point["properties"].keys()  # fmt: skip
+    names = "lon lat easting_m northing_m pitch_deg roll_deg fov_deg score confidence refined"
+    assert set(names.split()) <= point["properties"].keys()
     assert ellipse["properties"]["semi_major_m"] > ellipse["properties"]["semi_minor_m"] > 0.0
     for polygon in (view, ellipse):
         (ring,) = polygon["geometry"]["coordinates"]
@@ -128,9 +121,8 @@ def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
     for one in shapes:
         assert one["geometry"]["type"] == "MultiPolygon"
         sides = [np.array(ring)[:, 0] for (ring,) in one["geometry"]["coordinates"]]
-        assert sorted((side.min(), side.max()) for side in sides) == [
-            (-180.0, pytest.approx(-179.99, abs=0.02)),
-            (pytest.approx(179.9999, abs=1e-3), 180.0),
-        ]
+        west, east = sorted((side.min(), side.max()) for side in sides)
+        assert west == (-180.0, pytest.approx(-179.99, abs=0.02))
+        assert east == (pytest.approx(179.9999, abs=1e-3), 180.0)
     export_matches(tmp_path / "a.kml", matches, FIJI)
     assert len(Xml.parse(tmp_path / "a.kml").findall(".//{*}Polygon")) == 2

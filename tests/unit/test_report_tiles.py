@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import FRAME, field_of
+from scenes import field_of
 
-from skyline import HeightField, InputError, ReliefTiles
+from skyline import InputError, ReliefTiles
 
 LON, LAT = 9.8, 46.8
 
@@ -26,9 +26,8 @@ def picture_of(tiles, zoom, x, y):
 
 
 def centred(heights, spacing_m):
-    rows, cols = heights.shape
-    west, north = -(cols - 1) / 2.0 * spacing_m, (rows - 1) / 2.0 * spacing_m
-    return HeightField(heights, west, north, spacing_m, spacing_m, FRAME)
+    half_m = (len(heights) - 1) / 2.0 * spacing_m
+    return field_of(heights, spacing_m, west_m=-half_m, north_m=half_m)
 
 
 @pytest.mark.parametrize("zoom", [11, 13, 15])
@@ -40,14 +39,14 @@ def test_a_step_in_the_terrain_lies_where_the_map_has_it(zoom):
     x, y, column, row = tile_of(LON, LAT, zoom)
     pixel_m = 40_075_016.686 * math.cos(math.radians(LAT)) / 2**zoom / 256.0
     blur_px = 1.0 + spacing_m / pixel_m
-    east = picture_of(ReliefTiles(centred(low + 300.0 * side, spacing_m)), zoom, x, y)
-    lightness = east[int(row), :, :3].sum(axis=1)
-    jump = np.argmax(np.abs(np.diff(lightness)))
-    assert abs(jump + 0.5 - column) <= 1.0 + blur_px
-    north = picture_of(ReliefTiles(centred(low + 300.0 * side[::-1, None], spacing_m)), zoom, x, y)
-    lightness = north[:, int(column), :3].sum(axis=1)
-    jump = np.argmax(np.abs(np.diff(lightness)))
-    assert abs(jump + 0.5 - row) <= 1.0 + blur_px
+    for is_high, along, at_px in (
+        (side, np.s_[int(row), :], column),
+        (side[::-1, None], np.s_[:, int(column)], row),
+    ):
+        tiles = ReliefTiles(centred(low + 300.0 * is_high, spacing_m))
+        lightness = picture_of(tiles, zoom, x, y)[along][:, :3].sum(axis=1)
+        jump = np.argmax(np.abs(np.diff(lightness)))
+        assert abs(jump + 0.5 - at_px) <= 1.0 + blur_px
 
 
 def test_there_is_nothing_beyond_the_terrain_or_over_holes():

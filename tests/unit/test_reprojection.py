@@ -7,17 +7,7 @@ from hypothesis import strategies as st
 from scenes import field_from
 
 from skyline.camera import columns_u
-from skyline.paper.reprojection import (
-    WARPS,
-    affine_least_squares,
-    displacements_m,
-    equation_4,
-    errors_px,
-    moved,
-    projected,
-    skyline_points_m,
-    tolerance_errors_px,
-)
+from skyline.paper import reprojection
 from skyline.paper.verify import true_errors_px
 from skyline.skylines import Views
 from skyline.terrain.viewpoints import stand_on
@@ -26,22 +16,14 @@ from skyline_bench.truth import oracle
 WIDTH = 320
 U = columns_u(WIDTH)
 PX = 2.0 / WIDTH
-AFFINE = ("affine-mean", "affine-median", "affine-least-squares")
 
 
 def views_of(tan, depth_m, heading=0, east=0.0, north=0.0, eye=0.0):
     """Make views (N, W) of skylines; eyes and headings broadcast to the rows."""
     tan, depth_m = np.broadcast_arrays(np.atleast_2d(tan), np.atleast_2d(depth_m))
-    row = np.zeros(len(tan))
-    return Views(
-        row + east,
-        row + north,
-        row + eye,
-        np.broadcast_to(np.asarray(heading, dtype=np.uint8), len(tan)),
-        tan.astype(np.float32),
-        depth_m.astype(np.float32),
-        np.zeros(tan.shape, dtype=np.uint8),
-    )
+    headings, *place = (np.full(len(tan), one) for one in (np.uint8(heading), east, north, eye))
+    flags = np.zeros(tan.shape, dtype=np.uint8)
+    return Views(*place, headings, tan.astype(np.float32), depth_m.astype(np.float32), flags)
 
 
 def mountains(u, seed=0, height=0.1):
@@ -55,20 +37,22 @@ def mountains(u, seed=0, height=0.1):
 def errors(name, view, *displacements):
     there = np.array(displacements, dtype=np.float64)
     there = np.broadcast_to(there, (len(view), *there.shape))
-    return errors_px(skyline_points_m(view), there, view.width, WARPS[name])
+    return reprojection.errors_px(
+        reprojection.skyline_points_m(view), there, view.width, reprojection.WARPS[name]
+    )
 
 
 RIGHT_M, UP_M, FORWARD_M = (st.floats(-most, most) for most in (300.0, 100.0, 500.0))
 
 
-@pytest.mark.parametrize("name", AFFINE)
+@pytest.mark.parametrize("name", ["affine-mean", "affine-median", "affine-least-squares"])
 @given(right=RIGHT_M, up=UP_M, forward=FORWARD_M)
 def test_equation_4_is_exact_for_a_skyline_of_one_depth(name, right, up, forward):
     view = views_of(mountains(U), 2000.0)
     assert errors(name, view, (right, up, forward))[0, 0] < 0.01
 
 
-@pytest.mark.parametrize("name", WARPS)
+@pytest.mark.parametrize("name", reprojection.WARPS)
 def test_an_empty_skyline_and_an_eye_that_is_nowhere_are_outside(name):
     empty = views_of(np.full(WIDTH, np.nan), np.nan)
     assert np.isinf(errors(name, empty, (0.0, 0.0, 0.0), (10.0, 0.0, 0.0))).all()
@@ -83,8 +67,10 @@ def test_least_squares_is_exact_where_the_images_are_affine():
     points[..., :2] = generator.uniform(-300.0, 300.0, (2, 30, 2))
     points[generator.random((2, 30)) < 0.3] = np.nan
     there = generator.uniform(-100.0, 100.0, (2, 4, 3))
-    expected = equation_4(np.full(2, 900.0), there)
-    np.testing.assert_allclose(affine_least_squares(points, there), expected, atol=1e-6)
+    expected = reprojection.equation_4(np.full(2, 900.0), there)
+    np.testing.assert_allclose(
+        reprojection.affine_least_squares(points, there), expected, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,21 +79,20 @@ def test_least_squares_is_exact_where_the_images_are_affine():
 )
 def test_a_displacement_is_right_up_forward_in_the_axes_of_the_view(heading, expected):
     view = views_of(mountains(U), 900.0, heading, east=100.0, north=200.0, eye=50.0)
-    there = displacements_m(view, view.heading, [[103.0]], [[207.0]], [[55.0]])
+    there = reprojection.displacements_m(view, view.heading, [[103.0]], [[207.0]], [[55.0]])
     np.testing.assert_allclose(there, [[expected]])
 
 
 @pytest.mark.parametrize("move", [(200.0, 0.0), (0.0, 250.0), (-150.0, -150.0)])
 def test_moved_points_lie_on_the_skyline_that_the_oracle_sees(move):
     field = field_from(peaks, 181, 100.0)
-    here, there = (
-        stand_on(field, easting_m=130.0 + e, northing_m=-70.0 + n) for e, n in ((0.0, 0.0), move)
-    )
+    here = stand_on(field, easting_m=130.0, northing_m=-70.0)
+    there = stand_on(field, easting_m=130.0 + move[0], northing_m=-70.0 + move[1])
     stored, truth = (oracle.skyline(field, eye, WIDTH) for eye in (here, there))
     eye = there.easting_m[:, None], there.northing_m[:, None], there.eye_elevation_m[:, None]
-    move_m = displacements_m(stored, stored.heading, *eye)
-    points = moved(skyline_points_m(stored, WIDTH), move_m)[:, 0]
-    for image, skyline in zip(projected(points), truth.elevation_tan, strict=True):
+    move_m = reprojection.displacements_m(stored, stored.heading, *eye)
+    points = reprojection.moved(reprojection.skyline_points_m(stored, WIDTH), move_m)[:, 0]
+    for image, skyline in zip(reprojection.projected(points), truth.elevation_tan, strict=True):
         seen = np.isfinite(image[:, 0]) & (np.abs(image[:, 0]) < U[-1])
         off_px = np.abs(np.interp(image[seen, 0], U, skyline) - image[seen, 1]) / PX
         assert np.quantile(off_px, 0.95) < 0.3
@@ -130,9 +115,9 @@ def plateau(easting, northing):
 def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
     depth_m = np.where(U < 0.0, 1000.0, 3000.0)
     view = views_of(mountains(U), depth_m, heading, east=999.0, north=1999.0, eye=2.0)
-    points = skyline_points_m(view)
+    points = reprojection.skyline_points_m(view)
     options = {"size": 5, "spacing_m": 2.0, "width": view.width}
-    errors = tolerance_errors_px(points, view, view.heading, plateau, **options)[0]
+    errors = reprojection.tolerance_errors_px(points, view, view.heading, plateau, **options)[0]
     assert np.isinf(errors[:, 3:]).all()
     assert np.isfinite(errors[:, :3]).all()
     # 50 m up, Equation 4 at the mean depth misses both halves.
@@ -168,17 +153,19 @@ def test_the_error_of_another_skyline_is_its_distance():
     assert error[0] == pytest.approx(8.0 * 2.0 / np.pi, rel=0.05)
 
 
-@pytest.mark.parametrize("name", WARPS)
+@pytest.mark.parametrize("name", reprojection.WARPS)
 def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
     generator = np.random.default_rng(5)
     field = field_from(lambda e, n: 300.0 * np.sin(e / 310.0) * np.cos(n / 270.0), 61, 40.0)
     eyes = stand_on(field, easting_m=[0.0, 150.0], northing_m=[30.0, -90.0])
     stored = oracle.skyline(field, eyes, 96)
     there = generator.uniform(-150.0, 150.0, (len(stored), 7, 3)) * [1.0, 0.2, 1.0]
-    points = skyline_points_m(stored)
-    together = errors_px(points, there, stored.width, WARPS[name])
+    points = reprojection.skyline_points_m(stored)
+    together = reprojection.errors_px(points, there, stored.width, reprojection.WARPS[name])
     assert together.shape == (len(stored), 7)
     assert together.dtype == np.float32
     for candidate in range(7):
-        alone = errors_px(points, there[:, [candidate]], stored.width, WARPS[name])[:, 0]
+        alone = reprojection.errors_px(
+            points, there[:, [candidate]], stored.width, reprojection.WARPS[name]
+        )[:, 0]
         np.testing.assert_allclose(together[:, candidate], alone, rtol=1e-3, atol=1e-3)

@@ -51,40 +51,29 @@ def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
 
 def test_the_eye_follows_the_ground():
     y = np.stack([curve(3, AZIMUTH_DEG)])
-    entry = places_of(y, 500.0)
-    found = Retriever(entry, lambda east, north: 0.3 * east - 0.2 * north).shortlist(
-        rays(3, 77.0), 1
-    )
+    retriever = Retriever(places_of(y, 500.0), lambda east, north: 0.3 * east - 0.2 * north)
+    found = retriever.shortlist(rays(3, 77.0), 1)
     expected = 1000.0 + 0.3 * found.easting_m - 0.2 * found.northing_m
     np.testing.assert_allclose(found.eye_elevation_m, expected, atol=1e-3)
 
 
-@pytest.mark.parametrize("heading_deg", [300.0])
-def test_a_place_between_entries_is_found(heading_deg):
+def test_a_place_between_entries_is_found():
     # Walls around a square 800 m wide, with battlements; the eye stands off its middle.
-    def wall(east, north):
-        def skyline(azimuth_deg):
-            azimuth = np.radians(azimuth_deg)
-            steps = [
-                np.where(np.cos(azimuth - turn) > 1e-6, 1.0 / np.cos(azimuth - turn), np.inf) * gap
-                for turn, gap in zip(
-                    np.arange(4) * np.pi / 2,
-                    (400.0 - north, 400.0 - east, 400.0 + north, 400.0 + east),
-                    strict=True,
-                )
-            ]
-            distance = np.min(np.where(np.array(steps) > 0.0, steps, np.inf), axis=0)
-            x, z = east + distance * np.sin(azimuth), north + distance * np.cos(azimuth)
-            height = 120.0 + 8.0 * np.sin(x / 23.0) + 8.0 * np.cos(z / 31.0)
-            return height / distance, distance
+    def wall(east, north, azimuth_deg):
+        azimuth = np.radians(azimuth_deg)
+        gaps = np.array([[400.0 - north], [400.0 - east], [400.0 + north], [400.0 + east]])
+        ahead = np.cos(azimuth - np.arange(4)[:, np.newaxis] * np.pi / 2)
+        distance = (gaps / np.where(ahead > 1e-6, ahead, 1e-30)).min(axis=0)
+        x, z = east + distance * np.sin(azimuth), north + distance * np.cos(azimuth)
+        height = 120.0 + 8.0 * np.sin(x / 23.0) + 8.0 * np.cos(z / 31.0)
+        return height / distance, distance
 
-        return skyline
-
-    y, distance_m = wall(0.0, 0.0)(AZIMUTH_DEG)
+    heading_deg = 300.0
+    y, distance_m = wall(0.0, 0.0, AZIMUTH_DEG)
     # Its tolerance makes a move of 20 m one standard deviation.
     entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
     # A view this wide holds walls at several distances, which separate a move from a turn.
-    u, v = photo(lambda azimuth: wall(12.0, -9.0)(azimuth)[0], heading_deg, fov_deg=100.0)
+    u, v = photo(lambda azimuth: wall(12.0, -9.0, azimuth)[0], heading_deg, fov_deg=100.0)
     found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
     # of corners cut by steps of a degree.

@@ -11,29 +11,13 @@ from scenes import candidate_at, field_from
 from skyline import MatchResult, QuerySkyline, open_store
 
 
-def picture_in(html):
-    """Return the picture that an HTML holds as an array."""
-    data = re.search(r"data:image/png;base64,([^\"]+)", html)[1]
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
-
-
-def query():
-    row_px = np.full(40, 12.0)
-    row_px[10:15] = np.nan
-    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
-
-
-def result():
-    found = candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97)
-    return MatchResult(query(), (found,), 1.0, None, 200.0)
-
-
 def test_terrain_is_one_line_and_a_table_with_relief():
     field = field_from(lambda east, north: 0.5 * east + 0.0 * north, 301, 20.0)
     assert repr(field).startswith("HeightField(301 x 301 samples, 20 x 20 m apart, local ")
     html = field._repr_html_()
     assert "-1500 to 1500 m" in html
-    assert max(picture_in(html).shape) <= 240
+    picture = base64.b64decode(re.search(r"data:image/png;base64,([^\"]+)", html)[1])
+    assert max(Image.open(io.BytesIO(picture)).size) <= 240
 
 
 def test_a_store_says_what_it_holds(store):
@@ -45,7 +29,11 @@ def test_a_store_says_what_it_holds(store):
 
 
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():
-    html = result()._repr_html_()
+    row_px = np.full(40, 12.0)
+    row_px[10:15] = np.nan
+    query = QuerySkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
+    found = candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97)
+    html = MatchResult(query, (found,), 1.0, None, 200.0)._repr_html_()
     line = re.search(r' d="([^"]*)"', html)[1]
     assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
     assert line.startswith("M0,12.0 1,12.0")

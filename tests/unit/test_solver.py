@@ -39,10 +39,6 @@ def settled(hypotheses, panoramas, query, edge=None):
     return solver.hypotheses(fit, curves.place_m, curves.ground_m)
 
 
-def _query(**change):
-    return rays_of(*seen(hills, **TRUTH), 60.0, **change)
-
-
 @pytest.mark.parametrize("is_panorama", [False, True])
 def test_levelled_rays_are_those_of_every_matcher(is_panorama):
     u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
@@ -70,11 +66,10 @@ def test_derivatives_agree_with_differences(query):
     steps = steps[: solver.size, : solver.size]
     there = solver.linearize(curves, state)
     for k, move in enumerate(steps):
-        step = move[k]
         after, before = (
             solver.linearize(curves, state + sign * move).residual_rad[0] for sign in (1.0, -1.0)
         )
-        expected = (after - before) / (2.0 * step)
+        expected = (after - before) / (2.0 * move[k])
         # Curves are linear between bins, so slopes agree on average, not at every point; and
         # the factor from tangents to angles counts as constant.
         off = there.jacobian[0, :, k] - expected
@@ -110,7 +105,7 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
 
 
 def test_attitude_and_field_of_view_are_recovered():
-    query = _query(assumed_fov_deg=62.0, fov_range_deg=(56.0, 64.0))
+    query = rays_of(*seen(hills, **TRUTH), 60.0, 62.0, (56.0, 64.0))
     found = settled(poses(heading_deg=348.0, fov_deg=62.0), panorama_of(hills), query)
     assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
     assert found.pitch_deg[0] == pytest.approx(2.0, abs=0.02)
@@ -145,7 +140,7 @@ def test_a_range_past_the_edge_speaks_less_against_the_right_place():
 
 @pytest.mark.parametrize(("low", "high", "expected"), [(63.0, 70.0, 63.0), (50.0, 57.0, 57.0)])
 def test_the_field_of_view_keeps_to_its_range(low, high, expected):
-    query = _query(assumed_fov_deg=(low + high) / 2.0, fov_range_deg=(low, high))
+    query = rays_of(*seen(hills, **TRUTH), 60.0, (low + high) / 2.0, (low, high))
     found = settled(poses(heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
     assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
 
@@ -170,10 +165,9 @@ def test_noise_makes_no_lens_narrower(relief, noise):
 def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
     level_hills = panorama_of(lambda a: 0.3 * hills(a))
     query = rays_of(*seen(lambda a: 0.3 * hills(a), **TRUTH), 60.0, 62.0, (50.0, 74.0))
-    found = settled(poses(heading_deg=350.0, fov_deg=62.0), level_hills, query)
-    drawn = settled(
-        poses(heading_deg=350.0, fov_deg=62.0), level_hills, replace(query, fov_sd_deg=sd_deg)
-    )
+    start = poses(heading_deg=350.0, fov_deg=62.0)
+    found = settled(start, level_hills, query)
+    drawn = settled(start, level_hills, replace(query, fov_sd_deg=sd_deg))
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.1)
     if sd_deg > 10.0:
         assert drawn.fov_deg[0] == pytest.approx(found.fov_deg[0], abs=1e-3)
@@ -184,19 +178,18 @@ def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg
 
 def test_the_right_skyline_costs_least_and_order_does_not_matter():
     headings = np.array([349.0, 80.0, 200.0, 351.0])
-    found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), _query())
+    found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), LENS)
     assert found.score[[0, 3]].max() < found.score[[1, 2]].min() - 100.0
     order = np.array([2, 0, 3, 1])
-    other = settled(poses(4, heading_deg=headings[order]), panorama_of(hills, 4), _query())
+    other = settled(poses(4, heading_deg=headings[order]), panorama_of(hills, 4), LENS)
     np.testing.assert_allclose(other.score, found.score[order], rtol=1e-9)
     np.testing.assert_allclose(other.heading_deg, found.heading_deg[order], rtol=1e-9)
 
 
 @pytest.mark.parametrize("columns", [2, 15])
 def test_too_few_columns_have_no_fit(columns):
-    query = _query()
-    few = np.linspace(0, len(query.u) - 1, columns).astype(int)
-    query = replace(query, u=query.u[few], v=query.v[few], weight=query.weight[few])
+    few = np.linspace(0, len(LENS.u) - 1, columns).astype(int)
+    query = replace(LENS, u=LENS.u[few], v=LENS.v[few], weight=LENS.weight[few])
     found = settled(poses(heading_deg=350.0), panorama_of(hills), query)
     assert found.score[0] == np.inf
     assert np.isfinite(found.heading_deg[0])

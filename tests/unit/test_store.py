@@ -28,17 +28,9 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.store import (
-    check_store,
-    columns_of,
-    is_store,
-    merge,
-    merge_stores,
-    open_store,
-    repair_store,
-    write_store,
-)
-from skyline.store.merge import examine
+from skyline.store import check_store, columns_of, is_store, merge, merge_stores, open_store
+from skyline.store.hdf5 import write_store
+from skyline.store.merge import examine, repair_store
 from skyline.store.places import Places
 from skyline.store.read import part_name, parts_folder
 
@@ -108,15 +100,13 @@ class TestHeader:
             assert json.loads(file.attrs["dem_files"]) == list(header.dem_files)
             rows = json.loads(file.attrs["rows"])
             assert rows["rows"] == header.holds
-            assert set(file.attrs) == set(
-                re.findall(r"^\| `(\w+)` \| (?:text|integer) \|", documented, re.M)
-            )
+            names = re.findall(r"^\| `(\w+)` \| (?:text|integer) \|", documented, re.M)
+            assert set(file.attrs) == set(names)
             datasets = [data for group in file.values() for data in group.values()]
             assert {data.name[1:] for data in datasets} == set(header.specs)
             for data in datasets:
-                (line,) = (
-                    one for one in documented.splitlines() if f"| `{data.name[1:]}` |" in one
-                )
+                shown = f"| `{data.name[1:]}` |"
+                (line,) = (one for one in documented.splitlines() if shown in one)
                 assert f"| {data.dtype.str[1:]} |" in line
                 assert data.fletcher32
                 assert data.chunks[0] == (40 if header.holds == "places" else 32)
@@ -124,26 +114,18 @@ class TestHeader:
                     assert (data.compression, data.shuffle) == (None, False)
 
     @pytest.mark.parametrize(
-        ("change", "expected"),
+        ("change", "said"),
         [
-            (
-                {"dem_digest": "b2" * 32},
-                (
-                    "digest a1a1a1a1a1a1)' in a.h5",
-                    "digest b2b2b2b2b2b2)' in b.h5",
-                    "one DEM of both areas",
-                ),
-            ),
-            ({"config": {"planner": "rov"}}, ("planner is 'uniform' in", "'rov' in b.h5")),
-            ({"holds": "places", "width": 0}, ("'renderings' in a.h5", "'places' in b.h5")),
+            ({"dem_digest": "b2" * 32}, r"a1a1\)' in a.h5.*b2b2\)' in b.h5.*one DEM of both areas"),
+            ({"config": {"planner": "rov"}}, "planner is 'uniform' in.*'rov' in b.h5"),
+            ({"holds": "places", "width": 0}, "'renderings' in a.h5.*'places' in b.h5"),
         ],
     )
-    def test_of_another_build_is_refused(self, tmp_path, change, expected):
+    def test_of_another_build_is_refused(self, tmp_path, change, said):
         a = write_rows(tmp_path / "a.h5", 0, 3)
         b = write_rows(tmp_path / "b.h5", 3, 6, replace(VIEWS_HEADER, **change))
-        with pytest.raises(StoreMismatchError) as caught:
+        with pytest.raises(StoreMismatchError, match=said):
             merge_stores([a, b], tmp_path / "out.h5")
-        assert all(value in str(caught.value) for value in expected)
         assert {file.name for file in tmp_path.iterdir()} == {"a.h5", "b.h5"}
 
 
@@ -409,14 +391,11 @@ class TestMerge:
     def test_boxes_that_overlap(self, tmp_path):
         """The boxes are listed; of a place in both, that of the denser plan is kept."""
         stores = []
-        for number, (box, tolerance_m) in enumerate(
-            [((9, 46, 10, 47), 25.0), ((8, 46, 9.2, 47), 18.0)]
-        ):
+        boxes = ((9, 46, 10, 47), 25.0), ((8, 46, 9.2, 47), 18.0)
+        for number, (box, tolerance_m) in enumerate(boxes):
             header = replace(PLACES_HEADER, config=PLACES_HEADER.config | {"bounds_deg": box})
-            places = replace(
-                numbered_places(200 * number, 200 * number + 300),
-                tolerance_m=np.full(300, tolerance_m, np.float32),
-            )
+            places = numbered_places(200 * number, 200 * number + 300)
+            places = replace(places, tolerance_m=np.full(300, tolerance_m, np.float32))
             stores.append(tmp_path / f"{number}.h5")
             write_store(stores[-1], header, columns_of(header, places))
         results = set()

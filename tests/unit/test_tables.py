@@ -11,10 +11,8 @@ from skyline.tables import is_table, read_table
 
 def places(path, text):
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return [
-        (row.label, row.number("lon"), row.number("lat"))
-        for row in read_table(path, "expected places").rows
-    ]
+    rows = read_table(path, "expected places").rows
+    return [(row.label, row.number("lon"), row.number("lat")) for row in rows]
 
 
 @pytest.mark.parametrize(

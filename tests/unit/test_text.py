@@ -27,10 +27,6 @@ def test_a_name_is_one_line_of_characters_that_files_can_hold(name, text):
     assert printable(os.fsdecode(name)) == text
     assert printable(Path(os.fsdecode(name))) == text
     assert json.loads(json.dumps(text, ensure_ascii=False).encode()) == text
-    assert Xml.fromstring(Xml.tostring(_element(text), encoding="utf-8")).text == text
-
-
-def _element(text):
     element = Xml.Element("name")
     element.text = text
-    return element
+    assert Xml.fromstring(Xml.tostring(element, encoding="utf-8")).text == text

@@ -3,16 +3,17 @@
 import base64
 import http.client
 import json
-import subprocess
-import sys
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from subprocess import Popen
+from urllib.parse import urlsplit
 
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 from websockets.sync.client import connect
+
+from skyline_bench import page
 
 TIMEOUT_S = 240
 
@@ -45,30 +46,14 @@ class Served:
         return self.ask("POST", f"{session}/photos?name={name}", data)
 
 
-# Tests that a shell runs in the background would have children that ignore Ctrl-C.
-_SERVE = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from skyline.cli import main
-main()
-"""
 SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
 
 
 @contextmanager
 def serving(*arguments):
     """Run ``skyline serve`` on any free port."""
-    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
-        try:
-            line = run.stdout.readline()
-            assert "http://" in line, run.stderr.read()
-            yield Served(line.split("http://")[1].split("/")[0], run)
-        finally:
-            run.terminate()
-            run.wait(20)
+    with page.serving(*arguments) as (address, process):
+        yield Served(urlsplit(address).netloc, process)
 
 
 TINY = b'{"fov": 60}'
@@ -95,11 +80,8 @@ def received(socket, kind):
             return message
 
 
-POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "fov": 60} | {
-    "pitch": 0,
-    "roll": 0,
-    "eyeHeight": 2,
-}
+POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "pitch": 0, "roll": 0, "fov": 60}
+POSE["eyeHeight"] = 2
 
 
 def look(path, pose=POSE, seq=1):
@@ -139,7 +121,6 @@ class Page:
         self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
     def script(self, code, *arguments):
-        """Run a script in the page."""
         return self.browser.execute_script(code, *arguments)
 
     def of(self, module, code):
@@ -147,19 +128,15 @@ class Page:
         return self.browser.execute_async_script(_MODULE.format(module, code))
 
     def state(self, code):
-        """Return an expression of the page's ``state``."""
         return self.of("state", f"(({code}) ?? null)".replace("state.", "it.state."))
 
     def until(self, true, timeout_s=TIMEOUT_S):
-        """Wait until something is true, and return it."""
         return WebDriverWait(self.browser, timeout_s, poll_frequency=0.05).until(lambda _: true())
 
     def find(self, selector):
-        """Return an element."""
         return self.browser.find_element(By.CSS_SELECTOR, selector)
 
     def all(self, selector):
-        """Return elements."""
         return self.browser.find_elements(By.CSS_SELECTOR, selector)
 
     def click(self, selector):
@@ -169,7 +146,6 @@ class Page:
         element.click()
 
     def drop(self, path, kind="image/jpeg"):
-        """Drop a file onto the page."""
         data = base64.b64encode(path.read_bytes()).decode()
         self.script(_DROP, data, path.name, kind)
 
@@ -223,11 +199,7 @@ class Page:
 
     def press(self, *keys, times=1):
         """Press keys at whatever has the focus."""
-        chain = ActionChains(self.browser)
-        for _ in range(times):
-            for key in keys:
-                chain.send_keys(key)
-        chain.perform()
+        ActionChains(self.browser).send_keys(*keys * times).perform()
 
     def settled(self):
         """Wait until the skyline of the last pose is shown."""
@@ -243,14 +215,10 @@ class Page:
 
     def asked_elsewhere(self):
         """Return addresses beyond the server that the page has asked for."""
-        sent = (
-            json.loads(entry["message"])["message"] for entry in self.browser.get_log("performance")
-        )
-        urls = [
-            message["params"]["request"]["url"]
-            for message in sent
-            if message["method"] == "Network.requestWillBeSent"
-        ]
+        log = self.browser.get_log("performance")
+        sent = (json.loads(entry["message"])["message"] for entry in log)
+        asked = (one["params"] for one in sent if one["method"] == "Network.requestWillBeSent")
+        urls = [one["request"]["url"] for one in asked]
         assert urls
         own = (f"http://{self.server.address}/", "blob:", "data:")
         return [url for url in urls if not url.startswith(own)]

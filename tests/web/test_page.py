@@ -42,12 +42,7 @@ def saved(page, downloads, kind, suffix):
     """Save one kind of file, and return its path."""
     before = set(downloads.iterdir())
     page.click(f"#save-{kind}")
-
-    def new():
-        there = set(downloads.iterdir()) - before
-        return [path for path in there if path.suffix == suffix]
-
-    return page.until(new)[0]
+    return page.until(lambda: list(set(downloads.glob(f"*{suffix}")) - before))[0]
 
 
 def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, dem, downloads):
@@ -66,7 +61,6 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, d
     assert page.rows()[20] is None
     page.click("#undo")
     page.until(lambda: page.rows() == found)
-
     page.find("#tools label:has([value=move])").click()
     page.match()
     assert "Found" in page.find("#answer").text
@@ -357,9 +351,8 @@ def test_a_narrowed_search_a_cancelled_one_and_one_without_an_answer(page, photo
     page.click("#near-known")
     page.drag(".centre", 40, 0)
     page.click("#elevation-known")
-    for name, value in (("low", "8000"), ("high", "8900")):
-        page.find(f"#{name}").clear()
-        page.find(f"#{name}").send_keys(value)
+    type_into(page, "#low", "8000")
+    type_into(page, "#high", "8900")
     page.click("#find")
     page.until(lambda: any("no place of the store" in said for said in page.alerts()))
     page.click("#elevation-known")
@@ -394,10 +387,9 @@ def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tm
 
 
 def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem, tmp_path):
-    frame = read_dem([dem]).frame
-    lon, lat = (float(one) for one in frame.to_lonlat(602_500.0, 5_178_500.0))
+    place = candidate_at(602_500.0, 5_178_500.0, 33.0, frame=read_dem([dem]).frame)
     located = tmp_path / "located.jpg"
-    write_located(photo, located, candidate_at(602_500.0, 5_178_500.0, 33.0, frame=frame))
+    write_located(photo, located, place)
     page.open(photo)
     page.drop(located)
     states = ".map((one) => one.state)"
@@ -409,7 +401,7 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     page.click("#known summary")
     page.click("#near-known")
     near = page.of("known", "it.known().near")
-    assert (near["lon"], near["lat"]) == pytest.approx((lon, lat), abs=1e-5)
+    assert (near["lon"], near["lat"]) == pytest.approx((place.lon, place.lat), abs=1e-5)
     page.click("#photos li:first-child .pick")
     page.until(lambda: page.state("state.photo.name") == "photo.jpg")
     page.settled()
@@ -432,13 +424,12 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     page.settled()
     best = page.state("state.results.get(state.photo.id).candidates[0]")
     assert within(page, "#map", page.find(".spot.best"))
-    handle = page.find(".turn").rect
+
+    def middle(rect):
+        return np.array([rect["x"] + rect["width"] / 2, rect["y"] + rect["height"] / 2])
+
     for spot in page.all(".spot:not(.chosen)"):
-        apart = (
-            spot.rect[axis] + spot.rect[side] / 2 - handle[axis] - handle[side] / 2
-            for axis, side in (("x", "width"), ("y", "height"))
-        )
-        assert np.hypot(*apart) > 23.0
+        assert np.hypot(*(middle(spot.rect) - middle(page.find(".turn").rect))) > 23.0
     link = page.find("#answer a").get_attribute("href")
     place = f"{best['lat']:.5f}", f"{best['lon']:.5f}"
     assert link == "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
@@ -464,7 +455,6 @@ def test_a_store_across_the_antimeridian_is_one_map(chromium, photo, tmp_path):
     dem = write_dem(tmp_path / "dem.tif", heights, "EPSG:32760", transform=grid)
     terrain, store = read_dem([dem]), tmp_path / "store.h5"
     build_places(terrain, store, 300.0)
-    lon, lat = (float(one) for one in terrain.frame.to_lonlat(819_440.0, 8_118_000.0))
     located = tmp_path / "located.jpg"
     place = candidate_at(819_440.0, 8_118_000.0, 90.0, frame=terrain.frame)
     write_located(photo, located, place)
@@ -480,7 +470,7 @@ def test_a_store_across_the_antimeridian_is_one_map(chromium, photo, tmp_path):
         page.click("#known summary")
         page.click("#near-known")
         near = page.of("known", "it.known().near")
-        assert (near["lon"], near["lat"]) == pytest.approx((lon, lat), abs=1e-5)
+        assert (near["lon"], near["lat"]) == pytest.approx((place.lon, place.lat), abs=1e-5)
         page.click("#place-here")
         page.drag(".camera", 60, 0)
         east = page.state("state.pose")["lon"]

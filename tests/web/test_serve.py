@@ -5,7 +5,6 @@ import signal
 import socket
 import sys
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import pytest
@@ -14,14 +13,8 @@ from pages import POSE, TINY, live, look, ready, received, serving
 from PIL import Image
 from PIL.ExifTags import Base
 
-from skyline import Matcher, Narrowing, cli, read_query
+from skyline import Matcher, Narrowing, read_query
 from skyline.render.context import release_context
-
-
-@pytest.fixture
-def run(run_main):
-    """Return a function that runs ``skyline ARGS...``."""
-    return partial(run_main, cli.main, "skyline")
 
 
 def test_what_cannot_be_served_is_one_line(run, store, photo, renderings, tmp_path):
@@ -59,11 +52,8 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
     moved.unlink()
     with serving(store, photo) as server:
         _, state = server.ask("GET", "/state")
-        assert (state["rendering"], state["terrain"], state["given"]) == (
-            False,
-            None,
-            ["photo.jpg"],
-        )
+        found = [state[name] for name in ("rendering", "terrain", "given")]
+        assert found == [False, None, ["photo.jpg"]]
         session, of_photo = ready(server, photo)
         assert server.ask("POST", f"{session}/given/0")[1]["name"] == "photo.jpg"
         assert server.ask("POST", f"{session}/given/1")[0] == 404

@@ -13,10 +13,10 @@ def sessions():
     made.close()
 
 
-def photo_in(session, name="photo.jpg"):
-    path = session.path_for(name)
+def photo_in(session):
+    path = session.path_for("photo.jpg")
     path.write_bytes(bytes(100))
-    return session.add(path, name)
+    return session.add(path, "photo.jpg")
 
 
 def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions):

@@ -56,8 +56,7 @@ def write_record(
     record: dict[str, object] = {"bench": bench, "machine": machine(), "rows": _plain(rows)}
     if summary:
         record["summary"] = {name: _plain(table) for name, table in summary.items()}
-    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
-    write_whole(path, text)
+    write_whole(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
 def shown(value: object) -> str:
@@ -70,20 +69,15 @@ def shown(value: object) -> str:
 
 
 def _plain(rows: Sequence[Row]) -> list[Row]:
-    return [
-        {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in row.items()
-        }
-        for row in rows
-    ]
+    def plain(value: object) -> object:
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return [{key: plain(value) for key, value in row.items()} for row in rows]
 
 
 def _processor() -> str:
     """Return the processor's model name where the system gives it, else its architecture."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return next(filter(None, [*names, platform.processor()]), platform.machine())

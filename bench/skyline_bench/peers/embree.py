@@ -12,6 +12,7 @@ run, so the viewpoints are shared out among as many threads as there are cores.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -20,16 +21,12 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
-from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring.timing import core_count, over_cores
-
-_HALF_FIELD_TAN = 1.0
-"""Of the paper's field of view, in which v is from -1 to 1."""
 
 _STEEPEST_TAN = 1e4
 """A column without a hit below this dip meets no data."""
@@ -73,12 +70,10 @@ class EmbreePeer:
 
         Of the 4 N views depth is NaN throughout, and `FLAG_NO_DATA` is the only flag.
         """
-        share, bracket = -(-len(viewpoints) // core_count()), 2.0 * _HALF_FIELD_TAN / 2.0**depth
-        parts = over_cores(
-            lambda part: self._skylines(part, bracket),
-            viewpoints,
-            min(max(share, 1), _VIEWPOINTS_A_CALL),
-        )
+        share = max(-(-len(viewpoints) // core_count()), 1)
+        # Of the paper's field of view, in which v is from -1 to 1.
+        find = partial(self._skylines, bracket=2.0 / 2.0**depth)
+        parts = over_cores(find, viewpoints, min(share, _VIEWPOINTS_A_CALL))
         tan = np.concatenate([np.zeros((0, self.width)), *parts])
         return Views(
             np.repeat(viewpoints.easting_m, len(HEADINGS)),
@@ -93,43 +88,30 @@ class EmbreePeer:
     def _vertices(self) -> Float32Array:
         """Return the samples as (rows * cols, 3) east, up, north of the middle, curved."""
         field = self.field
-        easting, _ = field.to_map(0, np.arange(field.cols))
-        _, northing = field.to_map(np.arange(field.rows), 0)
-        east = easting - self._middle_m[0]
-        north = (northing - self._middle_m[1])[:, np.newaxis]
-        vertices = np.empty((field.rows, field.cols, 3), dtype=np.float32)
-        vertices[..., 0] = east
-        vertices[..., 1] = (
-            np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
-            - self._datum_m
-            - self.curvature.drop_per_m2 * (east**2 + north**2)
-        )
-        vertices[..., 2] = north
-        return vertices.reshape(-1, 3)
+        easting, northing = field.to_map(*np.indices((field.rows, field.cols)))
+        east, north = easting - self._middle_m[0], northing - self._middle_m[1]
+        heights = np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
+        up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
+        return np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
 
     def _skylines(self, viewpoints: Viewpoints, bracket: float) -> Float64Array:
-        """Return elevation_tan of a few viewpoints, (4 N, W)."""
-        rays = self._rays(viewpoints)
-        columns = np.arange(rays.shear_tan.size).reshape(rays.shear_tan.shape)
-        return _from_neighbours(rays, columns, bracket) + rays.shear_tan
-
-    def _rays(self, viewpoints: Viewpoints) -> "_Rays":
-        """Place the eyes in the scene and aim at every column of their four views."""
+        """Return elevation_tan of every column of a few viewpoints' four views, (4 N, W)."""
         offset = np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1) - self._middle_m
-        up = (
-            viewpoints.eye_elevation_m
-            - self._datum_m
-            - self.curvature.drop_per_m2 * np.square(offset).sum(axis=1)
-        )
+        drop_m = self.curvature.drop_per_m2 * np.square(offset).sum(axis=1)
+        up = viewpoints.eye_elevation_m - self._datum_m - drop_m
         eyes = np.stack([offset[:, 0], up, offset[:, 1]], axis=1).astype(np.float32)
         apart = np.einsum("hwk,nk->nhw", self._directions, offset)
         views = len(HEADINGS) * len(viewpoints)
-        return _Rays(
+        ground = self._directions.reshape(-1, 2).astype(np.float32)
+        rays = _Rays(
             self._scene,
             np.repeat(eyes, len(HEADINGS) * self.width, axis=0),
-            np.tile(self._directions.reshape(-1, 2).astype(np.float32), (len(viewpoints), 1)),
-            2.0 * self.curvature.drop_per_m2 * apart.reshape(views, self.width),
+            np.tile(ground, (len(viewpoints), 1)),
         )
+        # The true ordinates less those in the scene.
+        shear_tan = 2.0 * self.curvature.drop_per_m2 * apart.reshape(views, self.width)
+        columns = np.arange(shear_tan.size).reshape(shear_tan.shape)
+        return np.asarray(_from_neighbours(rays, columns, bracket) + shear_tan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +121,6 @@ class _Rays:
     scene: Any
     eyes: Float32Array  # (M, 3); east, up, north of each column's eye in the scene
     ground: Float32Array  # (M, 2); each column's ground direction
-    shear_tan: Float64Array  # (views, W); true ordinate minus the ordinate in the scene
 
     def blocked(self, columns: Int64Array, tan: Float64Array) -> BoolArray:
         """Return whether the terrain stands in the way of a ray at ordinate ``tan``."""
@@ -154,10 +135,8 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float6
     """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
     tan = np.full(columns.shape, np.nan)
     first = slice(0, None, _COARSEST_STRIDE)
-    start = np.zeros(columns[:, first].size)
-    tan[:, first] = _around(
-        rays, columns[:, first].ravel(), start, start + _HALF_FIELD_TAN / 4.0, bracket
-    ).reshape(columns[:, first].shape)
+    start = np.zeros(columns[:, first].shape)
+    tan[:, first] = _around(rays, columns[:, first], start, start + 0.25, bracket)
     stride = _COARSEST_STRIDE
     while stride > 1:
         half = stride // 2
@@ -167,9 +146,7 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float6
         right = np.concatenate([right, left[:, right.shape[1] :]], axis=1)
         guess = np.nan_to_num((left + right) / 2.0)
         step = np.maximum(bracket, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
-        tan[:, half::stride] = _around(
-            rays, between.ravel(), guess.ravel(), step.ravel(), bracket
-        ).reshape(between.shape)
+        tan[:, half::stride] = _around(rays, between, guess, step, bracket)
         stride = half
     return tan
 
@@ -179,8 +156,10 @@ def _around(
 ) -> Float64Array:
     """Return the skyline of columns, looked for around guesses in growing steps.
 
-    NaN where no ray hits anything.
+    It has the shape of the columns, and is NaN where no ray hits anything.
     """
+    shape = columns.shape
+    columns, guess, step = columns.ravel(), guess.ravel(), step.ravel()
     rising = rays.blocked(columns, guess)
     stride = np.where(rising, step, -step)
     near, far = guess.copy(), np.full(len(guess), np.nan)
@@ -196,22 +175,15 @@ def _around(
     tan = np.full(len(guess), np.nan)
     found = np.flatnonzero(~np.isnan(far))
     low, high = np.minimum(near[found], far[found]), np.maximum(near[found], far[found])
-    tan[found] = _bisected(rays, columns[found], low, high, bracket)
-    return tan
-
-
-def _bisected(
-    rays: _Rays, columns: Int64Array, low: Float64Array, high: Float64Array, bracket: float
-) -> Float64Array:
-    """Return the middles of brackets that hold the skyline, narrowed to ``bracket``."""
     wide = np.flatnonzero(high - low > bracket)
     while wide.size:
         middle = (low[wide] + high[wide]) / 2.0
-        hit = rays.blocked(columns[wide], middle)
+        hit = rays.blocked(columns[found[wide]], middle)
         low[wide] = np.where(hit, middle, low[wide])
         high[wide] = np.where(hit, high[wide], middle)
         wide = wide[high[wide] - low[wide] > bracket]
-    return (low + high) / 2.0
+    tan[found] = (low + high) / 2.0
+    return tan.reshape(shape)
 
 
 def _triangles(field: HeightField) -> NDArray[np.int32]:
@@ -219,15 +191,10 @@ def _triangles(field: HeightField) -> NDArray[np.int32]:
     triangles = Triangles.of(field.heights_m)
     corner = np.arange(field.rows * field.cols, dtype=np.int32).reshape(field.rows, field.cols)
     north_west, south_east = corner[:-1, :-1], corner[1:, 1:]
-    halves = [
-        (triangles.north_east, (north_west, corner[:-1, 1:], south_east)),
-        (triangles.south_west, (north_west, south_east, corner[1:, :-1])),
-    ]
+    there = triangles.north_east[1:-1, 1:-1], triangles.south_west[1:-1, 1:-1]
+    halves = (north_west, corner[:-1, 1:], south_east), (north_west, south_east, corner[1:, :-1])
     return np.concatenate(
-        [
-            np.stack([vertex[present[1:-1, 1:-1]] for vertex in vertices], axis=1)
-            for present, vertices in halves
-        ]
+        [np.stack([one[k] for one in half], axis=1) for k, half in zip(there, halves, strict=True)]
     )
 
 
@@ -236,13 +203,9 @@ def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
 
     Not in its robust mode: that is a quarter slower, and the errors are the same.
     """
-    try:
-        from embreex.mesh_construction import TriangleMesh  # noqa: PLC0415
-        from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415
-    except ImportError as error:
-        raise InputError(
-            "Embree is not installed; install the extra: pip install 'skyline-bench[peers]'"
-        ) from error
+    from embreex.mesh_construction import TriangleMesh  # noqa: PLC0415  (an extra)
+    from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415
+
     scene = EmbreeScene()
     TriangleMesh(scene, vertices, triangles)
     # The first call commits the scene, which must not happen in two threads at once.

@@ -57,13 +57,9 @@ SAME_PLACE = ("alone", "together", "with a stranger")
 
 
 def make_kind(
-    name: str,
-    terrain: HeightField,
-    area_m: Rectangle,
-    count: int,
-    seed: int,
+    name: str, terrain: HeightField, area_m: Rectangle, count: int, seed: int,
     strange: HeightField | None = None,
-) -> list[Query]:
+) -> list[Query]:  # fmt: skip
     """Make queries of a kind at so many places of an area; strangers are of strange terrain."""
     config = KINDS[name]
     if name in SAME_PLACE:
@@ -77,9 +73,7 @@ def make_kind(
     seen = terrain
     if name == STRANGERS:
         if strange is None:
-            raise InputError(
-                "strangers need a DEM of other terrain than the store's; give --strange"
-            )
+            raise InputError("strangers need a DEM of terrain off the store; give --strange")
         west, south, east, north = strange.bounds_m
         middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
         seen, area_m = strange, (*(middle - _HALF_SIDE_M), *(middle + _HALF_SIDE_M))
@@ -107,11 +101,8 @@ def perturbed(
     noise = np.random.default_rng(seed).standard_normal(terrain.heights_m.shape)
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
     deviation_m = correlation_m / 2.0
-    smooth = ndimage.gaussian_filter(
-        noise,
-        (deviation_m / terrain.spacing_north_m, deviation_m / terrain.spacing_east_m),
-        mode="wrap",
-    )
+    deviation = deviation_m / terrain.spacing_north_m, deviation_m / terrain.spacing_east_m
+    smooth = ndimage.gaussian_filter(noise, deviation, mode="wrap")
     error_m = smooth * (height_rms_m / np.sqrt(np.mean(smooth**2)))
     heights = (terrain.heights_m + error_m).astype(terrain.heights_m.dtype)
     made = f"errors of {height_rms_m:g} m rms over {correlation_m:g} m added, seed {seed}"
@@ -131,16 +122,9 @@ def resampled(
     cols = int((east - new_west) // spacing_m) + 1
     rows = int((new_north - south) // spacing_m) + 1
     easting = new_west + spacing_m * np.arange(cols)
-    northing = new_north - spacing_m * np.arange(rows)
-    heights = terrain.height_at(
-        easting_m=easting[np.newaxis, :], northing_m=northing[:, np.newaxis]
-    )
-    return HeightField(
-        heights.astype(terrain.heights_m.dtype),
-        new_west,
-        new_north,
-        spacing_m,
-        spacing_m,
-        terrain.frame,
-        Provenance(resampling=f"sampled again at {spacing_m:g} m, phase {phase}"),
-    )
+    northing = new_north - spacing_m * np.arange(rows)[:, np.newaxis]
+    heights = terrain.height_at(easting_m=easting, northing_m=northing)
+    heights = heights.astype(terrain.heights_m.dtype)
+    made = Provenance(resampling=f"sampled again at {spacing_m:g} m, phase {phase}")
+    grid = new_west, new_north, spacing_m, spacing_m
+    return HeightField(heights, *grid, terrain.frame, made)

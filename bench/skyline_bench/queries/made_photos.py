@@ -51,12 +51,9 @@ class Scenery:
 
 
 def ground_rgb(
-    field: HeightField,
-    place_m: tuple[Float64Array, Float64Array],
-    distance_m: Float64Array,
-    scenery: Scenery,
-    generator: np.random.Generator,
-) -> Float64Array:
+    field: HeightField, place_m: tuple[Float64Array, Float64Array], distance_m: Float64Array,
+    scenery: Scenery, generator: np.random.Generator,
+) -> Float64Array:  # fmt: skip
     """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
 
     Distances (M,) are from the camera. The generator draws where meadows and forests are.
@@ -115,9 +112,8 @@ def _sampled(
     part = np.nan_to_num(field.heights_m[top:bottom, left:right].astype(np.float32))
     south, east = np.gradient(part, field.spacing_north_m, field.spacing_east_m)
     at = (col - left).astype(np.float32), (row - top).astype(np.float32)
-    heights, slope_east, slope_south = (
-        _looked_up(np.asarray(grid), *at) for grid in (part, east, south)
-    )
+    grids = map(np.asarray, (part, east, south))
+    heights, slope_east, slope_south = (_looked_up(grid, *at) for grid in grids)
     return heights, slope_east, -slope_south
 
 
@@ -147,10 +143,7 @@ def _image_noise(
     generator: np.random.Generator, shape: tuple[int, int], scale_px: float
 ) -> Float64Array:
     """Return smooth noise (H, W) of deviation about 1, wider than high."""
-    cells = [
-        max(round(size / part), 2)
-        for size, part in zip(shape, (scale_px / 2.0, scale_px), strict=True)
-    ]
+    cells = [max(round(2.0 * shape[0] / scale_px), 2), max(round(shape[1] / scale_px), 2)]
     coarse = generator.standard_normal((cells[0] + 3, cells[1] + 3)).astype(np.float32)
     smooth = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
     return np.asarray(smooth, dtype=np.float64)
@@ -161,13 +154,9 @@ _NOISE = 3.0
 
 
 def photograph(
-    renderer: DepthRenderer,
-    viewpoints: Viewpoints,
-    index: int,
-    camera: Camera,
-    seed: int,
+    renderer: DepthRenderer, viewpoints: Viewpoints, index: int, camera: Camera, seed: int,
     scenery: Scenery = Scenery(),
-) -> NDArray[np.uint8]:
+) -> NDArray[np.uint8]:  # fmt: skip
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
     ``renderer`` should be at least twice as fine as the photograph's own pixels, since the
@@ -186,14 +175,9 @@ def photograph(
 
 
 def scene_rgb(
-    renderer: DepthRenderer,
-    eye_m: tuple[float, float],
-    rays: Float64Array,
-    distance: Float64Array,
-    ground_share: Float64Array,
-    scenery: Scenery,
-    generator: np.random.Generator,
-) -> Float64Array:
+    renderer: DepthRenderer, eye_m: tuple[float, float], rays: Float64Array, distance: Float64Array,
+    ground_share: Float64Array, scenery: Scenery, generator: np.random.Generator,
+) -> Float64Array:  # fmt: skip
     """Return ground and sky (H, W, 3), mixed by the share of ground in each pixel."""
     shown = ground_share > 0.0
     distance = _carried_up(distance)

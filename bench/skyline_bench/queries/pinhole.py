@@ -55,10 +55,8 @@ class Camera:
         """
         turned = np.mod(azimuth_deg - self.heading_deg + 180.0, 360.0) - 180.0
         first = int(np.argmin(turned))
-        column, row, ahead = self.project(
-            np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
-        )
-        row_px, segment = _topmost(column, row, ahead, self.width_px)
+        rolled = np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
+        row_px, segment = _topmost(*self.project(*rolled), self.width_px)
         sample = np.where(segment >= 0, (segment + first) % len(azimuth_deg), -1)
         return row_px, sample
 

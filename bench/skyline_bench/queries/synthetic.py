@@ -7,14 +7,14 @@ place and pose are the same whatever the noise, the occluders or the elevation m
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
 from skyline.match.query_rays import QueryRays
@@ -131,12 +131,9 @@ class SyntheticQuery:
 
 
 def make_queries(
-    terrain: HeightField,
-    bounds_m: Rectangle,
-    count: int,
-    seed: int = 0,
+    terrain: HeightField, bounds_m: Rectangle, count: int, seed: int = 0,
     config: QueryConfig | None = None,
-) -> tuple[SyntheticQuery, ...]:
+) -> tuple[SyntheticQuery, ...]:  # fmt: skip
     """Make queries at places drawn evenly from an area, looking anywhere.
 
     The terrain is what the photos show, which need not be what a store was rendered from. The area
@@ -149,13 +146,9 @@ def make_queries(
 
 
 def make_queries_together(
-    terrain: HeightField,
-    bounds_m: Rectangle,
-    count: int,
-    photos: int,
-    seed: int = 0,
+    terrain: HeightField, bounds_m: Rectangle, count: int, photos: int, seed: int = 0,
     config: QueryConfig | None = None,
-) -> tuple[tuple[SyntheticQuery, ...], ...]:
+) -> tuple[tuple[SyntheticQuery, ...], ...]:  # fmt: skip
     """Make so many queries at each of ``count`` places; see `make_queries`."""
     entropies = [[[seed, index, photo] for photo in range(photos)] for index in range(count)]
     return tuple(_queries(terrain, bounds_m, entropies, config or QueryConfig()))
@@ -214,15 +207,10 @@ def _photographed(
     masks, errors, things = (
         np.random.default_rng([*entropy, part]) for part in (_MASKS, _ERRORS, _OCCLUDERS)
     )
-    truth = Truth(
-        float(horizons.easting_m[index]),
-        float(horizons.northing_m[index]),
-        float(horizons.eye_elevation_m[index]),
-        camera.heading_deg,
-        camera.pitch_deg,
-        camera.roll_deg,
-        camera.fov_deg,
-    )
+    eye = (horizons.easting_m, horizons.northing_m, horizons.eye_elevation_m)
+    easting_m, northing_m, eye_m = (float(part[index]) for part in eye)
+    held = camera.heading_deg, camera.pitch_deg, camera.roll_deg, camera.fov_deg
+    truth = Truth(easting_m, northing_m, eye_m, *held)
     azimuth_deg = np.degrees(bin_azimuths_rad(horizons.bins))
     elevation_tan = horizons.elevation_tan[index].astype(np.float64)
     row_px, sample = camera.skyline(azimuth_deg, elevation_tan)
@@ -275,10 +263,7 @@ def random_runs(
     """Return ``count`` runs that do not overlap and hold ``share`` of ``width`` columns."""
     hidden = round(share * width)
     count = min(count, hidden)
-    if count == 0:
-        return ()
-    lengths = 1 + _split(generator, hidden - count, count)
-    return _placed(generator, width, lengths)
+    return _placed(generator, width, 1 + _split(generator, hidden - count, count)) if count else ()
 
 
 def random_occluders(
@@ -290,22 +275,16 @@ def random_occluders(
     """
     width = len(skyline_px)
     left = round(share * width)
-    kinds: list[str] = []
-    lengths: list[int] = []
+    kinds, lengths = list[str](), list[int]()
     while left > 0:
-        kind = _THINGS[generator.integers(len(_THINGS))]
-        length = round(generator.uniform(*_WIDTH_SHARE[kind]) * width)
+        kinds.append(_THINGS[generator.integers(len(_THINGS))])
+        length = round(generator.uniform(*_WIDTH_SHARE[kinds[-1]]) * width)
         # No sliver is left for a last one.
-        if left - length < _NARROWEST_SHARE * width:
-            length = left
-        kinds.append(kind)
-        lengths.append(length)
-        left -= length
-    runs = _placed(generator, width, np.array(lengths, dtype=np.intp)) if lengths else ()
+        lengths.append(left if left - length < _NARROWEST_SHARE * width else length)
+        left -= lengths[-1]
+    runs = zip(kinds, _placed(generator, width, lengths) if lengths else (), strict=True)
     behind = _filled(skyline_px)
-    return tuple(
-        _stand(generator, kind, run, behind) for kind, run in zip(kinds, runs, strict=True)
-    )
+    return tuple(_stand(generator, kind, run, behind) for kind, run in runs)
 
 
 def _stand(
@@ -314,9 +293,8 @@ def _stand(
     """Return an occluder of one kind whose top is above what is behind it."""
     start, stop = run
     across = (2.0 * np.arange(stop - start) + 1.0) / (stop - start) - 1.0
-    shape = {"tree": 1.0 - np.abs(across), "person": np.sqrt(1.0 - across**2)}.get(
-        kind, np.ones_like(across)
-    )
+    shapes = {"tree": 1.0 - np.abs(across), "person": np.sqrt(1.0 - across**2)}
+    shape = shapes.get(kind, np.ones_like(across))
     rise_px = generator.uniform(*_RISE_SHARE[kind]) * len(behind_px)
     rough = 1.0 + _ROUGHNESS[kind] * generator.standard_normal(len(across))
     behind = behind_px[start:stop]
@@ -332,18 +310,15 @@ def _filled(row_px: Float64Array) -> Float64Array:
     return np.interp(np.arange(len(row_px)), known, row_px[known])
 
 
-def _split(generator: np.random.Generator, total: int, parts: int) -> NDArray[np.intp]:
+def _split(generator: np.random.Generator, total: int, parts: int) -> IntArray:
     """Return whole numbers (parts,) of at least 0 with a given sum, drawn evenly."""
     cuts = np.sort(generator.integers(0, total + 1, parts - 1))
     return np.diff(cuts, prepend=0, append=total).astype(np.intp)
 
 
-def _placed(
-    generator: np.random.Generator, width: int, lengths: NDArray[np.intp] | Sequence[int]
-) -> tuple[Run, ...]:
+def _placed(generator: np.random.Generator, width: int, lengths: ArrayLike) -> tuple[Run, ...]:
     """Return runs of given lengths in order, with gaps drawn between them."""
+    lengths = np.asarray(lengths)
     gaps = _split(generator, width - int(np.sum(lengths)), len(lengths) + 1)
     starts = np.cumsum(gaps[:-1]) + np.cumsum(lengths) - lengths
-    return tuple(
-        (int(start), int(start + length)) for start, length in zip(starts, lengths, strict=True)
-    )
+    return tuple(zip(starts.tolist(), (starts + lengths).tolist(), strict=True))

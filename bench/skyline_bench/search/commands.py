@@ -27,28 +27,10 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
 from skyline_bench.measuring.record import Row, write_record
 from skyline_bench.options import Floats, Names
-from skyline_bench.queries.kinds import (
-    KINDS,
-    OF_ONE_AREA,
-    SAME_PLACE,
-    STRANGERS,
-    distance_m,
-    make_kind,
-)
+from skyline_bench.queries import kinds
 from skyline_bench.queries.synthetic import Truth
+from skyline_bench.search import trials
 from skyline_bench.search.stores import BuiltStore, StoreSpec, middle_deg
-from skyline_bench.search.trials import (
-    ALL,
-    MATCHERS,
-    PAPER,
-    Trial,
-    against_uniform,
-    groups,
-    open_matcher,
-    searched_by,
-    summarize,
-    tried,
-)
 
 _log = logging.getLogger(__name__)
 
@@ -87,10 +69,10 @@ class Search:
         Raises `InputError` unless every store can be built or opened, and is searched.
         """
         for name in self.kinds:
-            named("kind of queries", name, KINDS)
+            named("kind of queries", name, kinds.KINDS)
         for name in self.matchers:
-            named("matcher", name, dict.fromkeys(MATCHERS))
-        searched = {searched_by(name) for name in self.matchers}
+            named("matcher", name, dict.fromkeys(trials.MATCHERS))
+        searched = {trials.searched_by(name) for name in self.matchers}
         stores = [one for one in dict.fromkeys(self.stores) if one.path or one.holds in searched]
         if not stores:
             raise InputError("there is no store to match; give a spacing or a store")
@@ -122,12 +104,9 @@ class Search:
         )
 
     def measure(
-        self,
-        terrain: HeightField,
-        folder: Path,
-        progress: Progress,
+        self, terrain: HeightField, folder: Path, progress: Progress,
         strange: HeightField | None = None,
-    ) -> tuple[list[Row], list[BuiltStore]]:
+    ) -> tuple[list[Row], list[BuiltStore]]:  # fmt: skip
         """Search every store with every matcher that can search it, for the same queries.
 
         Return a row for each store, matcher, kind of queries, area searched and group of queries,
@@ -146,46 +125,35 @@ class Search:
             names = ", ".join(large)
             _log.warning("left out, since the store covers %.0f km2: %s", whole_km2, names)
         areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2) if km2 < whole_km2}
-        areas[ALL] = whole_km2
+        areas[trials.ALL] = whole_km2
         queries = {
-            kind: make_kind(kind, terrain, area_m, self.queries, self.seed, strange)
+            kind: kinds.make_kind(kind, terrain, area_m, self.queries, self.seed, strange)
             for kind in self.kinds
         }
-        keys = [
-            (kind, index, area)
-            for kind, some in queries.items()
-            for index in range(len(some))
-            for area in areas
-        ]
+        numbers = [(kind, index) for kind, some in queries.items() for index in range(len(some))]
+        keys = [(*number, area) for number in numbers for area in areas]
         rows = list[Row]()
         for store, matcher in product(stores, self.matchers):
-            if searched_by(matcher) != store.holds:
+            if trials.searched_by(matcher) != store.holds:
                 continue
-            found = dict[tuple[str, int, str], Trial]()
-            with open_matcher(matcher, store.path, terrain) as opened:
+            found = dict[tuple[str, int, str], trials.Trial]()
+            with trials.open_matcher(matcher, store.path, terrain) as opened:
                 for kind, index, area in keys:
-                    query, is_strange = queries[kind][index], kind == STRANGERS
+                    query, is_strange = queries[kind][index], kind == kinds.STRANGERS
                     narrowing = None
-                    if area != ALL and not is_strange:
+                    if area != trials.ALL and not is_strange:
                         truth = query[0].truth
                         narrowing = _square(truth, areas[area], area_m, terrain, self.seed)
-                    found[kind, index, area] = tried(opened, query, narrowing, strange=is_strange)
+                    trial = trials.tried(opened, query, narrowing, strange=is_strange)
+                    found[kind, index, area] = trial
                     progress(len(found), len(keys))
             for kind, area in product(queries, areas):
-                members = groups([distance_m(one) for one in queries[kind]], self.by_thirds)
-                for group, numbers in members.items():
-                    some = [found[kind, index, area] for index in numbers]
-                    rows.append(
-                        {
-                            "matcher": matcher,
-                            "queries": kind,
-                            "search": area,
-                            "km2": areas[area],
-                            "group": group,
-                            **summarize(some, miss_m, self.seed),
-                            **store.figures,
-                        }
-                    )
+                about = {"matcher": matcher, "queries": kind, "search": area, "km2": areas[area]}
+                away_m = [kinds.distance_m(one) for one in queries[kind]]
+                for group, members in trials.groups(away_m, self.by_thirds).items():
+                    some = [found[kind, index, area] for index in members]
+                    figures = trials.summarize(some, miss_m, self.seed)
+                    rows.append({**about, "group": group, **figures, **store.figures})
         return rows, stores
 
 
@@ -197,9 +165,8 @@ def _square(
     entropy = [seed, round(1e6 * km2), *np.abs(place).astype(int).tolist()]
     low, high = np.array(area_m).reshape(2, 2)
     side_m = np.minimum(1e3 * math.sqrt(km2), high - low)
-    corner = np.random.default_rng(entropy).uniform(
-        np.maximum(low, place - side_m), np.minimum(high - side_m, place)
-    )
+    within = np.maximum(low, place - side_m), np.minimum(high - side_m, place)
+    corner = np.random.default_rng(entropy).uniform(*within)
     lon, lat = terrain.frame.to_lonlat(*np.stack([corner, corner + side_m], axis=1))
     return Narrowing(bounds_deg=(float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])))
 
@@ -231,8 +198,8 @@ SEARCHES: Mapping[str, Search] = {
         "hours",
         f"store matcher queries places build_cpu_s bytes {_FOUND} {_LOST}",
         (*_grids(RENDERINGS), *_planned(None)),
-        MATCHERS,
-        OF_ONE_AREA,
+        trials.MATCHERS,
+        kinds.OF_ONE_AREA,
         300,
     ),
     "uniform-adaptive": Search(
@@ -248,9 +215,9 @@ SEARCHES: Mapping[str, Search] = {
             *_grids(RENDERINGS),
             *_plans(["lpov"], None),
             *_grids(),
-            *_planned(1_000, 4_000, 16_000, None),
+            *_planned(1000, 4000, 16_000, None),
         ),
-        (PAPER, FULL),
+        (trials.PAPER, FULL),
         by_thirds=True,
     ),
     "placing": Search(
@@ -284,7 +251,7 @@ SEARCHES: Mapping[str, Search] = {
         the others, as the matcher finds; with a stranger, the column is of the stranger.""",
         "20 minutes",
         f"store queries group {_FOUND} radius_holds named",
-        kinds=SAME_PLACE,
+        kinds=kinds.SAME_PLACE,
         queries=30,
         by_thirds=True,
     ),
@@ -320,8 +287,10 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         store: Annotated[
             list[Path] | None, Option(help="Search an existing store; repeatable.")
         ] = None,
-        matcher: Annotated[Names, Option(help=f"Repeatable, of {', '.join(MATCHERS)}.")] = None,
-        kind: Annotated[Names, Option(help=f"Of queries, of {', '.join(KINDS)}.")] = None,
+        matcher: Annotated[
+            Names, Option(help=f"Repeatable, of {', '.join(trials.MATCHERS)}.")
+        ] = None,
+        kind: Annotated[Names, Option(help=f"Of queries, of {', '.join(kinds.KINDS)}.")] = None,
         area: Annotated[
             Floats, Option(min=0.01, metavar="KM2", help="Search such squares too; repeatable.")
         ] = None,
@@ -329,11 +298,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             Names, Option(metavar="DEM", help="Other terrain, for strangers; repeatable.")
         ] = None,
         queries: Annotated[
-            int,
-            Option(
-                min=3 if search.by_thirds else 1,
-                help="Queries of each kind, or places of several photos.",
-            ),
+            int, Option(min=3 if search.by_thirds else 1, help="Of each kind, or places of photos.")
         ] = search.queries,
         folder: options.Folder = None,
         json_file: options.JsonFile = None,
@@ -375,8 +340,12 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
         by_group = "group" in search.columns
-        options.print_rows([row for row in rows if by_group or row["group"] == ALL], search.columns)
-        summary = {"against_uniform": against_uniform(rows)} if name == "uniform-adaptive" else {}
+        options.print_rows(
+            [row for row in rows if by_group or row["group"] == trials.ALL], search.columns
+        )
+        summary = (
+            {"against_uniform": trials.against_uniform(rows)} if name == "uniform-adaptive" else {}
+        )
         for table in summary.values():
             options.print_rows(table)
         write_record(json_file, name, rows, summary)

@@ -74,10 +74,10 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
         else:
             result = matcher.match(query[0].skyline, top=_TOP, narrowing=narrowing)
     taken = time.perf_counter() - wall, time.process_time() - cpu
-    trial = replace(trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1])
-    if strange or trial.error_m <= _RIGHT_M or not isinstance(result, MatchResult):
-        return trial
-    return replace(trial, truth_ahead=_truth_ahead(matcher, query[0], result))
+    trial, ahead = trial_of(query, result, strange), None
+    if not strange and trial.error_m > _RIGHT_M and isinstance(result, MatchResult):
+        ahead = _truth_ahead(matcher, query[0], result)
+    return replace(trial, truth_ahead=ahead, seconds=taken[0], cpu_s=taken[1])
 
 
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
@@ -101,25 +101,21 @@ def trial_of(
     query: Query, result: MatchResult | JointResult | None, strange: bool = False
 ) -> Trial:
     """Return the trial of a result, None for a refusal; nothing is right for a stranger."""
-    trial = Trial(distance_m(query))
-    if result is None:
-        return trial
-    places = result.places if isinstance(result, JointResult) else result.candidates
-    if not places:
-        return trial
+    places = result.places if isinstance(result, JointResult) else result and result.candidates
+    if result is None or not places:
+        return Trial(distance_m(query))
     best, truth, named = places[0], query[0].truth, False
     turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.heading_deg)))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
         named = not (result.agrees[-1] if has_stranger else all(result.agrees))
-    answered = result.answer is not None
-    return replace(
-        trial,
-        error_m=math.inf if strange else float(truth.off_m(best.easting_m, best.northing_m)),
-        heading_error_deg=math.nan if strange else turn_deg,
-        confidence=best.confidence,
-        radius_m=best.radius_m,
-        within_m=result.within_m or 200.0 if answered else None,
+    return Trial(
+        distance_m(query),
+        math.inf if strange else float(truth.off_m(best.easting_m, best.northing_m)),
+        math.nan if strange else turn_deg,
+        best.confidence,
+        best.radius_m,
+        result.within_m or 200.0 if result.answer is not None else None,
         named=named,
     )
 
@@ -145,16 +141,16 @@ def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequenc
 
     Queries are split at 150 and 400 m, or into thirds of equal size, as in the paper.
     """
-    every = list(range(len(distance_m)))
-    if not by_thirds:
-        members: dict[str, Sequence[int]] = {
-            name: [index for index in every if low <= distance_m[index] < high]
+    away_m = np.array(distance_m)
+    if by_thirds:
+        parts = np.array_split(np.argsort(away_m, kind="stable"), len(THIRDS))
+        members = {name: sorted(part.tolist()) for name, part in zip(THIRDS, parts, strict=True)}
+    else:
+        members = {
+            name: np.flatnonzero((low <= away_m) & (away_m < high)).tolist()
             for name, (low, high) in CLASSES.items()
         }
-        return {name: some for name, some in members.items() if some} | {ALL: every}
-    order = np.argsort(distance_m, kind="stable")
-    parts = zip(THIRDS, np.array_split(order, len(THIRDS)), strict=True)
-    return {name: sorted(part.tolist()) for name, part in parts} | {ALL: every}
+    return {name: some for name, some in members.items() if some} | {ALL: list(range(len(away_m)))}
 
 
 def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
@@ -213,18 +209,12 @@ def against_uniform(rows: Iterable[Row]) -> list[Row]:
     store would take to be as accurate, and ``share`` the store's own over those. They are
     interpolated between the uniform stores on logarithmic axes, and None outside their range.
     """
-    stores = [row for row in rows if row["group"] == ALL]
+    stores = sorted((row for row in rows if row["group"] == ALL), key=lambda r: r["renderings"])
+    uniform = [row for row in stores if row["planner"] == UNIFORM]
     held: list[Row] = []
-    for store in stores:
-        if store["planner"] == UNIFORM:
-            continue
+    for store in (row for row in rows if row in stores and row not in uniform):
         key = store["matcher"], store["queries"]
-        grids = [
-            row
-            for row in stores
-            if row["planner"] == UNIFORM and (row["matcher"], row["queries"]) == key
-        ]
-        grids.sort(key=lambda row: float(row["renderings"]))
+        grids = [row for row in uniform if (row["matcher"], row["queries"]) == key]
         renderings = [float(row["renderings"]) for row in grids]
         mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
         own_m = max(float(store["mean_m"]), _LEAST_M)

@@ -180,9 +180,9 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
 def greatest_step_m(field: HeightField) -> float:
     """Return the greatest height difference along any edge of the surface; 0 without edges."""
     heights = field.heights_m.astype(np.float64)
-    steps = (heights[1:] - heights[:-1], heights[:, 1:] - heights[:, :-1])
     diagonals = heights[1:, 1:] - heights[:-1, :-1]
-    return max(float(np.nanmax(np.abs(np.append(step, 0.0)))) for step in (*steps, diagonals))
+    steps = np.diff(heights, axis=0), np.diff(heights, axis=1), diagonals
+    return max(float(np.nanmax(np.abs(step), initial=0.0)) for step in steps)
 
 
 def undecided_columns(
@@ -222,11 +222,9 @@ def _columns_past_rims(scene: SkylineScene) -> BoolArray:
     easting, northing = field.to_map(row, col)
     passes = np.zeros((len(eyes), len(HEADINGS), scene.width), dtype=bool)
     for index in range(len(eyes)):
-        offsets = np.zeros((len(easting), 3))
-        offsets[:, 0] = easting - eyes.easting_m[index]
-        offsets[:, 2] = northing - eyes.northing_m[index]
+        east, north = easting - eyes.easting_m[index], northing - eyes.northing_m[index]
         for heading in HEADINGS:
-            right, _, depth = rotation(heading) @ offsets.T
+            right, _, depth = rotation(heading) @ np.stack([east, np.zeros_like(east), north])
             ahead = depth > 0.0
             at, slack = right[ahead] / depth[ahead], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
             nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)
@@ -267,7 +265,7 @@ def compare(views: Views, truth: Views) -> Row:
     return {
         "rms_px": float(np.sqrt(np.mean(error_px**2))) if error_px.size else None,
         "max_px": float(np.abs(error_px).max()) if error_px.size else None,
-        "columns": int(error_px.size),
+        "columns": error_px.size,
         "flagged_share": float(flagged.mean()) if flagged.size else 0.0,
         "missing": int(missing.sum()),
     }

@@ -103,12 +103,9 @@ def fractal(rows: int, cols: int, seed: int, exponent: float) -> Float64Array:
 
 
 def field_of(
-    heights_m: ArrayLike,
-    spacing_m: float = SPACING_M,
-    spacing_north_m: float | None = None,
-    west_m: float = WEST_M,
-    north_m: float = NORTH_M,
-) -> HeightField:
+    heights_m: ArrayLike, spacing_m: float = SPACING_M, spacing_north_m: float | None = None,
+    west_m: float = WEST_M, north_m: float = NORTH_M,
+) -> HeightField:  # fmt: skip
     """Make a field of 32-bit heights, row 0 north."""
     heights = np.array(heights_m, dtype=np.float32)
     return HeightField(heights, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME)
@@ -181,28 +178,18 @@ class _Country:
 
     def skyline(self, scene: SkylineScene) -> ClosedForm:
         """Return the skylines along geodesics."""
-        eyes = scene.viewpoints
-        convergence = float(
-            scene.field.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[
-                0
-            ]
-        )
-        rows = [
-            self._skyline(column_azimuths_deg(heading, scene.width) + convergence, scene)
-            for heading in HEADINGS
-        ]
+        eyes, frame = scene.viewpoints, scene.field.frame
+        turn = frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[0]
+        azimuth_deg = (column_azimuths_deg(heading, scene.width) + turn for heading in HEADINGS)
+        rows = [self._skyline(each, scene) for each in azimuth_deg]
         tan = np.stack(rows) * np.hypot(1.0, columns_u(scene.width))
         return ClosedForm(tan, _slack_tan(scene.field.spacing_m))
 
     def _skyline(self, azimuth_deg: Float64Array, scene: SkylineScene) -> Float64Array:
         """Return the tangent of the skyline's elevation angle at true azimuths."""
         azimuth, distance = np.broadcast_arrays(azimuth_deg[:, np.newaxis], _PROFILE_M)
-        lon, lat, _ = _GEOD.fwd(
-            np.full(azimuth.shape, self.lon_deg),
-            np.full(azimuth.shape, self.lat_deg),
-            azimuth,
-            distance,
-        )
+        here = np.full(azimuth.shape, self.lon_deg), np.full(azimuth.shape, self.lat_deg)
+        lon, lat, _ = _GEOD.fwd(*here, azimuth, distance)
         rise = self.height_m(lon, lat) - _EYE_M - scene.curvature.drop_m(distance)
         return np.asarray((rise / distance).max(axis=1), dtype=np.float64)
 
@@ -256,15 +243,13 @@ def _earth_centred_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
     return np.stack(_TO_EARTH_CENTRED.transform(lon, lat, np.zeros(lon.shape)), axis=-1)
 
 
-def _country_case(name: str, breaks: str, lon_deg: float, lat_deg: float) -> SceneCase:
-    country = _Country(lon_deg, lat_deg)
-    return SceneCase(name, breaks, country.scene, country.skyline)
-
-
-FRAME_CASES = (
-    _country_case("latitude 0", "the equator: latitudes of both signs in one tile", 9.0, 0.0),
-    _country_case("latitude 60", "a degree of longitude is half one of latitude", 9.0, 60.0),
-    _country_case("latitude 84", "a tenth; meridians converge by a degree in 6 km", 9.0, 84.0),
-    _country_case("antimeridian", "longitudes jump from 180 to -180 at the eye", 180.0, 52.0),
-    _country_case("southern hemisphere", "north and south swapped", -70.0, -33.0),
+FRAME_CASES = tuple(
+    SceneCase(name, breaks, (country := _Country(*lonlat_deg)).scene, country.skyline)
+    for name, breaks, *lonlat_deg in (
+        ("latitude 0", "the equator: latitudes of both signs in one tile", 9.0, 0.0),
+        ("latitude 60", "a degree of longitude is half one of latitude", 9.0, 60.0),
+        ("latitude 84", "a tenth; meridians converge by a degree in 6 km", 9.0, 84.0),
+        ("antimeridian", "longitudes jump from 180 to -180 at the eye", 180.0, 52.0),
+        ("southern hemisphere", "north and south swapped", -70.0, -33.0),
+    )
 )

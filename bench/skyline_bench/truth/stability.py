@@ -6,7 +6,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.cli.console import progress_bar
 from skyline.errors import OffMapError, SkylineError
@@ -15,6 +14,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench import options
 from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.truth import closed_forms as forms
 from skyline_bench.truth.agreement import (
     DEPTH,
     HORIZON,
@@ -22,16 +22,6 @@ from skyline_bench.truth.agreement import (
     RenderPath,
     SkylineScene,
     SkylineTruth,
-)
-from skyline_bench.truth.closed_forms import (
-    FRAME_CASES,
-    HORIZON_ONLY,
-    SceneCase,
-    eyes_anywhere,
-    eyes_at,
-    field_of,
-    rough_field,
-    rough_heights,
 )
 from skyline_bench.truth.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
 
@@ -51,23 +41,19 @@ class SameCase:
 
 def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
     """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
-    field = rough_field(17)
-    scene = SkylineScene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
+    field = forms.rough_field(17)
+    scene = SkylineScene(field, forms.eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
     cuts = [0, *parts[: 2 if quick else None], len(scene.viewpoints)]
     with path.factory(scene.field, scene.width, scene.curvature) as renderer:
         once = renderer.render(scene.viewpoints)
         again = Views.concatenate(
             [renderer.render(scene.viewpoints[start:stop]) for start, stop in pairwise(cuts)]
         )
-    same = (_bits(once.elevation_tan) == _bits(again.elevation_tan)) & (
-        _bits(once.depth_m) == _bits(again.depth_m)
-    )
+    both = (once.elevation_tan, again.elevation_tan), (once.depth_m, again.depth_m)
+    bits = ((one.view(np.uint32), other.view(np.uint32)) for one, other in both)
+    same = np.logical_and(*(one == other for one, other in bits))
     zero = np.zeros(same.shape)
     return Agreement(np.where(same, zero, np.inf), zero, once.flags == again.flags)
-
-
-def _bits(values: NDArray[np.floating]) -> NDArray[np.uint32]:
-    return np.ascontiguousarray(values, dtype=np.float32).view(np.uint32)
 
 
 # --- the same terrain, turned ---------------------------------------------------------------
@@ -133,24 +119,24 @@ def turned_views(views: Views, turn: Turn) -> Views:
 
 def _split_terrain() -> SkylineScene:
     """Stand on terrain whose cells are bent along their diagonals, with holes."""
-    heights = rough_heights(80, 112, seed=18)
+    heights = forms.rough_heights(80, 112, seed=18)
     heights[20:26, 30:50] = np.nan
-    field = field_of(heights, 32.0, 24.0)
+    field = forms.field_of(heights, 32.0, 24.0)
     return SkylineScene(field, _dyadic_eyes(field))
 
 
 def _flat_celled() -> SkylineScene:
     """Stand on terrain of flat cells: height = a(row) + b(col)."""
-    a, b = rough_heights(2, 160, 600.0, seed=19)
+    a, b = forms.rough_heights(2, 160, 600.0, seed=19)
     # Whole metres add up exactly in 32 bits, so no cell is bent by rounding.
-    field = field_of(np.round(a[:80, np.newaxis]) + np.round(b[:112]), 32.0, 24.0)
+    field = forms.field_of(np.round(a[:80, np.newaxis]) + np.round(b[:112]), 32.0, 24.0)
     return SkylineScene(field, _dyadic_eyes(field))
 
 
 def _dyadic_eyes(field: HeightField) -> Viewpoints:
     row = np.array([40.0, 33.25, 50.625, 61.0])
     col = np.array([56.0, 71.5, 20.625, 90.375])
-    return eyes_at(field, row, col, [2.0, 0.0, 30.0, 2.0])
+    return forms.eyes_at(field, row, col, [2.0, 0.0, 30.0, 2.0])
 
 
 # --- refusals -------------------------------------------------------------------------------
@@ -158,11 +144,11 @@ def _dyadic_eyes(field: HeightField) -> Viewpoints:
 
 def _refused(row: float, col: float, words: str, _path: RenderPath, _quick: bool) -> Agreement:
     """Try to stand where no eye can: wrong by inf unless refused in the expected words."""
-    heights = rough_heights(32, 32)
+    heights = forms.rough_heights(32, 32)
     heights[10:20, 10:20] = np.nan
     error_px = np.full((1, 1), np.inf)
     try:
-        eyes_at(field_of(heights), row, col, 2.0)
+        forms.eyes_at(forms.field_of(heights), row, col, 2.0)
     except OffMapError as error:
         error_px[words in str(error)] = 0.0
     return Agreement(error_px, np.zeros((1, 1)), np.ones((1, 1), dtype=bool))
@@ -173,23 +159,16 @@ SAME_CASES = (
         SameCase(name, breaks, partial(_repeated, parts))
         for name, breaks, parts in (
             ("the same batch twice", "the order in which lanes finish shows", ()),
-            (
-                "the same batch in parts",
-                "what a column starts from depends on what was rendered beside it",
-                (1, 9, 10, 33),
-            ),
+            ("the same batch in parts",
+             "what a column starts from depends on what was rendered beside it", (1, 9, 10, 33)),
         )
     ),
     *(
-        SameCase(name, breaks, partial(_turned, stood, turn), HORIZON_ONLY)
+        SameCase(name, breaks, partial(_turned, stood, turn), forms.HORIZON_ONLY)
         for name, breaks, stood, turn in (
             ("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
-            (
-                "transposition",
-                "rows and columns are marched by different code",
-                _split_terrain,
-                TRANSPOSITION,
-            ),
+            ("transposition", "rows and columns are marched by different code", _split_terrain,
+             TRANSPOSITION),
             ("quarter turn", "headings differ in more than a turn", _flat_celled, QUARTER_TURN),
             ("mirror", "left and right are not treated alike", _flat_celled, MIRROR),
         )
@@ -201,12 +180,12 @@ SAME_CASES = (
             ("eye off the map", "an eye beyond the border wraps", (-0.5, 3.0), "off the map"),
         )
     ),
-)
+)  # fmt: skip
 
 
-HardCase = SceneCase | SameCase
+HardCase = forms.SceneCase | SameCase
 HARD_CASES: tuple[HardCase, ...] = (
-    *GRID_CASES, *STEEP_CASES, *WIDE_CASES, *FRAME_CASES, *SAME_CASES,
+    *GRID_CASES, *STEEP_CASES, *WIDE_CASES, *forms.FRAME_CASES, *SAME_CASES,
 )  # fmt: skip
 
 
