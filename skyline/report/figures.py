@@ -84,8 +84,8 @@ def place_labels(
     return placed
 
 
-def unnamed_in_words(count: int, before: str = "") -> str:
-    """Return how many peaks have no room for their names; an empty string for none."""
+def unnamed_in_words(count: int) -> str:
+    """Return how many peaks have no room for their names, to end a sentence; empty for none."""
     if count == 0:
         return ""
-    return f"{before}{count} {'peak has' if count == 1 else 'peaks have'} no room for a name"
+    return f"; {count} {'peak has' if count == 1 else 'peaks have'} no room for a name"

@@ -114,7 +114,7 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
         _draw_row(axis, view, row, colours)
         unnamed -= _draw_names(axis, row)
         top_in = bottom_in - _SCALE_IN
-    title = _title(view) + unnamed_in_words(unnamed, "; ")
+    title = _title(view) + unnamed_in_words(unnamed)
     figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
     return figure, unnamed
 

@@ -192,7 +192,7 @@ def _overlay_caption(
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
-    without_name = unnamed_in_words(unnamed, "; ")
+    without_name = unnamed_in_words(unnamed)
     if pose is None or sight is None or sight.median_gap_deg is None:
         return f"{caption}; no skyline was rendered to compare it with{without_name}."
     return (
