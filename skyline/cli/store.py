@@ -58,7 +58,7 @@ def export(
     store: StoreFile,
     output: Annotated[Path, output_option("The GeoPackage to write.", "FILE.gpkg")],
 ) -> None:
-    """Write the locations of the places as a GeoPackage for QGIS, with its style (extra `geo`)."""
+    """Write the locations of the places as a GeoPackage, for QGIS and others (extra `geo`)."""
     from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
 
     with open_store(store) as opened:

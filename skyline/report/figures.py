@@ -3,16 +3,11 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from skyline.files import write_with_folders
-
-_DPI = 110
 _OPTIONS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 4}},
     "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
@@ -21,16 +16,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 reduced colour resolution thin coloured lines fade."""
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure as PNG and make missing folders; raises `InputError` if it cannot."""
-    write_with_folders(path, encode_figure(figure))
-
-
-def encode_figure(figure: Figure, kind: str = "png", dpi: float = _DPI) -> bytes:
-    """Return a figure encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
-    FigureCanvasAgg(figure)
+def encode_figure(figure: Figure, kind: str = "png") -> bytes:
+    """Return a figure, at its own resolution, encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi=dpi, **_OPTIONS.get(kind, {}))
+    figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
     return picture.getvalue()
 
 

@@ -90,9 +90,8 @@ def save_panorama(
 
 def save_view(view: PanoramaView, path: str | Path) -> int:
     """Draw a view as a panorama; return the number of peaks without room for their names."""
-    suffix = suffix_of(path, PANORAMA_SUFFIXES)
     figure, unnamed = draw_panorama(view)
-    write_whole(Path(path), encode_figure(figure, suffix[1:], _DPI))
+    write_whole(Path(path), encode_figure(figure, suffix_of(path, PANORAMA_SUFFIXES)[1:]))
     return unnamed
 
 

@@ -39,7 +39,7 @@ _WEDGE_SHARE = 0.16
 _MOST_PEAKS = 12
 _NEAR_BORDER = 0.2
 """Share of the map's width near its sides in which a centred label would cross the border."""
-_WIDTH_IN = 5.8
+_WIDTH_IN, _DPI = 5.8, 150.0
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
 _MOST_PIXELS = 900
 _NO_TERRAIN = "#eef0ee"
@@ -94,16 +94,15 @@ def draw_match_map(
     frame: Frame,
     viewpoints: Viewpoints,
     terrain: HeightField | None,
-    sightings: Sequence[Sighting] = (),
+    sightings: Sequence[Sighting],
 ) -> Figure:
     """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
 
     The first stands out over the others. The store's viewpoints are dots; ``sightings`` are the
     peaks visible from the first candidate. Without terrain the map has no relief.
     """
-    figure = Figure(
-        figsize=(_WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5), layout="constrained"
-    )
+    size_in = _WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5
+    figure = Figure(size_in, _DPI, layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
     shown = _draw_viewpoints(axis, viewpoints, area)

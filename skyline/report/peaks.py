@@ -229,6 +229,11 @@ class Sighting:
         """The name, with the height if the gazetteer has one."""
         return self.name if math.isnan(self.height_m) else f"{self.name} {self.height_m:.0f} m"
 
+    @property
+    def elevation_m(self) -> float:
+        """Height in the gazetteer; where it has none, that of the summit on the terrain."""
+        return self.surface_m if math.isnan(self.height_m) else self.height_m
+
 
 def visible_peaks(
     terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature

@@ -47,6 +47,11 @@ _KEPT = 4
 """Number of photos whose pixels and evidence stay in memory."""
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Beginning and end of each step of a match, as shares of the whole."""
+POSE = {
+    "lon": "lon", "lat": "lat", "heading": "heading_deg", "pitch": "pitch_deg", "roll": "roll_deg",
+    "fov": "fov_deg",
+}  # fmt: skip
+"""The numbers of a pose: their names on the page and in Skyline."""
 KINDS = {
     "geojson": ("geojson", "application/geo+json"),
     "kml": ("kml", "application/vnd.google-earth.kml+xml"),
@@ -236,38 +241,30 @@ class Match:
 
 def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
     """Return a result as JSON for the page."""
+    lens = "" if result.query.lens is None else result.query.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],
         "answered": result.answer is not None,
         "within": result.within_m,
         "chance": result.confidence,
         "refusal": result.refusal,
-        "claim": result.exif_in_words(),
-        "lens": "" if result.query.lens is None else result.query.lens.in_words,
-        "beyond": result.beyond,
+        "notes": [note for note in (result.exif_in_words(), lens, result.beyond) if note],
         "seconds": result.seconds,
     }
 
 
 def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
-    """Return a candidate as JSON for the page."""
-    return {
-        "lon": candidate.lon,
-        "lat": candidate.lat,
-        "heading": candidate.heading_deg,
-        "pitch": candidate.pitch_deg,
-        "roll": candidate.roll_deg,
-        "fov": candidate.fov_deg,
+    """Return a candidate as JSON for the page; `POSE` gives the names of its numbers."""
+    return {name: getattr(candidate, field) for name, field in POSE.items()} | {
         "distortion": candidate.distortion,
         "wander": candidate.wander,
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": engine.eye_height_m(candidate),
         "confidence": candidate.confidence,
         "refined": candidate.refined,
-        "residual": candidate.residual_deg,
-        "share": candidate.terrain_share,
         "covariance": candidate.covariance_m2,
         "convergence": candidate.convergence_deg,
+        "apart": candidate.residual_in_words,
     }
 
 

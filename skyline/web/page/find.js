@@ -63,8 +63,7 @@ function show() {
 // A verdict holds for one pose, that of the candidate that the search has judged.
 function verdict(result) {
   if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
-  const notes = [result.claim, result.lens, result.beyond].filter((one) => one)
-    .map((one) => element("p", { class: "claim" }, one));
+  const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   const best = result.candidates[0];
   if (best && state.origin !== "found") return ["The camera has left the candidates of the search. Choose one to return to it."];
   if (state.chosen > 0) {
