@@ -89,10 +89,6 @@ def render(
             help="Share of the locations to cover.", show_default=f"{_PLANNED.coverage:g}"
         ),
     ] = None,
-    seed: Annotated[
-        int | None,
-        _of_planners(help="Seed of the planner's random choices.", show_default=f"{_PLANNED.seed}"),
-    ] = None,
     drawn: Annotated[
         Path | None,
         _of_planners(
@@ -120,7 +116,6 @@ def render(
         "--candidate-spacing": candidate_spacing,
         "--threshold-px": threshold_px,
         "--coverage": coverage,
-        "--seed": seed,
         "--map": drawn,
     }
     if planner is not None:
@@ -131,7 +126,6 @@ def render(
             "candidate_m": candidate_spacing,
             "threshold_px": threshold_px,
             "coverage": coverage,
-            "seed": seed,
         }
         given = {name: value for name, value in chosen.items() if value is not None}
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]

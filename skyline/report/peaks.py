@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,7 @@ _HEIGHTS_M = -500.0, 9000.0
 """Lowest and highest ground on Earth, with a margin: the Dead Sea at -430 m, Everest at 8849 m."""
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
+S = TypeVar("S", bound="Sighting")
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
@@ -280,7 +281,7 @@ def visible_peaks(
     return seen
 
 
-def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
+def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S]:
     """Return sightings in order of prominence on the terrain, then of height.
 
     Prominence is computed, since gazetteers seldom have it. Height alone misleads: a knoll on a

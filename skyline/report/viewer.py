@@ -395,19 +395,19 @@ class Viewer:
 
         Raises `OffMapError` for a pose off the map or on a hole.
         """
-        return peaks_in_picture(pose, query, self.sightings(pose, query))
+        # Ranking takes long, so only the peaks in the photo are ranked.
+        return most_prominent_first(
+            self.terrain, peaks_in_picture(pose, query, self._visible(pose))
+        )
 
-    def sightings(self, pose: Candidate, query: QuerySkyline | None = None) -> list[Sighting]:
-        """Return the peaks visible from a pose, the most prominent first.
+    def sightings(self, pose: Candidate) -> list[Sighting]:
+        """Return all peaks visible from a pose, as `summits`."""
+        return most_prominent_first(self.terrain, self._visible(pose))
 
-        With a query only those in its photo; ranking all takes longer. Raises as `summits`.
-        """
+    def _visible(self, pose: Candidate) -> list[Sighting]:
         if self.peaks is None:
             return []
-        seen = visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
-        if query is not None:
-            seen = [one for one in seen if peaks_in_picture(pose, query, [one])]
-        return most_prominent_first(self.terrain, seen)
+        return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
         """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""
