@@ -24,7 +24,7 @@ def encode_figure(figure: Figure, kind: str = "png") -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedLabel:
     """A label in a band of rows above a picture; its leader line descends at ``anchor_px``."""
 
     index: int
@@ -35,7 +35,7 @@ class Placed:
     row: int
     """0 is the lowest row, next to the picture."""
 
-    def disturbs(self, other: "Placed") -> bool:
+    def disturbs(self, other: "PlacedLabel") -> bool:
         """Return whether two labels overlap, or the leader of one runs through the other."""
         if self.row == other.row:
             return self.left_px < other.right_px and other.left_px < self.right_px
@@ -56,17 +56,19 @@ def place_labels(
     picture_px: float,
     rows: int,
     gap_px: float = 8.0,
-) -> list[Placed]:
+) -> list[PlacedLabel]:
     """Place labels centred on the columns of their leader lines, in the order given.
 
     A label lies in the lowest row with room for it, within the picture's width and with a gap on
     either side; a label that fits in none of the rows is left out.
     """
-    placed: list[Placed] = []
+    placed: list[PlacedLabel] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
         half = width / 2.0 + gap_px
         middle = min(max(anchor, half), max(picture_px - half, half))
-        tries = (Placed(index, anchor, middle - half, middle + half, row) for row in range(rows))
+        tries = (
+            PlacedLabel(index, anchor, middle - half, middle + half, row) for row in range(rows)
+        )
         free = (new for new in tries if not any(new.disturbs(old) for old in placed))
         if (first := next(free, None)) is not None:
             placed.append(first)
