@@ -42,7 +42,7 @@ COMMANDS = {
         "explain.explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
         "fetch.dem": "Elevation data for an area.",
-        "locate.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }
 """Commands by subject: module and name of each, and the first line of its own help."""

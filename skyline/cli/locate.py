@@ -1,6 +1,5 @@
-"""``skyline locate`` and ``cache``: photos in, places out, without a store; and what is kept."""
+"""``skyline locate``: photos in, places out, without a store at hand."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,6 @@ from skyline.cli.console import (
     AsJson,
     on_interrupt,
     output_option,
-    print_line,
     print_note,
     progress_bar,
 )
@@ -18,13 +16,7 @@ from skyline.cli.match import match, narrowing_of
 from skyline.cli.photo import FieldOfView
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.match.areas import (
-    cache_folder,
-    cached_areas,
-    cached_files,
-    clear_cache,
-    prepare_area,
-)
+from skyline.match.areas import cached_files, prepare_area
 from skyline.match.locate import NOTED_KM, area_of
 from skyline.match.queries import Query, listed
 from skyline.report.peaks import find_place
@@ -136,27 +128,3 @@ def _usable(queries: list[Query]) -> list[Query]:
     if first is not None and not usable:
         raise first
     return usable
-
-
-def cache(
-    clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """List what `locate` keeps: elevation tiles and stores of areas."""
-    areas = cached_areas()
-    total = sum(one.tile_bytes + one.store_bytes for one in areas)
-    if clear:
-        count = clear_cache(print_note)
-        left = sum(one.tile_bytes + one.store_bytes for one in cached_areas())
-        print_line(f"{cache_folder()}: {count} areas removed, {(total - left) / 1e6:.1f} MB")
-        return
-    if as_json:
-        about = {"folder": str(cache_folder()), "areas": [one.to_dict() for one in areas]}
-        print_line(json.dumps(about | {"bytes": total}))
-        return
-    for one in areas:
-        store = f"store {one.store_bytes / 1e6:.1f} MB" + ("" if one.finished else ", unfinished")
-        tiles = f"{one.tiles} tiles {one.tile_bytes / 1e6:.1f} MB, " if one.tiles else ""
-        box = ",".join(f"{side:g}" for side in one.bounds_deg)
-        print_line(f"{one.origin} {box}: {tiles}{store}, {one.changed:%Y-%m-%d %H:%M}")
-    print_line(f"{cache_folder()}: {len(areas)} areas, {total / 1e6:.1f} MB")

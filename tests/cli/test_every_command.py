@@ -40,7 +40,7 @@ COMMANDS = {
         ("{photo}", "--near", "{at},1", "--dem", "{dem}", "-o", "{out}"),
         "locate.prepare_area",
     ),
-    "cache": ((), "locate.cached_areas"),
+    "cache": ((), "cache.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_terrain"),
