@@ -141,7 +141,7 @@ async function fit() {
   button.disabled = !state.pose;
 }
 
-export function placeAt(place) {
+function placeAt(place) {
   if (!state.photo) return alertUser("add a photo first");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
   const heading = asked.heading?.deg ?? state.photo.heading ?? 0;
