@@ -207,7 +207,7 @@ def height_of_ele(ele: object) -> float:
     return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
     """A visible peak, as seen from one eye."""
 
