@@ -27,7 +27,7 @@ COMMANDS = {
         "continues.",
         "render.render": "Render views to grid north, east, south and west into a store, for the "
         "paper's matcher.",
-        "data.store": "Check, repair, merge and export stores.",
+        "store.store": "Check, repair, merge and export stores.",
     },
     "Views from a place": {
         "views.horizon": "Give the horizon around places: elevation angle and distance by "
@@ -37,12 +37,12 @@ COMMANDS = {
         "views.panorama": "Draw the view from a place, with the names of the peaks in sight.",
     },
     "Data": {
-        "data.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
-        "data.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "data.explain": "Show which terrain a skyline depends on, which is left out, and the "
+        "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
+        "info.info": "Describe a DEM, a store, or the OpenGL in use.",
+        "explain.explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
-        "data.dem": "Elevation data for an area.",
-        "data.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "fetch.dem": "Elevation data for an area.",
+        "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }
 """Commands by subject: module and name of each, and the first line of its own help."""

@@ -13,11 +13,11 @@ from skyline.build.spacing import expected_finds
 from skyline.cli.console import (
     Crs,
     Dems,
-    NoCurvature,
     RefractionK,
     Reproject,
     Workers,
     on_interrupt,
+    output_option,
     parse_bounds,
     print_line,
     progress_bar,
@@ -26,10 +26,9 @@ from skyline.cli.console import (
 from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.store import open_store
-from skyline.store.places import Places
 from skyline.store.read import parts_folder
 
-Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
+Output = Annotated[Path, output_option("The store to write.", "STORE.h5")]
 Bounds = Annotated[
     str | None, Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
 ]
@@ -51,13 +50,8 @@ def build(
         ),
     ] = None,
     bounds: Bounds = None,
-    drawn: Annotated[
-        Path | None,
-        Option("--map", metavar="PNG", help="Draw a map of the places and how far apart they lie."),
-    ] = None,
     workers: Workers = None,
     k: RefractionK = DEFAULT_REFRACTION_K,
-    no_curvature: NoCurvature = False,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
@@ -69,19 +63,14 @@ def build(
         spacing,
         None if bounds is None else parse_bounds(bounds),
         places,
-        Curvature(refraction_k=k, enabled=not no_curvature),
+        Curvature(refraction_k=k),
     )
     terrain = read_terrain(dem, crs, reproject)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     print_built(result, output, "places")
     with open_store(output) as opened:
-        built = opened.places()
-    print_finds(expected_finds(built))
-    if drawn is not None:
-        from skyline.report.maps import save_place_map  # noqa: PLC0415  (slow to load)
-
-        save_place_map(terrain, Places.concatenate(list(built.blocks())), drawn)
+        print_finds(expected_finds(opened.places()))
 
 
 def print_finds(classes: Sequence[tuple[float, float, float]]) -> None:

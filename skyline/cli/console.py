@@ -50,7 +50,12 @@ def panel(title: str) -> Callable[..., Any]:
     return partial(Option, rich_help_panel=title)
 
 
-_terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
+def output_option(about: str, metavar: str = "FILE") -> Any:
+    """Return the option that names the file or the folder that a command writes."""
+    return Option("--output", "-o", metavar=metavar, help=about)
+
+
+of_terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
 
 StoreFile = Annotated[Path, Argument(metavar="STORE.h5")]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
@@ -72,22 +77,19 @@ Dems = Annotated[
 ]
 Surfaces = Annotated[
     list[str] | None,
-    _terrain(
+    of_terrain(
         "--surface",
         metavar="FILE",
         help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
         "repeat for each tile.",
     ),
 ]
-RefractionK = Annotated[float, _terrain("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Assume a flat Earth.")]
-Crs = Annotated[str | None, _terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
-Reproject = Annotated[bool, _terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")]
-PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")
-Width = Annotated[int, _terrain(help="Columns of a 90 degree view.")]
-Tolerance = Annotated[
-    float, _terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact.")
+RefractionK = Annotated[float, of_terrain("--k", help="Refraction coefficient.")]
+Crs = Annotated[str | None, of_terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
+Reproject = Annotated[
+    bool, of_terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")
 ]
+PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")
 
 
 def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:

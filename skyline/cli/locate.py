@@ -8,6 +8,7 @@ from typer import Argument, Option
 from skyline.cli.console import (
     AsJson,
     on_interrupt,
+    output_option,
     print_note,
     progress_bar,
 )
@@ -42,9 +43,9 @@ def locate(
             show_default="tiles are fetched",
         ),
     ] = None,
-    output: Annotated[
-        Path, Option("--output", "-o", metavar="DIR", help="The folder for the report.")
-    ] = Path("skyline-report"),
+    output: Annotated[Path, output_option("The folder for the report.", "DIR")] = Path(
+        "skyline-report"
+    ),
     fov_deg: FieldOfView = None,
     source: Annotated[
         str | None,

@@ -19,6 +19,7 @@ from skyline.cli.console import (
     Reproject,
     are_degrees,
     note_if_slow,
+    output_option,
     parse_numbers,
     print_error,
     print_line,
@@ -154,12 +155,7 @@ def label(
     photo: Annotated[Path, Argument(metavar="PHOTO")],
     dem: Dem,
     peaks: Annotated[Path, PEAKS],
-    output: Annotated[
-        Path,
-        Option(
-            "--output", "-o", metavar="FILE", help=f"The file to write: {', '.join(_LABEL_FILES)}."
-        ),
-    ],
+    output: Annotated[Path, output_option(f"The file to write: {', '.join(_LABEL_FILES)}.")],
     at: CameraPlace = None,
     pose: Annotated[Path | None, _POSE] = None,
     fov_deg: FieldOfView = None,
@@ -175,7 +171,8 @@ def label(
     The camera is oriented by the skyline at its place, unless its pose is given.
     Summits that terrain hides are left out.
     """
-    from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
+    from skyline.report.figures import unnamed_in_words  # noqa: PLC0415  (slow to load)
+    from skyline.report.overlay import draw_labels  # noqa: PLC0415
 
     kind = _LABEL_FILES[suffix_of(output, _LABEL_FILES)]
     if pose is not None and (at is not None or fov_deg is not None):
@@ -209,7 +206,7 @@ def label(
     else:
         written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
     write_whole(output, written)
-    without = f", {unnamed} of them without a name for want of room" if unnamed else ""
+    without = unnamed_in_words(unnamed)
     missing = sorted(set(gazetteer.names) - {one.name for one in seen})
     if missing:
         more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
@@ -221,12 +218,7 @@ def pixels(
     photo: Annotated[Path, Argument(metavar="PHOTO")],
     pose: Annotated[Path, _POSE],
     dem: Dem,
-    output: Annotated[
-        Path,
-        Option(
-            "--output", "-o", metavar="FILE", help=f"The file to write: {' or '.join(PIXEL_FILES)}."
-        ),
-    ],
+    output: Annotated[Path, output_option(f"The file to write: {' or '.join(PIXEL_FILES)}.")],
     step: Annotated[int, Option(min=1, help="Take every Nth row and column.")] = 1,
     projection: PhotoProjection = None,
     crs: Crs = None,

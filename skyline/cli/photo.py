@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from skyline.cli.console import PEAKS, StoreDem, StoreFile, panel, print_written
+from skyline.cli.console import PEAKS, StoreDem, StoreFile, output_option, panel, print_written
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
@@ -24,7 +24,7 @@ PhotoProjection = Annotated[
 
 def extract(
     photo: Annotated[Path, Argument(metavar="PHOTO")],
-    output: Annotated[Path, Option("--output", "-o", help="The trace to write (CSV).")],
+    output: Annotated[Path, output_option("The trace to write.", "FILE.csv")],
     overlay: Annotated[
         Path | None, Option(metavar="PNG", help="Also write the photo with its skyline drawn.")
     ] = None,

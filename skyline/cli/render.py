@@ -13,12 +13,10 @@ from skyline.cli.build import Bounds, Output, keeps_parts, print_built
 from skyline.cli.console import (
     Crs,
     Dems,
-    NoCurvature,
     RefractionK,
     Reproject,
-    Tolerance,
-    Width,
     Workers,
+    of_terrain,
     panel,
     parse_bounds,
     print_line,
@@ -91,10 +89,6 @@ def render(
             help="Share of the locations to cover.", show_default=f"{_PLANNED.coverage:g}"
         ),
     ] = None,
-    seed: Annotated[
-        int | None,
-        _of_planners(help="Seed of the planner's random choices.", show_default=f"{_PLANNED.seed}"),
-    ] = None,
     drawn: Annotated[
         Path | None,
         _of_planners(
@@ -104,23 +98,24 @@ def render(
         ),
     ] = None,
     workers: Workers = None,
-    width: Width = _DEFAULTS.width,
-    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
+    width: Annotated[int, of_terrain(help="Columns of a 90 degree view.")] = _DEFAULTS.width,
+    tolerance_px: Annotated[
+        float,
+        of_terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
+    ] = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
-    no_curvature: NoCurvature = False,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
     """Render views to grid north, east, south and west into a store, for the paper's matcher."""
     if (viewpoints is None) == (grid is None and planner is None):
         raise InputError("give one of --viewpoints FILE.csv, --grid SPACING_M and --planner NAME")
-    config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k, enabled=not no_curvature))
+    config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k))
     corners = None if bounds is None else parse_bounds(bounds)
     of_planners = {
         "--candidate-spacing": candidate_spacing,
         "--threshold-px": threshold_px,
         "--coverage": coverage,
-        "--seed": seed,
         "--map": drawn,
     }
     if planner is not None:
@@ -131,7 +126,6 @@ def render(
             "candidate_m": candidate_spacing,
             "threshold_px": threshold_px,
             "coverage": coverage,
-            "seed": seed,
         }
         given = {name: value for name, value in chosen.items() if value is not None}
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]

@@ -13,11 +13,11 @@ from skyline.cli.console import (
     PEAKS,
     Crs,
     Dems,
-    NoCurvature,
     RefractionK,
     Reproject,
     Surfaces,
     note_if_slow,
+    output_option,
     parse_place,
     print_line,
     print_note,
@@ -80,16 +80,10 @@ def horizon(
     ] = DEFAULT_STEP_DEG,
     output: Annotated[
         Path | None,
-        Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help=f"{', '.join(SUFFIXES)} (PVGIS' horizon file). CSV is printed by default.",
-        ),
+        output_option(f"{', '.join(SUFFIXES)} (PVGIS' horizon file). CSV is printed by default."),
     ] = None,
     surface: Surfaces = None,
     k: RefractionK = _CURVATURE.refraction_k,
-    no_curvature: NoCurvature = False,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
@@ -105,7 +99,7 @@ def horizon(
     else:
         eyes = _eyes(terrain, at or [], eye_height, summit_within)
     over = read_surface(surface, terrain) if surface else None
-    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    curvature = Curvature(refraction_k=k)
     with progress_bar("rendering") as progress:
         found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
     if output is None or str(output) == STANDARD:
@@ -144,10 +138,7 @@ def sun(
 def panorama(
     dem: Dems,
     at: Annotated[str, Option(metavar="LON,LAT", help="The place, degrees (WGS 84).")],
-    output: Annotated[
-        Path,
-        Option("--output", "-o", metavar="FILE", help="The file to write: .png, .svg or .pdf."),
-    ],
+    output: Annotated[Path, output_option("The file to write: .png, .svg or .pdf.")],
     peaks: Annotated[Path | None, PEAKS] = None,
     heading: Annotated[
         float, Option(metavar="DEG", help="Azimuth of the picture's middle, from true north.")
@@ -163,6 +154,7 @@ def panorama(
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
     from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
+    from skyline.report.figures import unnamed_in_words  # noqa: PLC0415
 
     lonlat = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
@@ -181,9 +173,7 @@ def panorama(
     _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
     seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
-    if unnamed:
-        named += f", {unnamed} of them without a name for want of room"
-    print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
+    print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed_in_words(unnamed)}")
 
 
 def _eyes(

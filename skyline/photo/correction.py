@@ -6,7 +6,6 @@ Columns that no stroke changes keep the skyline found first.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -86,36 +85,32 @@ class Correction:
     Parameters
     ----------
     photo : Photo
-    found : QuerySkyline, optional
-        The skyline to start from, for example a trace. By default it is extracted from the photo,
-        or is the border of a sky mask.
 
     Raises
     ------
     InputError
-        The photo is too small or a sliver, or the skyline is of an image of another size.
+        The photo is too small or a sliver.
     """
 
-    def __init__(self, photo: Photo, found: QuerySkyline | None = None) -> None:
+    def __init__(self, photo: Photo) -> None:
         self._photo = photo
         self._extraction = Extraction.of(photo.rgb)
-        if found is None and is_sky_mask(photo.rgb):
-            found = skyline_of_mask(photo.rgb)
-        self._found, (self._row_px, self._confidence) = found, self._start(found)
+        self._mask = skyline_of_mask(photo.rgb) if is_sky_mask(photo.rgb) else None
 
-    def restarted(self, found: QuerySkyline) -> "Correction":
-        """Return a correction of the same photo that starts from a skyline, such as a trace."""
-        again = copy(self)
-        again._found, (again._row_px, again._confidence) = found, self._start(found)
-        return again
-
-    def solve(self, strokes: Sequence[Stroke] = ()) -> QuerySkyline:
+    def solve(
+        self, strokes: Sequence[Stroke] = (), start: QuerySkyline | None = None
+    ) -> QuerySkyline:
         """Return the skyline under all given strokes; later strokes override earlier ones.
 
-        The skyline may have no trusted column. Its field of view and projection are the photo's.
+        ``start`` is the skyline to which the strokes are applied, for example a trace. By default
+        it is extracted from the photo, or is the border of a sky mask. The result may have no
+        trusted column. Its field of view and projection are the photo's.
+
+        Raises `InputError` if ``start`` is of an image of another size.
         """
+        found = self._mask if start is None else start
         left, top = self._extraction.content.left, self._extraction.content.top
-        row_px, confidence = self._row_px.copy(), self._confidence.copy()
+        row_px, confidence = self._started(found)
         height, width = self._extraction.photo.shape[:2]
         inside = [
             replace(one, points_px=tuple((x - left, y - top) for x, y in one.points_px))
@@ -137,21 +132,22 @@ class Correction:
                 confidence[touched] = np.maximum(confidence[touched], TRUST_THRESHOLD)
         known = np.isfinite(row_px)
         query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
-        if self._found is not None:
+        if found is not None:
             # A mask or a trace may have rows in the borders beside the photo; they are kept.
             beside = np.ones(query.width_px, dtype=bool)
             beside[left : left + width] = False
             query = replace(
                 query,
-                row_px=np.where(beside, self._found.row_px, query.row_px),
-                confidence=np.where(beside, self._found.confidence, query.confidence),
+                row_px=np.where(beside, found.row_px, query.row_px),
+                confidence=np.where(beside, found.confidence, query.confidence),
             )
         return self._photo.described(query)
 
-    def _start(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
+    def _started(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
+        """Return new rows and confidences of the photo without its borders, before any stroke."""
         extraction = self._extraction
         if found is None:
-            return extraction.row_px, extraction.confidence
+            return extraction.row_px.copy(), extraction.confidence.copy()
         content = extraction.content
         check_of_image(found, (content.height, content.width))
         inside = slice(content.left, content.right)

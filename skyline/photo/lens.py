@@ -50,7 +50,7 @@ _PLANE_ALONE = 0.5 * log(1.5)
 """Deviation of the logarithm of a focal length from the focal plane: wrong values are off by the
 step between two sensor formats, 1.5 (Exiv2's issue 3097)."""
 _LEAST_PIXELS = 3e6
-"""A focal plane with fewer pixels is no witness by itself: most such photos were reduced by
+"""A focal plane with fewer pixels does not count by itself: most such photos were reduced by
 programs that note the new size and keep the plane's resolution."""
 _SHAPES = (1.0, 4 / 3, 3 / 2, 16 / 9)
 """Width over height of the frames that cameras take."""
@@ -62,7 +62,7 @@ _SWEPT = 6.0
 _SWEPT_HEIGHT, _SWEPT_SD = 0.83, 0.12
 """Share of the camera's height that a swept panorama keeps, between 0.7 and nearly all, and the
 relative deviation of its width."""
-_KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
+_CROP_MEAN, _CROP_SD, _CROP_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 """Mean, deviation and greatest value of a crop's field of view, as a share of the greatest
 possible: it is taken to lie evenly between half and all of that."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
@@ -82,7 +82,7 @@ class Sensor:
         is_3_to_2 = 24.0 < self.diagonal_mm < 46.0 or 15.0 < self.diagonal_mm < 17.0
         return 3 / 2 if is_3_to_2 else 4 / 3
 
-    def kept_mm(self, frame: tuple[float, float]) -> float:
+    def cropped_mm(self, frame: tuple[float, float]) -> float:
         """Return the diagonal of the largest part that has the shape of a frame."""
         kept = max(frame) / min(frame)
         height_mm = self.diagonal_mm / hypot(self.shape, 1.0) * min(self.shape / kept, 1.0)
@@ -113,7 +113,7 @@ def _model_key(model: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Witness:
+class _FocalLength:
     """A focal length in diagonals of the frame, and the deviation of its logarithm.
 
     The deviation is None if two sources agree.
@@ -123,7 +123,7 @@ class _Witness:
     diagonals: float
     sd: float | None = _ALONE
 
-    def off(self, other: "_Witness") -> float:
+    def log_ratio(self, other: "_FocalLength") -> float:
         """Return the difference of the logarithms of two focal lengths."""
         return abs(log(self.diagonals / other.diagonals))
 
@@ -146,13 +146,13 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     """
     sensor = _sensors_by_model().get(_model_key(text_of(tags, Base.Model)))
     noted, frame = _frames(tags, size_px, sensor)
-    witnesses, against = _witnesses(tags, size_px, noted, frame, sensor)
-    if not witnesses:
+    focals, against = _focal_lengths(tags, size_px, noted, frame, sensor)
+    if not focals:
         return Lens(reason="; ".join(against))
-    focal = _believed(witnesses)
+    focal = _combined(focals)
     if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
         return Lens(reason=f"{focal.source} left aside: the photo is a panorama or a strip")
-    tangent = _kept_width(size_px, frame) / 2.0 / (focal.diagonals * hypot(*frame))
+    tangent = _cropped_width(size_px, frame) / 2.0 / (focal.diagonals * hypot(*frame))
     fov_deg = 2.0 * degrees(atan(tangent))
     if fov_deg < MIN_FOV_DEG:
         return Lens(reason=f"{focal.source} left aside: {fov_deg:.2g} degrees are no photo's")
@@ -160,10 +160,10 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
         return Lens(fov_deg, sd_deg, None, "; ".join([focal.source, *against]))
     reason = f"{focal.source}, but the photo was cropped from {fov_deg:.1f} degrees"
-    most_deg = _KEPT_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
+    most_deg = _CROP_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
     return Lens(
-        _KEPT_MEAN * fov_deg,
-        hypot(_KEPT_SD * fov_deg, sd_deg or 0.0),
+        _CROP_MEAN * fov_deg,
+        hypot(_CROP_SD * fov_deg, sd_deg or 0.0),
         most_deg,
         "; ".join([reason, *against]),
     )
@@ -219,7 +219,7 @@ def _panorama_lens(
     size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
 ) -> Lens:
     """Return the field of view of a file's part of a panorama of the given width and height."""
-    kept_px = width if height is None else _kept_width(size_px, (width, height))
+    kept_px = width if height is None else _cropped_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:
         return Lens(reason=f"XMP's panorama left aside: {fov_deg:.2g} degrees are no photo's")
@@ -235,43 +235,43 @@ def _panorama_lens(
     return Lens(
         max(sqrt(least_deg * fov_deg), MIN_FOV_DEG),
         (fov_deg - least_deg) / sqrt(12.0),
-        min(_KEPT_MOST * fov_deg, MAX_PANORAMA_DEG),
+        min(_CROP_MOST * fov_deg, MAX_PANORAMA_DEG),
         f"XMP notes a panorama of {fov_deg:.1f} degrees, but the photo was cropped since",
     )
 
 
-def _witnesses(
+def _focal_lengths(
     tags: Tags,
     size_px: tuple[int, int],
     noted: tuple[float, float] | None,
     frame: tuple[float, float],
     sensor: Sensor | None,
-) -> tuple[list[_Witness], list[str]]:
-    """Return the witnesses for the focal length, and the reasons against those left aside."""
+) -> tuple[list[_FocalLength], list[str]]:
+    """Return the focal lengths that EXIF gives, and the reasons against those left aside."""
     equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
     focal_mm = positive(tags.get(Base.FocalLength))
     film = known = None
     against = []
     if equivalent_mm is not None:
-        film = _Witness("35 mm equivalent", equivalent_mm / _FULL_FRAME_MM)
+        film = _FocalLength("35 mm equivalent", equivalent_mm / _FULL_FRAME_MM)
         if not _is_lens(film.diagonals, focal_mm):
             against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm is no lens's")
             film = None
     if focal_mm is not None and sensor is not None:
         zoom = max(1.0, positive(tags.get(Base.DigitalZoomRatio)) or 1.0)
         source = f"focal length on the sensor of {sensor.camera}"
-        known = _Witness(source, focal_mm * zoom / sensor.kept_mm(frame))
+        known = _FocalLength(source, focal_mm * zoom / sensor.cropped_mm(frame))
     found = [one for one in (film, known) if one is not None]
     across = _pixels_per_mm(tags)
     if focal_mm is None or noted is None or across is None:
         return found, against
-    plane = _Witness("focal plane", focal_mm * across / hypot(*noted), _PLANE_ALONE)
+    plane = _FocalLength("focal plane", focal_mm * across / hypot(*noted), _PLANE_ALONE)
     wide = f"EXIF's focal plane would be {max(noted) / across:.1f} mm wide"
     is_of_file = sorted(noted) == sorted(size_px)
-    is_like_film = film is not None and film.off(plane) <= _AGREE
+    is_like_film = film is not None and film.log_ratio(plane) <= _AGREE
     if not _is_lens(plane.diagonals, focal_mm):
         against.append("EXIF's focal plane is no camera's")
-    elif known is not None and known.off(plane) > _AGREE and not is_like_film:
+    elif known is not None and known.log_ratio(plane) > _AGREE and not is_like_film:
         against.append(f"{wide}, which that sensor is not")
     elif known is None and is_of_file and _is_reduced(plane, film, noted):
         against.append(f"{wide}: the photo was reduced, and its size noted anew")
@@ -280,23 +280,23 @@ def _witnesses(
     return found, against
 
 
-def _is_reduced(plane: _Witness, film: _Witness | None, noted: tuple[float, float]) -> bool:
+def _is_reduced(plane: _FocalLength, film: _FocalLength | None, noted: tuple[float, float]) -> bool:
     """Return whether a focal plane seems to be that of a reduced picture with its size in it."""
     if film is None:
         return noted[0] * noted[1] < _LEAST_PIXELS
     return log(plane.diagonals / film.diagonals) > _AGREE
 
 
-def _believed(witnesses: list[_Witness]) -> _Witness:
-    """Return the middle of the two witnesses that agree best; of all if none agree."""
-    if len(witnesses) == 1:
-        return replace(witnesses[0], source=f"EXIF's {witnesses[0].source} alone")
-    one, two = min(combinations(witnesses, 2), key=lambda pair: pair[0].off(pair[1]))
-    middle, off = sqrt(one.diagonals * two.diagonals), one.off(two)
+def _combined(focals: list[_FocalLength]) -> _FocalLength:
+    """Return the middle of the two focal lengths that agree best; of all if none agree."""
+    if len(focals) == 1:
+        return replace(focals[0], source=f"EXIF's {focals[0].source} alone")
+    one, two = min(combinations(focals, 2), key=lambda pair: pair[0].log_ratio(pair[1]))
+    middle, off = sqrt(one.diagonals * two.diagonals), one.log_ratio(two)
     both = f"EXIF's {one.source} and its {two.source}"
     if off <= _AGREE:
-        return _Witness(f"{both} agree", middle, None)
-    return _Witness(f"{both} contradict one another", middle, max(off / 2.0, _ALONE))
+        return _FocalLength(f"{both} agree", middle, None)
+    return _FocalLength(f"{both} contradict one another", middle, max(off / 2.0, _ALONE))
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
@@ -329,7 +329,7 @@ def _frames(
     if width is not None and height is not None:
 
         def fit(frame: tuple[float, float]) -> tuple[bool, bool, float]:
-            kept = _kept_width(size_px, frame)
+            kept = _cropped_width(size_px, frame)
             return _is_whole(size_px, frame), _is_unscaled(size_px, frame), kept
 
         noted = max(((width, height), (height, width)), key=fit)
@@ -344,7 +344,7 @@ def _frames(
     return None, (whole, 1.0) if size_px[0] >= size_px[1] else (1.0, whole)
 
 
-def _kept_width(size_px: tuple[int, int], frame: tuple[float, float]) -> float:
+def _cropped_width(size_px: tuple[int, int], frame: tuple[float, float]) -> float:
     """Return the width of the largest part of a frame, in its pixels, with the shape of a file."""
     if _is_unscaled(size_px, frame):
         return float(size_px[0])

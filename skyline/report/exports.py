@@ -2,15 +2,13 @@
 
 Candidates are points, views and ellipses in degrees of WGS 84 as GeoJSON (RFC 7946); places, views,
 and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); and waypoints, which navigation
-devices and hiking maps read, as GPX 1.1. The places of a store are a GeoPackage with a style.
+devices and hiking maps read, as GPX 1.1. The places of a store are a GeoPackage.
 """
 
-import contextlib
 import io
 import json
 import math
 import os
-import sqlite3
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -48,51 +46,6 @@ _OVERLAY = """<PhotoOverlay><name/><Camera>
 <Point><coordinates>{at.lon:.7f},{at.lat:.7f},{at.eye_elevation_m:.2f}</coordinates></Point>
 <shape>rectangle</shape></PhotoOverlay>"""
 """A photo that stands 300 m before the camera; its name and address are set as texts."""
-_STYLES_TABLE = """
-CREATE TABLE layer_styles (
-    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256),
-    f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256),
-    styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description TEXT,
-    owner TEXT(30), ui TEXT(30), update_time DATETIME
-);
-INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES
-    ('layer_styles', 'attributes', 'layer_styles');
-"""
-_ADD_STYLE = """
-INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
-    styleName, styleQML, useAsDefault, update_time)
-VALUES ('', '', 'places', 'geom', 'places', ?, 1, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-"""
-_STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.22" styleCategories="Symbology">
-<renderer-v2 type="singleSymbol"><symbols><symbol name="0" type="marker">
-<layer class="SimpleMarker" enabled="1" locked="0" pass="0">
-  <Option type="Map">
-    <Option name="name" type="QString" value="square"/>
-    <Option name="color" type="QString" value="31,95,191,50"/>
-    <Option name="outline_color" type="QString" value="31,95,191,255"/>
-    <Option name="outline_style" type="QString" value="solid"/>
-    <Option name="outline_width" type="QString" value="0.2"/>
-    <Option name="outline_width_unit" type="QString" value="MM"/>
-    <Option name="scale_method" type="QString" value="diameter"/>
-    <Option name="size" type="QString" value="80"/>
-    <Option name="size_unit" type="QString" value="RenderMetersInMapUnits"/>
-  </Option>
-  <data_defined_properties><Option type="Map">
-    <Option name="name" type="QString" value=""/>
-    <Option name="properties" type="Map"><Option name="size" type="Map">
-      <Option name="active" type="bool" value="true"/>
-      <Option name="field" type="QString" value="spacing_m"/>
-      <Option name="type" type="int" value="2"/>
-    </Option></Option>
-    <Option name="type" type="QString" value="collection"/>
-  </Option></data_defined_properties>
-</layer>
-</symbol></symbols></renderer-v2>
-</qgis>
-"""
-"""Draws each place as a square as wide as its field `spacing_m`; QGIS applies it at once."""
-
 Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
@@ -318,10 +271,5 @@ def write_geopackage(store: Store, path: Path) -> int:
     # The file is made in memory: SQLite needs file locks, which some network folders lack.
     held = io.BytesIO()
     table.to_file(held, layer="places", driver="GPKG")
-    with contextlib.closing(sqlite3.connect(":memory:")) as file:
-        file.deserialize(held.getvalue())
-        file.executescript(_STYLES_TABLE)
-        file.execute(_ADD_STYLE, (_STYLE,))
-        file.commit()
-        write_whole(path, file.serialize())
+    write_whole(path, held.getvalue())
     return len(table)

@@ -3,16 +3,11 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from skyline.files import write_with_folders
-
-_DPI = 110
 _OPTIONS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 4}},
     "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
@@ -21,21 +16,15 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 reduced colour resolution thin coloured lines fade."""
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure as PNG and make missing folders; raises `InputError` if it cannot."""
-    write_with_folders(path, encode_figure(figure))
-
-
-def encode_figure(figure: Figure, kind: str = "png", dpi: float = _DPI) -> bytes:
-    """Return a figure encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
-    FigureCanvasAgg(figure)
+def encode_figure(figure: Figure, kind: str = "png") -> bytes:
+    """Return a figure, at its own resolution, encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi=dpi, **_OPTIONS.get(kind, {}))
+    figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
     return picture.getvalue()
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedLabel:
     """A label in a band of rows above a picture; its leader line descends at ``anchor_px``."""
 
     index: int
@@ -46,7 +35,7 @@ class Placed:
     row: int
     """0 is the lowest row, next to the picture."""
 
-    def disturbs(self, other: "Placed") -> bool:
+    def disturbs(self, other: "PlacedLabel") -> bool:
         """Return whether two labels overlap, or the leader of one runs through the other."""
         if self.row == other.row:
             return self.left_px < other.right_px and other.left_px < self.right_px
@@ -67,25 +56,27 @@ def place_labels(
     picture_px: float,
     rows: int,
     gap_px: float = 8.0,
-) -> list[Placed]:
+) -> list[PlacedLabel]:
     """Place labels centred on the columns of their leader lines, in the order given.
 
     A label lies in the lowest row with room for it, within the picture's width and with a gap on
     either side; a label that fits in none of the rows is left out.
     """
-    placed: list[Placed] = []
+    placed: list[PlacedLabel] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
         half = width / 2.0 + gap_px
         middle = min(max(anchor, half), max(picture_px - half, half))
-        tries = (Placed(index, anchor, middle - half, middle + half, row) for row in range(rows))
+        tries = (
+            PlacedLabel(index, anchor, middle - half, middle + half, row) for row in range(rows)
+        )
         free = (new for new in tries if not any(new.disturbs(old) for old in placed))
         if (first := next(free, None)) is not None:
             placed.append(first)
     return placed
 
 
-def unnamed_in_words(count: int, before: str = "") -> str:
-    """Return how many peaks have no room for their names; an empty string for none."""
+def unnamed_in_words(count: int) -> str:
+    """Return how many peaks have no room for their names, to end a sentence; empty for none."""
     if count == 0:
         return ""
-    return f"{before}{count} {'peak has' if count == 1 else 'peaks have'} no room for a name"
+    return f"; {count} {'peak has' if count == 1 else 'peaks have'} no room for a name"

@@ -90,9 +90,8 @@ def save_panorama(
 
 def save_view(view: PanoramaView, path: str | Path) -> int:
     """Draw a view as a panorama; return the number of peaks without room for their names."""
-    suffix = suffix_of(path, PANORAMA_SUFFIXES)
     figure, unnamed = draw_panorama(view)
-    write_whole(Path(path), encode_figure(figure, suffix[1:], _DPI))
+    write_whole(Path(path), encode_figure(figure, suffix_of(path, PANORAMA_SUFFIXES)[1:]))
     return unnamed
 
 
@@ -114,7 +113,7 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
         _draw_row(axis, view, row, colours)
         unnamed -= _draw_names(axis, row)
         top_in = bottom_in - _SCALE_IN
-    title = _title(view) + unnamed_in_words(unnamed, "; ")
+    title = _title(view) + unnamed_in_words(unnamed)
     figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
     return figure, unnamed
 

@@ -196,15 +196,15 @@ class Landscape:
             summit_within_m=summit_within_m,
         )
         from_m = np.hypot(*blocks.around_m(eye.easting_m[0], eye.northing_m[0])) - blocks.radius_m
-        look = _Look(blocks, eye, azimuth_deg)
-        look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
+        rays = _RayWalk(blocks, eye, azimuth_deg)
+        rays.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
         for ring_m in itertools.pairwise((near_m, *farther_m)):
-            seen, until_m = look.may_be_seen(ring_m[0])
+            seen, until_m = rays.may_be_seen(ring_m[0])
             wanted = np.where(from_m <= ring_m[0], wanted, seen)
             terrain = blocks.field(wanted & (from_m <= ring_m[1]))
-            look.walk(terrain, *ring_m, until_m)
+            rays.walk(terrain, *ring_m, until_m)
         ground_m = float(eye.eye_elevation_m[0]) - eye_height_m
-        return cls(terrain, eye, ground_m, azimuth_deg, *look.points(terrain))
+        return cls(terrain, eye, ground_m, azimuth_deg, *rays.points(terrain))
 
     @property
     def skyline_deg(self) -> Float32Array:
@@ -252,7 +252,7 @@ class Landscape:
         return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
 
 
-class _Look:
+class _RayWalk:
     """Follows columns of azimuth outwards; see `Landscape`."""
 
     def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:

@@ -1,4 +1,4 @@
-"""Maps over shaded relief, lit from the north-west: candidates, places of a store, and tiles.
+"""Maps over shaded relief, lit from the north-west: candidates of a match, and tiles.
 
 A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the world, x counts from
 the west, y from the north.
@@ -6,13 +6,12 @@ the west, y from the north.
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
@@ -20,15 +19,15 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate
-from skyline.report.figures import save_figure, unnamed_in_words
+from skyline.report.figures import unnamed_in_words
 from skyline.report.peaks import Sighting
 from skyline.report.shapes import Ellipse, view_wedge_m
-from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -40,9 +39,7 @@ _WEDGE_SHARE = 0.16
 _MOST_PEAKS = 12
 _NEAR_BORDER = 0.2
 """Share of the map's width near its sides in which a centred label would cross the border."""
-_WIDTH_IN, _PLACES_WIDTH_IN = 5.8, 9.0
-_INK_SHARE = 0.35
-"""Share of the picture that all points together cover."""
+_WIDTH_IN, _DPI = 5.8, 150.0
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
 _MOST_PIXELS = 900
 _NO_TERRAIN = "#eef0ee"
@@ -97,16 +94,15 @@ def draw_match_map(
     frame: Frame,
     viewpoints: Viewpoints,
     terrain: HeightField | None,
-    sightings: Sequence[Sighting] = (),
+    sightings: Sequence[Sighting],
 ) -> Figure:
     """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
 
     The first stands out over the others. The store's viewpoints are dots; ``sightings`` are the
     peaks visible from the first candidate. Without terrain the map has no relief.
     """
-    figure = Figure(
-        figsize=(_WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5), layout="constrained"
-    )
+    size_in = _WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5
+    figure = Figure(size_in, _DPI, layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
     shown = _draw_viewpoints(axis, viewpoints, area)
@@ -118,7 +114,7 @@ def draw_match_map(
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
     title = f"{shown} viewpoints of the store (dots)"
-    title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS), "; ")
+    title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS))
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 
@@ -180,38 +176,6 @@ def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Bbox) -> None:
         )
 
 
-def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
-    """Save a map (PNG) of the N places of a store, coloured by their spacing.
-
-    Raises `InputError` if the file cannot be written.
-    """
-    spacing_m = 2.0 * places.tolerance_m
-    easting_m, northing_m = places.easting_m, places.northing_m
-    area = Bbox.from_extents(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
-    height_in = _PLACES_WIDTH_IN * max(area.height, 1.0) / max(area.width, 1.0)
-    figure = Figure(figsize=(_PLACES_WIDTH_IN + 1.0, height_in + 0.7), layout="constrained")
-    axis = figure.subplots()
-    draw_relief(axis, terrain, area)
-    points_in = 72.0 * np.sqrt(_INK_SHARE * _PLACES_WIDTH_IN * height_in / len(places))
-    drawn = axis.scatter(
-        easting_m,
-        northing_m,
-        c=spacing_m,
-        s=float(np.clip(points_in, 0.5, 6.0)) ** 2,
-        cmap="plasma",
-        norm=LogNorm(spacing_m.min(), max(spacing_m.max(), 1.01 * spacing_m.min())),
-        linewidths=0.0,
-    )
-    draw_bearings(axis, terrain.frame, area)
-    axis.set_title(f"{len(places):,} places", fontsize=10)
-    bar = figure.colorbar(drawn, ax=axis, shrink=0.8, pad=0.01)
-    bar.set_label("spacing of the places (m)")
-    ticks = np.unique(spacing_m)
-    bar.set_ticks(list(ticks), labels=[f"{tick:.0f}" for tick in ticks])
-    bar.minorticks_off()
-    save_figure(figure, path)
-
-
 def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     """Draw the terrain of an area, lit from the north-west and tinted by height.
 
@@ -230,7 +194,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     if np.isnan(heights).all():
         axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
         return
-    picture = relief(heights.astype(np.float32), pixel_m, pixel_m, tint_range_m(heights))
+    picture = relief(heights.astype(np.float32), pixel_m, tint_range_m(heights))
     extent = area.x0, area.x0 + columns * pixel_m, area.y1 - rows * pixel_m, area.y1
     axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
 
@@ -289,16 +253,15 @@ def _nice_length(length: float) -> float:
     )
 
 
-def relief(
-    heights: Float32Array, east_m: float, north_m: float, range_m: tuple[float, float]
-) -> UInt8Array:
+def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) -> UInt8Array:
     """Return shaded relief as RGBA (H, W, 4) uint8, transparent where there is no height.
 
-    The heights (H + 2, W + 2), metres, are those of the picture's pixels and of the pixels one
-    beyond; rows run south. ``range_m`` are the heights of the lowest and the highest tint.
+    The heights (H + 2, W + 2), metres, are those of the picture's pixels, ``pixel_m`` apart, and of
+    the pixels one beyond; rows run south. ``range_m`` are the heights of the lowest and the highest
+    tint.
     """
-    east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * east_m)
-    north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * north_m)
+    east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
+    north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
     up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
     lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
     inner, (low, high) = heights[1:-1, 1:-1], range_m
@@ -348,9 +311,11 @@ class ReliefTiles:
         pixel_m = float(across) if np.isfinite(across) else 1e6
         # Far from a frame's middle its projection may be undefined.
         places = (np.where(np.isfinite(at), at, _NOWHERE_M) for at in (easting, northing))
-        east, north = map(_on_pixels, places)
+        east, north = (
+            ndimage.zoom(at, (TILE_PX + 2) / _MESH, order=1, mode="nearest") for at in places
+        )
         heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
-        picture = relief(heights, pixel_m, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
+        picture = relief(heights, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
 
@@ -360,10 +325,3 @@ def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
     east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)
     lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * south))))
     return 360.0 * east - 180.0, lat
-
-
-def _on_pixels(mesh: Float64Array) -> Float64Array:
-    """Return values (T + 2, T + 2) at pixels, linearly interpolated from a mesh (M, M)."""
-    position = np.linspace(0.0, _MESH - 1.0, TILE_PX + 2)
-    weight = np.maximum(0.0, 1.0 - np.abs(position[:, np.newaxis] - np.arange(_MESH)))
-    return np.asarray(weight @ mesh @ weight.T)

@@ -24,7 +24,6 @@ from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import PACKAGE_VERSION
 
-_MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
 
@@ -169,7 +168,7 @@ def _maps(
     pictures = []
     for name, area, caption in areas:
         figure = draw_match_map(candidates, area, matcher.frame, viewpoints, terrain, sightings)
-        data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
+        data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure))
         pictures.append(picture(data, f"{caption}. The arrow points to true north.", wide=False))
     return pictures
 
@@ -192,7 +191,7 @@ def _overlay_caption(
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
-    without_name = unnamed_in_words(unnamed, "; ")
+    without_name = unnamed_in_words(unnamed)
     if pose is None or sight is None or sight.median_gap_deg is None:
         return f"{caption}; no skyline was rendered to compare it with{without_name}."
     return (

@@ -24,8 +24,8 @@ _DPI = 100.0
 _ROW_PX = 21.0
 _LABEL_POINTS = 10.0
 _MOST_ROWS = 6
-_KEY_ROW_PX = 23.0
-_FOUR_KEYS_PX = 1200.0
+_KEYS_PX = 46.0
+"""Height of the legend's two rows."""
 _CANVAS_RGB = (239, 241, 238)
 _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
@@ -42,9 +42,8 @@ def draw_overlay(
     The result is a JPEG. Without a photo the canvas is blank; ``pose`` is the pose from which
     ``sight`` and ``peaks`` are seen.
     """
-    keys_across = 4 if query.width_px * _scale(query) >= _FOUR_KEYS_PX else 2
     texts = [one.label for one in peaks]
-    figure, axis, unnamed = _draw_picture(query, photo, peaks, texts, _KEY_ROW_PX * 4 / keys_across)
+    figure, axis, unnamed = _draw_picture(query, photo, peaks, texts, _KEYS_PX)
     _draw_masked(axis, query)
     if pose is not None and sight is not None:
         _draw_rendered(axis, pose, sight)
@@ -55,7 +54,7 @@ def draw_overlay(
         path_effects=_HALO,
         label="skyline found in the query",
     )
-    axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
+    axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=2, borderpad=0.1)
     return _encoded(figure, "jpeg"), unnamed
 
 
@@ -96,7 +95,7 @@ def _encoded(figure: Figure, kind: str) -> bytes:
     with warnings.catch_warnings(), rc_context({"svg.fonttype": "none"}):
         # Letters that the font lacks are drawn as boxes, which needs no warning.
         warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
-        return encode_figure(figure, kind, _DPI)
+        return encode_figure(figure, kind)
 
 
 def _scale(query: QuerySkyline) -> float:

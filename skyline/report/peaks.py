@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,7 @@ _HEIGHTS_M = -500.0, 9000.0
 """Lowest and highest ground on Earth, with a margin: the Dead Sea at -430 m, Everest at 8849 m."""
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
+S = TypeVar("S", bound="Sighting")
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
@@ -206,7 +207,7 @@ def height_of_ele(ele: object) -> float:
     return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
     """A visible peak, as seen from one eye."""
 
@@ -228,6 +229,11 @@ class Sighting:
     def label(self) -> str:
         """The name, with the height if the gazetteer has one."""
         return self.name if math.isnan(self.height_m) else f"{self.name} {self.height_m:.0f} m"
+
+    @property
+    def elevation_m(self) -> float:
+        """Height in the gazetteer; where it has none, that of the summit on the terrain."""
+        return self.surface_m if math.isnan(self.height_m) else self.height_m
 
 
 def visible_peaks(
@@ -275,7 +281,7 @@ def visible_peaks(
     return seen
 
 
-def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
+def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S]:
     """Return sightings in order of prominence on the terrain, then of height.
 
     Prominence is computed, since gazetteers seldom have it. Height alone misleads: a knoll on a

@@ -14,10 +14,10 @@ from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS
-from skyline.files import write_whole
+from skyline.files import write_whole, write_with_folders
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
-from skyline.report.figures import save_figure
+from skyline.report.figures import encode_figure
 from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from skyline.paper.strategies import Coverage
 
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
-_PANEL_SQUARE_IN = 14.0
+_PANEL_SQUARE_IN, _DPI = 14.0, 110.0
 _OPACITY = 0.55
 _UNSAFE = re.compile(r"[^\w.-]+")
 
@@ -55,7 +55,7 @@ def save_depth_pictures(
                 picture = cv2.imencode(".tif", images[heading])[1].tobytes()
                 write_whole(folder / f"{stem}_heading_{heading}.tif", picture)
             views = renderer.render(viewpoints[index : index + 1])
-            save_figure(_depth_figure(images, views), folder / f"{stem}.png")
+            write_whole(folder / f"{stem}.png", encode_figure(_depth_figure(images, views)))
 
 
 def _depth_figure(images: Float32Array, views: Views) -> Figure:
@@ -63,7 +63,7 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
     size = images.shape[-1]
     finite = images[np.isfinite(images)]
     norm = LogNorm(*(np.percentile(finite, [1, 99]) if finite.size else (1.0, 10.0)))
-    figure = Figure(figsize=(16, 4.6), layout="constrained")
+    figure = Figure((16, 4.6), _DPI, layout="constrained")
     axes = figure.subplots(1, len(HEADINGS))
     for heading, axis in enumerate(axes):
         depth = np.where(np.isfinite(images[heading]), images[heading], np.nan)
@@ -93,9 +93,8 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     area = Bbox.from_extents(*corners).padded(plan.config.candidate_m / 2.0)
     shape = area.height / area.width
     width = np.sqrt(_PANEL_SQUARE_IN / shape)
-    figure = Figure(
-        figsize=(len(HEADINGS) * width + 1.2, width * shape + 0.7), layout="constrained"
-    )
+    size_in = len(HEADINGS) * width + 1.2, width * shape + 0.7
+    figure = Figure(size_in, _DPI, layout="constrained")
     axes = figure.subplots(1, len(HEADINGS), sharey=True)
     cell_km2 = (plan.config.candidate_m / 1000.0) ** 2
     norm = LogNorm(cell_km2, cell_km2 * candidates.window**2)
@@ -121,7 +120,7 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
         )
     bar = figure.colorbar(ScalarMappable(norm, "plasma"), ax=axes, shrink=0.8, pad=0.01)
     bar.set_label("largest tolerance area that holds a location (km²)")
-    save_figure(figure, path)
+    write_with_folders(path, encode_figure(figure))
 
 
 def _largest(coverage: "Coverage") -> Float64Array:

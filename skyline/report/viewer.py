@@ -9,7 +9,7 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Self
@@ -114,28 +114,24 @@ class Sight:
         return float(np.median(np.abs(known))) if len(known) else None
 
 
-@dataclass(frozen=True, slots=True)
-class SeenPeak:
-    """A named summit in a photo.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenPeak(Sighting):
+    """A visible peak in a photo.
 
     Attributes
     ----------
-    name, label : str
-        The name in the gazetteer; with the height if the gazetteer has one.
     column_px, row_px : float
         Place in the photo; pixel centres are at whole numbers.
+    name, label : str
+        The name in the gazetteer; with the height if the gazetteer has one.
     distance_m : float
         Horizontal.
     elevation_m : float
         Height in the gazetteer; where it has none, that of the summit on the terrain model.
     """
 
-    name: str
-    label: str
     column_px: float
     row_px: float
-    distance_m: float
-    elevation_m: float
 
 
 def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
@@ -170,14 +166,7 @@ def peaks_in_picture(
     azimuth_deg = [one.azimuth_deg for one in sightings]
     column, row = pixels_of(pose, query, azimuth_deg, [one.elevation_tan for one in sightings])
     return [
-        SeenPeak(
-            one.name,
-            one.label,
-            x,
-            y,
-            one.distance_m,
-            one.surface_m if math.isnan(one.height_m) else one.height_m,
-        )
+        SeenPeak(**asdict(one), column_px=x, row_px=y)
         for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
         if 0.0 <= x < query.width_px and 0.0 <= y < query.height_px
     ]
@@ -406,19 +395,19 @@ class Viewer:
 
         Raises `OffMapError` for a pose off the map or on a hole.
         """
-        return peaks_in_picture(pose, query, self.sightings(pose, query))
+        # Ranking takes long, so only the peaks in the photo are ranked.
+        return most_prominent_first(
+            self.terrain, peaks_in_picture(pose, query, self._visible(pose))
+        )
 
-    def sightings(self, pose: Candidate, query: QuerySkyline | None = None) -> list[Sighting]:
-        """Return the peaks visible from a pose, the most prominent first.
+    def sightings(self, pose: Candidate) -> list[Sighting]:
+        """Return all peaks visible from a pose, as `summits`."""
+        return most_prominent_first(self.terrain, self._visible(pose))
 
-        With a query only those in its photo; ranking all takes longer. Raises as `summits`.
-        """
+    def _visible(self, pose: Candidate) -> list[Sighting]:
         if self.peaks is None:
             return []
-        seen = visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
-        if query is not None:
-            seen = [one for one in seen if peaks_in_picture(pose, query, [one])]
-        return most_prominent_first(self.terrain, seen)
+        return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
         """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""

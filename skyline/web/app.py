@@ -37,7 +37,6 @@ from skyline.web.session import (
     Session,
     Sessions,
     candidate_json,
-    opened,
     saved,
     version_of,
 )
@@ -363,12 +362,9 @@ def _lines(photo: PagePhoto) -> Response:
 def _load_trace(photo: PagePhoto, path: Path) -> None:
     """Take a photo's skyline from a trace; an error of the file calls it the trace."""
     try:
-        trace = read_trace(path)
-        opened(photo)[1].restarted(trace)
+        photo.solve((), read_trace(path))
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
-    photo.trace = trace
-    photo.solve(())
 
 
 async def _page(_: Request) -> Response:

@@ -79,7 +79,6 @@ class Engine:
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),
-            "rendering": self.viewer is not None,
             "peaks": self.viewer is not None and self.viewer.peaks is not None,
             "given": [shown_name(path.name) for path in self.photos],
         }

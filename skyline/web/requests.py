@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
-from skyline.web.session import PagePhoto
+from skyline.web.session import POSE, PagePhoto
 
 _RANGES = {
     "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "km": (0.01, 20_000.0),
@@ -74,15 +74,8 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     """Return the pose of a request, set by hand on the page."""
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")
-    pose = viewer.pose(
-        lon=number(asked, "lon"),
-        lat=number(asked, "lat"),
-        heading_deg=number(asked, "heading"),
-        pitch_deg=number(asked, "pitch"),
-        roll_deg=number(asked, "roll"),
-        fov_deg=number(asked, "fov"),
-        eye_height_m=number(asked, "eyeHeight"),
-    )
+    numbers = {field: number(asked, name) for name, field in POSE.items()}
+    pose = viewer.pose(**numbers, eye_height_m=number(asked, "eyeHeight"))
     wander = asked.get("wander") or []
     if not isinstance(wander, list):
         raise InputError("the panorama's wander is no list; reload the page")

@@ -8,7 +8,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -47,6 +46,11 @@ _KEPT = 4
 """Number of photos whose pixels and evidence stay in memory."""
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Beginning and end of each step of a match, as shares of the whole."""
+POSE = {
+    "lon": "lon", "lat": "lat", "heading": "heading_deg", "pitch": "pitch_deg", "roll": "roll_deg",
+    "fov": "fov_deg",
+}  # fmt: skip
+"""The numbers of a pose: their names on the page and in Skyline."""
 KINDS = {
     "geojson": ("geojson", "application/geo+json"),
     "kml": ("kml", "application/vnd.google-earth.kml+xml"),
@@ -69,7 +73,6 @@ class PagePhoto:
     def __init__(self, path: Path, name: str) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path, self.name = path, name
-        self.seen: Photo | None = None
         self.query: QuerySkyline | None = None
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: QuerySkyline | None = None
@@ -84,18 +87,18 @@ class PagePhoto:
         is_of_other = self.result is not None and self.found is None
         state = "ready" if is_of_other and self.state != "matching" else self.state
         record: dict[str, Any] = {"id": self.id, "name": self.name, "state": state}
-        query, seen = self.query, self.seen
-        if query is not None and seen is not None:
+        query = self.query
+        if query is not None:
             record |= {
                 "width": query.width_px,
                 "height": query.height_px,
                 # A field of view that is a guess from a cropped photo is not shown.
-                "fov": None if query.lens and query.lens.most_deg is not None else seen.fov_deg,
-                "projection": str(seen.projection),
-                "lonlat": seen.place.lonlat_deg,
-                "accuracy": seen.place.accuracy_m,
-                "elevation": seen.place.elevation_m,
-                "heading": seen.place.heading_deg,
+                "fov": None if query.lens and query.lens.most_deg is not None else query.fov_deg,
+                "projection": str(query.projection),
+                "lonlat": query.noted.lonlat_deg,
+                "accuracy": query.noted.accuracy_m,
+                "elevation": query.noted.elevation_m,
+                "heading": query.noted.heading_deg,
                 "strokes": [
                     {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
                     for one in self.strokes
@@ -107,18 +110,15 @@ class PagePhoto:
 
     def first_look(self) -> None:
         """Open the new photo and find its skyline; raises as `opened`."""
-        read, correction = opened(self)
-        self.seen = replace(read, rgb=read.rgb[:0])
-        self.query, self.state = correction.solve(), "ready"
+        self.query, self.state = opened(self)[1].solve(), "ready"
 
-    def solve(self, strokes: Sequence[Stroke]) -> None:
-        """Find the skyline again under all strokes."""
+    def solve(self, strokes: Sequence[Stroke], trace: QuerySkyline | None = None) -> None:
+        """Find the skyline again under all strokes, from now on from a trace if one is given."""
         _, correction = opened(self)
-        if self.trace is not None:
-            correction = correction.restarted(self.trace)
         with self.lock:
-            self.query, self.strokes = correction.solve(strokes), tuple(strokes)
-            self.fitted = None
+            trace = self.trace if trace is None else trace
+            self.query = correction.solve(strokes, trace)
+            self.strokes, self.trace, self.fitted = tuple(strokes), trace, None
 
     def jpeg(self) -> bytes:
         """Return the picture that the page draws, without the file's metadata."""
@@ -236,38 +236,30 @@ class Match:
 
 def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
     """Return a result as JSON for the page."""
+    lens = "" if result.query.lens is None else result.query.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],
         "answered": result.answer is not None,
         "within": result.within_m,
         "chance": result.confidence,
         "refusal": result.refusal,
-        "claim": result.exif_in_words(),
-        "lens": "" if result.query.lens is None else result.query.lens.in_words,
-        "beyond": result.beyond,
+        "notes": [note for note in (result.exif_in_words(), lens, result.beyond) if note],
         "seconds": result.seconds,
     }
 
 
 def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
-    """Return a candidate as JSON for the page."""
-    return {
-        "lon": candidate.lon,
-        "lat": candidate.lat,
-        "heading": candidate.heading_deg,
-        "pitch": candidate.pitch_deg,
-        "roll": candidate.roll_deg,
-        "fov": candidate.fov_deg,
+    """Return a candidate as JSON for the page; `POSE` gives the names of its numbers."""
+    return {name: getattr(candidate, field) for name, field in POSE.items()} | {
         "distortion": candidate.distortion,
         "wander": candidate.wander,
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": engine.eye_height_m(candidate),
         "confidence": candidate.confidence,
         "refined": candidate.refined,
-        "residual": candidate.residual_deg,
-        "share": candidate.terrain_share,
         "covariance": candidate.covariance_m2,
         "convergence": candidate.convergence_deg,
+        "apart": candidate.residual_in_words,
     }
 
 

@@ -80,10 +80,9 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     assert picture.std() > 20.0
 
 
-def test_places_are_planned_and_drawn(run, dem, tmp_path):
-    out, drawn = tmp_path / "s.h5", tmp_path / "map.png"
-    run("build", dem, "-o", out, "--places", 2000, "--map", drawn).ok()
-    assert cv2.imread(str(drawn)).shape[1] > 500
+def test_places_are_planned(run, dem, tmp_path):
+    out = tmp_path / "s.h5"
+    run("build", dem, "-o", out, "--places", 2000).ok()
     facts = json.loads(run("info", out, "--json").out)
     low, middle, high = facts["spacing_m"]
     assert 10.0 <= low <= middle <= high <= 1280.0
@@ -240,11 +239,10 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path)
 
 def test_explain_gives_the_model_and_its_errors(dem, run):
     at = "{:.9f},{:.9f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
-    done = run("explain", dem, "--at", at, "--tolerance-px", "0.5", "--json")
+    done = run("explain", dem, "--at", at, "--json")
     facts = json.loads(done.out)
     assert facts["easting_m"] == pytest.approx(601_800.0, abs=0.01)
     assert facts["northing_m"] == pytest.approx(5_178_000.0, abs=0.01)
-    assert facts["curvature"] == "modelled"
-    assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] == 0.5
+    assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] < 1.0
     assert facts["data_reach_m"] > 0.0
     assert "sight_m" in run("explain", dem, "--at", "601800,5178000").out

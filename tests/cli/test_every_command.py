@@ -19,8 +19,8 @@ from skyline.store import open_store
 IN_DEM, BOX = ("--dem", "{dem}"), ("--bbox", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
 COMMANDS = {
-    "info": (("{dem}",), "data.read_terrain"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "data.read_terrain"),
+    "info": (("{dem}",), "info.read_terrain"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "explain.read_terrain"),
     "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
@@ -29,16 +29,16 @@ COMMANDS = {
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "orient.read_terrain"),
     "orient": (("{trace}", *PLACED, "--csv", "{out}.csv"), "orient.read_terrain"),
     "locate": (("{photo}", "--near", "{at},1", *IN_DEM, "-o", "{out}"), "locate.prepare_area"),
-    "cache": ((), "data.cached_areas"),
+    "cache": ((), "cache.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_terrain"),
-    "store check": (("{store}",), "data.check_store"),
-    "store repair": (("{store}", "-o", "{out}.h5"), "data.repair_store"),
-    "store merge": (("{store}", "-o", "{out}.h5"), "data.merge_stores"),
-    "store export": (("{store}", "-o", "{out}.gpkg"), "data.open_store"),
-    "dem fetch": ((*BOX, "-o", "{tmp}"), "data.fetch_dem"),
-    "peaks": ((*BOX, "--server", "http://localhost/", "-o", "{out}.geojson"), "data.fetch_peaks"),
+    "store check": (("{store}",), "store.check_store"),
+    "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),
+    "store merge": (("{store}", "-o", "{out}.h5"), "store.merge_stores"),
+    "store export": (("{store}", "-o", "{out}.gpkg"), "store.open_store"),
+    "dem fetch": ((*BOX, "-o", "{tmp}"), "fetch.fetch_dem"),
+    "peaks": ((*BOX, "--server", "http://localhost/", "-o", "{out}.geojson"), "fetch.fetch_peaks"),
 }
 """Each command's arguments, and a function of the package that it calls."""
 
@@ -153,8 +153,8 @@ def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeyp
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread, name):
-    monkeypatch.setattr("skyline.cli.data.fetch_dem", lambda *_: FetchResult((), 0, ()))
-    monkeypatch.setattr("skyline.cli.data.fetch_peaks", lambda *_: 0)
+    monkeypatch.setattr("skyline.cli.fetch.fetch_dem", lambda *_, **__: FetchResult((), 0, ()))
+    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", lambda *_: 0)
     arguments = command(name)
     unread()
     done = run(*arguments)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from urllib.parse import parse_qs
 
 import numpy as np
@@ -10,6 +11,7 @@ from commands import assert_refused
 from range_server import Behaviour, serve
 
 from skyline import Frame, read_peaks
+from skyline.fetch.overpass import fetch_peaks
 
 
 def node(name, lon, lat, **tags):
@@ -26,9 +28,9 @@ def overpass(answer=GOOD, **behaviour):
     return Behaviour(files={"/api": answer}, **behaviour)
 
 
-def fetch(run, behaviour, path, *more, bbox="9.6,46.5,9.8,46.7"):
+def fetch(run, behaviour, path, bbox="9.6,46.5,9.8,46.7"):
     with serve(behaviour) as address:
-        return run("peaks", "--bbox", bbox, "--server", f"{address}/api", "-o", path, *more)
+        return run("peaks", "--bbox", bbox, "--server", f"{address}/api", "-o", path)
 
 
 def queries(behaviour):
@@ -61,7 +63,7 @@ def test_a_box_across_the_antimeridian_is_two(run, tmp_path):
 @pytest.mark.parametrize("trouble", [{"failures": 1, "failing": 429}, {"truncate": 1}])
 def test_a_failure_that_passes_is_tried_again(run, tmp_path, trouble):
     server = overpass(**trouble)
-    fetch(run, server, tmp_path / "peaks.geojson", "--retries", "1").ok()
+    fetch(run, server, tmp_path / "peaks.geojson").ok()
     assert len(server.posted) == 2
 
 
@@ -78,11 +80,13 @@ def test_a_failure_that_passes_is_tried_again(run, tmp_path, trouble):
     ],
 )
 def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
-    run, tmp_path, server, message
+    run, tmp_path, monkeypatch, server, message
 ):
+    impatient = partial(fetch_peaks, retries=0, timeout_s=1)
+    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", impatient)
     path = tmp_path / "peaks.geojson"
     path.write_text("as before")
-    done = fetch(run, overpass(**server), path, "--retries", "0", "--timeout", "1")
+    done = fetch(run, overpass(**server), path)
     assert done.code == 1, done
     assert_refused(replace(done, code=2), message)
     assert [file.name for file in tmp_path.iterdir()] == ["peaks.geojson"]

@@ -106,16 +106,14 @@ def test_the_quick_way_is_the_slow_way():
     np.testing.assert_array_equal(after.row_px[known], slow[known])
 
 
-def test_a_trace_is_begun_with_and_mended(correction, photo):
+def test_a_trace_is_begun_with_and_mended(correction):
     trace = QuerySkyline(np.full(WIDTH, 250.0), np.ones(WIDTH), WIDTH, HEIGHT)
-    begun = correction.restarted(trace)
-    assert same(begun.solve(), replace(trace, fov_deg=60.0))
-    assert same(Correction(photo, trace).solve(), begun.solve())
-    mended = begun.solve([stroke("line", [10, 20], 100.0)])
+    assert same(correction.solve(start=trace), replace(trace, fov_deg=60.0))
+    mended = correction.solve([stroke("line", [10, 20], 100.0)], trace)
     assert (mended.row_px[10:21] == 100.0).all()
     assert (mended.row_px[30:] == 250.0).all()
     with pytest.raises(InputError, match="expected the same image"):
-        correction.restarted(QuerySkyline(np.ones(5), np.ones(5), 5, 5))
+        correction.solve(start=QuerySkyline(np.ones(5), np.ones(5), 5, 5))
 
 
 def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
@@ -126,7 +124,7 @@ def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
     assert mask.trusted[60:].all()
     assert same(Correction(photo_of(image)).solve(), replace(mask, fov_deg=60.0))
     trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
-    assert same(Correction(photo_of(image)).restarted(trace).solve(), trace)
+    assert same(Correction(photo_of(image)).solve(start=trace), trace)
 
 
 def test_strokes_leave_nothing_behind(correction):

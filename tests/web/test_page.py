@@ -141,7 +141,9 @@ def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
     page.until(lambda: page.find("#status").text == "Fitted")
     answer, said = verdict(page)
     assert "Found" not in answer
-    assert re.match(r"Fitted: the skylines are 0\.\d\d° apart \(rms\) over \d+ % of the", said)
+    assert re.match(
+        r"Fitted: the skylines are 0\.\d\d degrees apart \(rms\) over \d+ % of the", said
+    )
     check_origin(page, downloads, "fitted", "Fitted: latitude")
     type_into(page, "#hand-heading-number", "320")
     page.click("#fit")

@@ -52,8 +52,8 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
     moved.unlink()
     with serving(store, photo) as server:
         _, state = server.ask("GET", "/state")
-        found = [state[name] for name in ("rendering", "terrain", "given")]
-        assert found == [False, None, ["photo.jpg"]]
+        found = [state[name] for name in ("terrain", "given")]
+        assert found == [None, ["photo.jpg"]]
         session, of_photo = ready(server, photo)
         assert server.ask("POST", f"{session}/given/0")[1]["name"] == "photo.jpg"
         assert server.ask("POST", f"{session}/given/1")[0] == 404

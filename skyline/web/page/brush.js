@@ -1,6 +1,6 @@
 // Strokes over the photo; the skyline is found again after each.
 import * as server from "./server.js";
-import { $, alertUser, showStatus, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, showStatus, state, emit } from "./state.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
 import { release, turnBy } from "./hand.js";
 
@@ -115,8 +115,6 @@ function dragging(event) {
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("pointerup", end, { once: true });
 }
-
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 function moveCross([across, down], event) {
   const step = (event.shiftKey ? 40 : 6) / view.scale;

@@ -1,7 +1,7 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
 import { $, alertUser, degrees, element, mapLink, on, showStatus, state, emit } from "./state.js";
-import { checked, known, standing } from "./known.js";
+import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
 
@@ -63,8 +63,7 @@ function show() {
 // A verdict holds for one pose, that of the candidate that the search has judged.
 function verdict(result) {
   if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
-  const notes = [result.claim, result.lens, result.beyond].filter((one) => one)
-    .map((one) => element("p", { class: "claim" }, one));
+  const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   const best = result.candidates[0];
   if (best && state.origin !== "found") return ["The camera has left the candidates of the search. Choose one to return to it."];
   if (state.chosen > 0) {
@@ -97,11 +96,9 @@ function progressed(match) {
 
 export function start() {
   $("find").onclick = () => {
-    if (checked()) {
-      $("bar").value = 0;
-      $("step").textContent = "";
-      find(state.photo);
-    }
+    $("bar").value = 0;
+    $("step").textContent = "";
+    find(state.photo);
   };
   $("find-all").onclick = findAll;
   $("cancel").onclick = () => server.cancel(state.photo).catch((error) => alertUser(error.message));

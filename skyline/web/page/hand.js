@@ -71,8 +71,7 @@ function changed(stillMoving) {
 function verdict() {
   if (state.origin === "hand") return ["The camera is set by hand: no search has judged this pose."];
   if (!state.fit) return [];
-  const { refusal, residual, share } = state.fit;
-  const apart = `the skylines are ${residual.toFixed(2)}° apart (rms) over ${Math.round(100 * share)} % of the skyline`;
+  const { refusal, apart } = state.fit;
   if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${apart}. No search has judged this pose.`];
   return [element("span", { class: "no" }, "The fit has failed: "), `${refusal}. Bring the two skylines closer by hand.`];
 }
@@ -142,7 +141,7 @@ async function fit() {
   button.disabled = !state.pose;
 }
 
-export function placeAt(place) {
+function placeAt(place) {
   if (!state.photo) return alertUser("add a photo first");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
   const heading = asked.heading?.deg ?? state.photo.heading ?? 0;

@@ -1,5 +1,5 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
-import { $, alertUser, on, state, emit, widest } from "./state.js";
+import { $, on, state, emit, widest } from "./state.js";
 import { circled, middle, showCircle } from "./map.js";
 
 const LEAST_KM = 0.5, MOST_KM = 100, NOTHING = { heading: null, near: null, elevation: null, eyeHeight: null };
@@ -99,13 +99,4 @@ export function start() {
   on("photo", fromPhoto);
   on("circle", show);
   show();
-}
-
-export function checked() {
-  const low = value("low"), high = value("high");
-  if (isKnown("elevation") && !(low < high)) {
-    alertUser("the lowest elevation must be below the highest");
-    return false;
-  }
-  return Boolean(state.photo);
 }

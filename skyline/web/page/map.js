@@ -1,6 +1,6 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, degrees, element, on, showStatus, state, emit } from "./state.js";
+import { $, ARROWS, degrees, element, on, showStatus, state, emit } from "./state.js";
 import { moveTo, release } from "./hand.js";
 import { standing } from "./known.js";
 
@@ -101,7 +101,7 @@ function keys(marker, moved) {
     if (node.dataset.keys) return;
     node.dataset.keys = "yes";
     node.addEventListener("keydown", (event) => {
-      const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+      const step = ARROWS[event.key];
       if (!step) return;
       event.preventDefault();
       event.stopPropagation();

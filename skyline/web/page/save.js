@@ -37,7 +37,7 @@ async function save(kind, suffix, button) {
   show();
 }
 
-const offered = () => KINDS.filter(([kind]) => kind !== "names" || (state.store.peaks && state.store.rendering));
+const offered = () => KINDS.filter(([kind]) => kind !== "names" || state.store.peaks);
 
 function show() {
   for (const [kind] of offered()) $(`save-${kind}`).disabled = !state.photo || (kind !== "trace" && !state.pose);

@@ -1,7 +1,7 @@
 // Requests to the server. An error is thrown with the one line of the server's answer.
 import { showStatus, emit } from "./state.js";
 
-export const MAX_UPLOAD_BYTES = 100e6;
+const MAX_UPLOAD_BYTES = 100e6;
 const KEY = "skyline-session";
 let session = null;
 let socket = null;

@@ -20,6 +20,9 @@ const events = new EventTarget();
 export const on = (name, handler) => events.addEventListener(name, (event) => handler(event.detail));
 export const emit = (name, detail) => events.dispatchEvent(new CustomEvent(name, { detail }));
 
+// The way, right and down, of each arrow key.
+export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
 export const $ = (id) => document.getElementById(id);
 
 export function element(tag, attributes = {}, ...children) {

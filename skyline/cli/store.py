@@ -1,0 +1,75 @@
+"""``skyline store``: stores are checked, repaired, merged and exported."""
+
+import json
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument
+
+from skyline.cli.console import AsJson, StoreFile, output_option, print_line
+from skyline.errors import InputError, printable
+from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
+
+NewStore = Annotated[Path, output_option("The new store; must not exist.", "STORE.h5")]
+
+store = typer.Typer(
+    name="store", help="Check, repair, merge and export stores.", no_args_is_help=True
+)
+
+
+@store.command()
+def check(store: StoreFile, as_json: AsJson = False) -> None:
+    """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
+    report = check_store(store)
+    if as_json:
+        # The exit code must hold also where the output is not read.
+        with suppress(BrokenPipeError):
+            facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
+            print_line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
+        raise typer.Exit(0 if report.whole else InputError.exit_code)
+    if not report.whole:
+        first = "; ".join(damage.what for damage in report.damage[:3])
+        more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
+        raise InputError(f"{store} is damaged: {first}{more}")
+    print_line(f"{store}: {report.rows:,} {report.holds}, whole")
+
+
+@store.command()
+def repair(store: StoreFile, output: NewStore) -> None:
+    """Save the undamaged rows of a store in a new store, in their order."""
+    report = repair_store(store, output)
+    _print_copied(report, output)
+    for damage in report.damage:
+        rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
+        print_line(f"  left out {rows}: {damage.what}")
+
+
+@store.command()
+def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
+    """Join stores of one DEM into one; a place that several have is kept once."""
+    _print_copied(merge_stores(stores, output), output)
+
+
+@store.command()
+def export(
+    store: StoreFile,
+    output: Annotated[Path, output_option("The GeoPackage to write.", "FILE.gpkg")],
+) -> None:
+    """Write the locations of the places as a GeoPackage, for QGIS and others (extra `geo`)."""
+    from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
+
+    with open_store(store) as opened:
+        count = write_geopackage(opened, output)
+    print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _print_copied(report: StoreReport, path: Path) -> None:
+    size = path.stat().st_size
+    each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
+    again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
+    lost = sum(damage.rows for damage in report.damage)
+    damaged = f", {lost} damaged rows left out" if lost else ""
+    print_line(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")
