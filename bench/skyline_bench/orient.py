@@ -134,9 +134,13 @@ def photograph_rows(
 
 
 def made_rows(
-    orienter_at: _OrienterAt, terrain: HeightField, strange: HeightField | None, count: int,
-    seed: int, progress: Progress,
-) -> list[Row]:  # fmt: skip
+    orienter_at: _OrienterAt,
+    terrain: HeightField,
+    strange: HeightField | None,
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> list[Row]:
     """Return the rows of made photos, strangers, labels, places in pixels and a webcam."""
     seen, area = perturbed(terrain, seed=seed), map_bounds(terrain, middle_deg(terrain))
     rng, steps = np.random.default_rng(seed), (2 + (strange is not None)) * count
@@ -217,9 +221,14 @@ def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any
 
 
 def webcam_row(
-    orienter_at: _OrienterAt, terrain: HeightField, seen: HeightField, query: SyntheticQuery,
-    count: int, seed: int, progress: Progress,
-) -> Row:  # fmt: skip
+    orienter_at: _OrienterAt,
+    terrain: HeightField,
+    seen: HeightField,
+    query: SyntheticQuery,
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> Row:
     """Return how steady the headings of a camera's frames are that stands still, and the fog's.
 
     Weather and season differ from frame to frame. In the fog of every tenth frame 2 % of the

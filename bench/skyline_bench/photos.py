@@ -143,9 +143,13 @@ def _section(measured: Measured, viewer: Viewer | None) -> str:
 
 
 def measure(
-    photographs: Sequence[Photograph], terrain: HeightField | None, folder: Path, side_m: float,
-    spacing_m: float | None = None, use_gps: bool = False,
-) -> Iterator[tuple[Measured, Viewer | None]]:  # fmt: skip
+    photographs: Sequence[Photograph],
+    terrain: HeightField | None,
+    folder: Path,
+    side_m: float,
+    spacing_m: float | None = None,
+    use_gps: bool = False,
+) -> Iterator[tuple[Measured, Viewer | None]]:
     """Yield each photograph measured, and what renders its surroundings.
 
     Squares of a side are searched about the photographs; the terrain is not needed where nothing is
@@ -309,12 +313,14 @@ def _fitted(
     """Return the pose that the true one becomes; None where it is not known, or does not hold."""
     if one.heading_deg is None:
         return None
-    held = {"pitch_deg": one.pitch_deg or 0.0, "roll_deg": one.roll_deg or 0.0}
     lon, lat = one.lonlat
     ground_m = float(viewer.terrain.height_at(lon=lon, lat=lat))
-    held["eye_height_m"] = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
-    held |= {"heading_deg": one.heading_deg, "fov_deg": one.fov_deg or query.fov_deg or 60.0}
-    pose = viewer.pose(lon=lon, lat=lat, **held)
+    above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
+    pose = viewer.pose(
+        lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
+        roll_deg=one.roll_deg or 0.0, fov_deg=one.fov_deg or query.fov_deg or 60.0,
+        eye_height_m=above_m,
+    )  # fmt: skip
     fitted = next(iter(matcher.fit(query, pose).candidates), None)
     if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
         return None

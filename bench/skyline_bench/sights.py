@@ -140,9 +140,12 @@ def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:
 
 
 def _in_picture(
-    terrain: HeightField, query: SyntheticQuery, east_m: Float64Array, north_m: Float64Array,
+    terrain: HeightField,
+    query: SyntheticQuery,
+    east_m: Float64Array,
+    north_m: Float64Array,
     seed: int,
-) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:  # fmt: skip
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
     """Return easting, northing, column, row and visibility of summits in a photo, some drawn."""
     truth, size = query.truth, query.skyline
     away_m = truth.off_m(east_m, north_m)

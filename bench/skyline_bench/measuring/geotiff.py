@@ -10,9 +10,12 @@ from rasterio.transform import Affine
 
 
 def write_geotiff(
-    path: Path, heights: NDArray[np.generic], crs: str, west_north: tuple[float, float],
+    path: Path,
+    heights: NDArray[np.generic],
+    crs: str,
+    west_north: tuple[float, float],
     step: tuple[float, float],
-) -> Path:  # fmt: skip
+) -> Path:
     """Write heights (rows, cols), row 0 north, as a GeoTIFF; return its path.
 
     ``west_north`` is the outer corner of the first cell, ``step`` a cell's size east and south.

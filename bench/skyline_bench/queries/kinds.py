@@ -57,9 +57,13 @@ SAME_PLACE = ("alone", "together", "with a stranger")
 
 
 def make_kind(
-    name: str, terrain: HeightField, area_m: Rectangle, count: int, seed: int,
+    name: str,
+    terrain: HeightField,
+    area_m: Rectangle,
+    count: int,
+    seed: int,
     strange: HeightField | None = None,
-) -> list[Query]:  # fmt: skip
+) -> list[Query]:
     """Make queries of a kind at so many places of an area; strangers are of strange terrain."""
     config = KINDS[name]
     if name in SAME_PLACE:

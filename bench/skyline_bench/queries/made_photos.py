@@ -51,9 +51,12 @@ class Scenery:
 
 
 def ground_rgb(
-    field: HeightField, place_m: tuple[Float64Array, Float64Array], distance_m: Float64Array,
-    scenery: Scenery, generator: np.random.Generator,
-) -> Float64Array:  # fmt: skip
+    field: HeightField,
+    place_m: tuple[Float64Array, Float64Array],
+    distance_m: Float64Array,
+    scenery: Scenery,
+    generator: np.random.Generator,
+) -> Float64Array:
     """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
 
     Distances (M,) are from the camera. The generator draws where meadows and forests are.
@@ -154,9 +157,13 @@ _NOISE = 3.0
 
 
 def photograph(
-    renderer: DepthRenderer, viewpoints: Viewpoints, index: int, camera: Camera, seed: int,
+    renderer: DepthRenderer,
+    viewpoints: Viewpoints,
+    index: int,
+    camera: Camera,
+    seed: int,
     scenery: Scenery = Scenery(),
-) -> NDArray[np.uint8]:  # fmt: skip
+) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
     ``renderer`` should be at least twice as fine as the photograph's own pixels, since the
@@ -175,9 +182,14 @@ def photograph(
 
 
 def scene_rgb(
-    renderer: DepthRenderer, eye_m: tuple[float, float], rays: Float64Array, distance: Float64Array,
-    ground_share: Float64Array, scenery: Scenery, generator: np.random.Generator,
-) -> Float64Array:  # fmt: skip
+    renderer: DepthRenderer,
+    eye_m: tuple[float, float],
+    rays: Float64Array,
+    distance: Float64Array,
+    ground_share: Float64Array,
+    scenery: Scenery,
+    generator: np.random.Generator,
+) -> Float64Array:
     """Return ground and sky (H, W, 3), mixed by the share of ground in each pixel."""
     shown = ground_share > 0.0
     distance = _carried_up(distance)

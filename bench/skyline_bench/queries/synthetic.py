@@ -131,9 +131,12 @@ class SyntheticQuery:
 
 
 def make_queries(
-    terrain: HeightField, bounds_m: Rectangle, count: int, seed: int = 0,
+    terrain: HeightField,
+    bounds_m: Rectangle,
+    count: int,
+    seed: int = 0,
     config: QueryConfig | None = None,
-) -> tuple[SyntheticQuery, ...]:  # fmt: skip
+) -> tuple[SyntheticQuery, ...]:
     """Make queries at places drawn evenly from an area, looking anywhere.
 
     The terrain is what the photos show, which need not be what a store was rendered from. The area
@@ -146,9 +149,13 @@ def make_queries(
 
 
 def make_queries_together(
-    terrain: HeightField, bounds_m: Rectangle, count: int, photos: int, seed: int = 0,
+    terrain: HeightField,
+    bounds_m: Rectangle,
+    count: int,
+    photos: int,
+    seed: int = 0,
     config: QueryConfig | None = None,
-) -> tuple[tuple[SyntheticQuery, ...], ...]:  # fmt: skip
+) -> tuple[tuple[SyntheticQuery, ...], ...]:
     """Make so many queries at each of ``count`` places; see `make_queries`."""
     entropies = [[[seed, index, photo] for photo in range(photos)] for index in range(count)]
     return tuple(_queries(terrain, bounds_m, entropies, config or QueryConfig()))

@@ -104,9 +104,12 @@ class Search:
         )
 
     def measure(
-        self, terrain: HeightField, folder: Path, progress: Progress,
+        self,
+        terrain: HeightField,
+        folder: Path,
+        progress: Progress,
         strange: HeightField | None = None,
-    ) -> tuple[list[Row], list[BuiltStore]]:  # fmt: skip
+    ) -> tuple[list[Row], list[BuiltStore]]:
         """Search every store with every matcher that can search it, for the same queries.
 
         Return a row for each store, matcher, kind of queries, area searched and group of queries,

@@ -77,9 +77,12 @@ class StoreSpec:
                 )
 
     def build(
-        self, terrain: HeightField, folder: Path, bounds_deg: Bounds | None,
+        self,
+        terrain: HeightField,
+        folder: Path,
+        bounds_deg: Bounds | None,
         progress: Progress | None = None,
-    ) -> "BuiltStore":  # fmt: skip
+    ) -> "BuiltStore":
         """Return the store in a folder, built unless it was built there to its end before."""
         if self.path is not None:
             return BuiltStore.read(self, self.path)

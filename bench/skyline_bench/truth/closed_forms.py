@@ -103,9 +103,12 @@ def fractal(rows: int, cols: int, seed: int, exponent: float) -> Float64Array:
 
 
 def field_of(
-    heights_m: ArrayLike, spacing_m: float = SPACING_M, spacing_north_m: float | None = None,
-    west_m: float = WEST_M, north_m: float = NORTH_M,
-) -> HeightField:  # fmt: skip
+    heights_m: ArrayLike,
+    spacing_m: float = SPACING_M,
+    spacing_north_m: float | None = None,
+    west_m: float = WEST_M,
+    north_m: float = NORTH_M,
+) -> HeightField:
     """Make a field of 32-bit heights, row 0 north."""
     heights = np.array(heights_m, dtype=np.float32)
     return HeightField(heights, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME)

@@ -90,10 +90,13 @@ def rivals(
 
 
 def _seen(
-    field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature,
+    field: HeightField,
+    viewpoints: Viewpoints,
+    u: Float64Array,
+    curvature: Curvature,
     look: Callable[["_Scene", Float64Array], tuple[NDArray[Any], ...]],
     kinds: Sequence[type[np.generic]],
-) -> list[NDArray[Any]]:  # fmt: skip
+) -> list[NDArray[Any]]:
     """Return what is seen in every column of the four headings of each eye, (4 N, W) each."""
     triangles = Triangles.of(field.heights_m)
     seen = [np.empty((4 * len(viewpoints), len(u)), dtype=kind) for kind in kinds]
@@ -109,9 +112,13 @@ class _Scene:
     """The surface as one eye sees it: heights relative to the eye, curvature dropped."""
 
     def __init__(
-        self, field: HeightField, triangles: Triangles, viewpoints: Viewpoints, index: int,
+        self,
+        field: HeightField,
+        triangles: Triangles,
+        viewpoints: Viewpoints,
+        index: int,
         curvature: Curvature,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.field = field
         self.triangles = triangles
         row, col = field.to_grid(
