@@ -135,6 +135,10 @@ class QueryRays:
         half_rad = half_width if self.is_panorama else np.arctan(half_width)
         return np.asarray(np.degrees(2.0 * half_rad))
 
+    def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
+        """Return the fields of view of factors, as `fov_at`, within `fov_bounds_deg`."""
+        return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
+
     @property
     def warp_sd(self) -> Float64Array:
         """Standard deviations (K,) of how an image may be warped.

@@ -45,10 +45,6 @@ from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource
 
-Contains = Callable[[Places], BoolArray]
-"""Returns which places (N,) of a block are searched."""
-Scores = Callable[[UInt8Array], Float32Array]
-"""Returns the scores (N,) of places with phases (N, B): `Screen.scores`, or a sum of several."""
 ReportProgress = Callable[[str, float], None]
 """Called with the current step of a match, and the share of that step that is done, 0 to 1."""
 
@@ -57,8 +53,6 @@ _TURNS_AT_ONCE = 20
 product is wasted; with fewer, the products are too small to be fast."""
 _APART_TURNS = 6
 """Least difference of the best turns of a place: 12 degrees."""
-_SAMPLE = 2048
-"""Places from which the mean and deviation of a query's scores are estimated."""
 _SLACK = 4
 """Multiple of the wanted number of places that is kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
@@ -270,25 +264,20 @@ def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 
-def sample_of(source: PlaceSource) -> Places:
-    """Return an even sample of a source's places, the same in every process."""
-    step = max(1, len(source) // _SAMPLE)
-    return source.take(np.arange(0, len(source), step, dtype=np.intp))
-
-
 def screen_places(
-    scores: Scores,
+    scores: Callable[[UInt8Array], Float32Array],
     source: PlaceSource,
     count: int,
-    contains: Contains,
+    contains: Callable[[Places], BoolArray],
     part: slice = slice(None),
 ) -> Alike:
     """Return the best ``count`` places of a source, or fewer where fewer are contained.
 
-    ``part`` selects blocks of the source, so that several workers can share it: the lists of all
-    parts, joined, give the list of the whole source.
+    ``scores`` gives the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several;
+    ``contains`` marks which places (N,) of a block are searched. ``part`` selects blocks of the
+    source, so that several workers can share it: the lists of all parts, joined, give the list of
+    the whole source.
     """
-    kept = Alike.joined([])
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
         parts = []
@@ -299,18 +288,19 @@ def screen_places(
                 parts.append(Alike(start + chosen, scores(phase)))
         return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
-    waiting: list[Alike] = []
-    seen, held, last = 0, 0, max(len(source), 1)
+    batches, kept, seen = _batches(source, part), Alike.joined([]), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, places in _a_few_ahead(pool, scored, _batches(source, part)):
-            waiting.append(found)
+        # A few batches are in work at a time, so that memory does not grow with the store.
+        ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
+        while ahead:
+            found, places = ahead.pop(0).result()
+            ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
-            held += len(found)
-            report_progress("screening", seen / last)
-            if held > _SLACK * count:
-                kept = Alike.joined([kept, *waiting]).best(count)
-                waiting, held = [], 0
-    return Alike.joined([kept, *waiting]).best(count)
+            report_progress("screening", seen / max(len(source), 1))
+            kept = Alike.joined([kept, found])
+            if len(kept) > _SLACK * count:
+                kept = kept.best(count)
+    return kept.best(count)
 
 
 def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
@@ -325,15 +315,3 @@ def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Place
     chosen = islice(numbered(), part.start, part.stop)
     while batch := list(islice(chosen, _BLOCKS_AT_ONCE)):
         yield batch
-
-
-def _a_few_ahead(
-    pool: ThreadPoolExecutor,
-    work: Callable[[list[tuple[int, Places]]], tuple[Alike, int]],
-    items: Iterator[list[tuple[int, Places]]],
-) -> Iterator[tuple[Alike, int]]:
-    """Yield results in order, with no more than a few batches in work at a time."""
-    ahead = [pool.submit(work, item) for item in islice(items, 2 * (os.cpu_count() or 1))]
-    while ahead:
-        yield ahead.pop(0).result()
-        ahead.extend(pool.submit(work, item) for item in islice(items, 1))

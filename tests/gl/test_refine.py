@@ -8,7 +8,8 @@ from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.match.candidate import Hypotheses
-from skyline.match.refine import WHOLE, JointRefinement, Refinement
+from skyline.match.joint import JointRefinement
+from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import joined_views
 from skyline.match.solver import Curves
 from skyline.render.horizon import HorizonRenderer
@@ -172,7 +173,7 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     found = _around()
     alone = Refinement(query, scene, SHORT).run(found)
     each = Refinement(query, scene, SHORT)
-    joint, _ = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
+    joint, _ = JointRefinement([each, each]).run([found] * 2, [alone.hypotheses[:1]] * 2)
     once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once
 
