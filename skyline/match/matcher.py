@@ -239,28 +239,29 @@ class Matcher:
                 f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        named_ones = [named_skyline(query, fov_deg) for query in queries]
-        refusals = [too_little(query) for _, query in named_ones]
-        usable = [
-            self._rays_and_prior(query, narrowing)
-            for (_, query), narrowing, refusal in zip(named_ones, narrowings, refusals, strict=True)
-            if refusal is None
-        ]
-        with reporting_progress(report_progress):
-            together = rank_together(self._full(), usable, top) if len(usable) > 1 else ()
-        cameras = iter(together)
-        found = [() if refusal else next(cameras, ()) for refusal in refusals]
-        best = next((one for one in found if one), ())
+        photos = [named_skyline(query, fov_deg) for query in queries]
+        refusals = [too_little(query) for _, query in photos]
+        usable = {
+            number: self._rays_and_prior(query, narrowings[number])
+            for number, (_, query) in enumerate(photos)
+            if refusals[number] is None
+        }
+        found: dict[int, tuple[Candidate, ...]] = {}
+        if len(usable) > 1:
+            with reporting_progress(report_progress):
+                together = rank_together(self._full(), list(usable.values()), top)
+            found = {number: some for number, some in zip(usable, together, strict=True) if some}
+        best = next(iter(found.values()), ())
         refusal = unsure(best, self._config)
-        if sum(map(bool, found)) < 2:
+        if len(found) < 2:
             refusal = "fewer than two photos agree on a place"
         within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, refusal, within_m, name)
-            if places
-            else MatchResult(query, (), seconds, little or _DISAGREES, name=name)
-            for (name, query), places, little in zip(named_ones, found, refusals, strict=True)
+            MatchResult(query, found[number], seconds, refusal, within_m, name)
+            if number in found
+            else MatchResult(query, (), seconds, refusals[number] or _DISAGREES, name=name)
+            for number, (name, query) in enumerate(photos)
         )
         return JointResult(results, seconds, refusal)
 
@@ -286,15 +287,15 @@ class Matcher:
         """
         started = time.perf_counter()
         rays, _ = self._rays_and_prior(query.with_fov(start.fov_deg), None)
-        pose, refusal = self._full().fitted(rays, start), "nothing near this pose fits"
+        pose = self._full().fitted(rays, start)
         if pose is None:
-            return MatchResult(query, (), time.perf_counter() - started, refusal)
-        failure = misfit(pose, self._config)
-        covariance_m2 = pose.covariance_m2 if failure is None else None
-        pose = replace(
-            pose, rank=None, confidence=None, confidence_1km=None, covariance_m2=covariance_m2
-        )
-        return MatchResult(query, (pose,), time.perf_counter() - started, failure)
+            seconds = time.perf_counter() - started
+            return MatchResult(query, (), seconds, "nothing near this pose fits")
+        refusal = misfit(pose, self._config)
+        pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
+        if refusal is not None:
+            pose = replace(pose, covariance_m2=None)
+        return MatchResult(query, (pose,), time.perf_counter() - started, refusal)
 
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
