@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.match import confidence
 from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
-from skyline.match.prior import Prior
+from skyline.match.prior import Narrowing, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
@@ -127,10 +127,9 @@ class FullMatcher:
         if not len(found) or self._scene is None:
             return found, None
         start = self._with_noted(found, query, prior)
-        known = prior.narrowing.eye_height_m, prior.noted
-        poses = Refinement(query, self._scene, QUICK, *known).run(start)
+        poses = Refinement(query, self._scene, QUICK, prior).run(start)
         if not len(poses) or poses.margin[0] <= _SURE_MARGIN:
-            poses = Refinement(query, self._scene, WHOLE, *known).run(start)
+            poses = Refinement(query, self._scene, WHOLE, prior).run(start)
         return found, poses
 
     @one_blas_thread()
@@ -146,7 +145,8 @@ class FullMatcher:
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
         effort = replace(WHOLE, restarts=1)
-        poses = Refinement(query, scene, effort, max(0.0, float(above_m[0]))).run(pose)[:1]
+        prior = Prior(Narrowing(eye_height_m=max(0.0, float(above_m[0]))))
+        poses = Refinement(query, scene, effort, prior).run(pose)[:1]
         if not len(poses):
             return None
         figures = confidence.lone_figures(poses, query)

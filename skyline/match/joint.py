@@ -65,10 +65,7 @@ def rank_together(
     queries = _with_one_noted_place(queries)
     found = [matcher.found(query, prior) for query, prior in queries]
     alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
-    refinements = [
-        Refinement(query, scene, WHOLE, prior.narrowing.eye_height_m, prior.noted)
-        for query, prior in queries
-    ]
+    refinements = [Refinement(query, scene, WHOLE, prior) for query, prior in queries]
     places = matcher.retriever.shortlist_together(queries, WHOLE.particles)
     joint, agreeing = JointRefinement(refinements).run(places, alone)
     cost = joint[0].hypotheses.score

@@ -28,7 +28,7 @@ from skyline.match.candidate import Candidate, RefinedPoses, candidates_of
 from skyline.match.confidence import MatchConfig, at_bound, too_little
 from skyline.match.full import one_blas_thread
 from skyline.match.matcher import named_skyline
-from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior
+from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
@@ -280,7 +280,7 @@ class Orienter:
             known = replace(
                 known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
             )
-        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, noted=known)
+        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, Prior(noted=known))
         return refinement.run(fitted[np.union1d(each, best)])
 
     def _orientation(

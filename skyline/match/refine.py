@@ -29,7 +29,7 @@ from skyline.match.candidate import (
     Hypotheses,
     RefinedPoses,
 )
-from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.scene import RenderedScene, joined_views
 from skyline.match.screening import report_progress
@@ -132,8 +132,7 @@ class Particles(Rows):
 class Refinement:
     """The refinement of one query.
 
-    The height of the eye above the ground is solved for unless it is given; ``noted`` is the prior
-    from the photo's EXIF.
+    The height of the eye above the ground is solved for unless the prior's narrowing gives it.
     """
 
     def __init__(
@@ -141,15 +140,14 @@ class Refinement:
         query: QueryRays,
         scene: RenderedScene,
         effort: Effort,
-        eye_height_m: float | None = None,
-        noted: PlacePrior | None = None,
+        prior: Prior = NOTHING_KNOWN,
     ) -> None:
         self._scene, self.effort = scene, effort
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
-        if eye_height_m is not None:
-            eye = EyeHeightPrior(eye_height_m, 0.0)
+        if prior.narrowing.eye_height_m is not None:
+            eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.fine = (
-            Solver(query, mode, eye, scene.height_sd_m, noted, scene.edge)
+            Solver(query, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
             for mode in (SCOUT, ROUGH, FINE)
         )
         self._rendered = 0
