@@ -66,10 +66,7 @@ class Profiles:
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
     """
 
-    easting_m: Float64Array
-    northing_m: Float64Array
-    eye_elevation_m: Float64Array
-    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (L,) float64."""
+    eyes: Viewpoints
     y: Float32Array
     """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
     where no view looks or the view has no data."""
@@ -81,7 +78,7 @@ class Profiles:
     1]]``."""
 
     def __len__(self) -> int:
-        return len(self.easting_m)
+        return len(self.y)
 
     @property
     def bins(self) -> int:
@@ -103,9 +100,9 @@ class Profiles:
     ) -> Hypotheses:
         """Return one pose at each location, of scores and angles (L,)."""
         return Hypotheses(
-            self.easting_m,
-            self.northing_m,
-            self.eye_elevation_m,
+            self.eyes.easting_m,
+            self.eyes.northing_m,
+            self.eyes.eye_elevation_m,
             heading_deg % 360.0,
             pitch_deg,
             roll_deg,
@@ -145,7 +142,8 @@ class Profiles:
         key = np.unique(location[view] * bins + bin_)
         start = np.searchsorted(key, np.arange(len(eye) + 1) * bins)
         easting_m, northing_m, eye_m = np.ascontiguousarray(eye.T)
-        return cls(easting_m, northing_m, eye_m, joined, key % bins, start)
+        standing = Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=eye_m)
+        return cls(standing, joined, key % bins, start)
 
 
 class ProfileMatcher(ABC):
@@ -171,12 +169,7 @@ class ProfileMatcher(ABC):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the profiles."""
-        some = self.profiles
-        return Viewpoints(
-            easting_m=some.easting_m,
-            northing_m=some.northing_m,
-            eye_elevation_m=some.eye_elevation_m,
-        )
+        return self.profiles.eyes
 
     def rank(self, query: QueryRays, top: int) -> Hypotheses:
         """Return up to ``top`` poses, best first, at most one a location.

@@ -12,6 +12,7 @@ from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher, Shortlist
 from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
 MATCHERS = PaperMatcher, CorrelationMatcher
@@ -50,8 +51,9 @@ def query_at(viewpoints, index, heading_deg, pitch_deg=0.0):
 def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
     azimuth_deg, y = panorama(viewpoints, 5)
     expected = np.interp(np.arange(2048) * 360.0 / 2048, azimuth_deg, y, period=360.0)
+    eyes = profiles.eyes
     away_m = np.hypot(
-        profiles.easting_m - viewpoints.easting_m[5], profiles.northing_m - viewpoints.northing_m[5]
+        eyes.easting_m - viewpoints.easting_m[5], eyes.northing_m - viewpoints.northing_m[5]
     )
     location = np.argmin(away_m)
     error = np.abs(profiles.y[location] - expected)
@@ -125,7 +127,8 @@ def profiles_of(y):
     row, slot = np.nonzero(table != NO_KEYPOINT)
     start = np.searchsorted(row, np.arange(len(y) + 1))
     place = np.arange(len(y), dtype=np.float64)
-    return Profiles(place, place, 0.0 * place, y, table[row, slot].astype(np.intp), start)
+    eyes = Viewpoints(easting_m=place, northing_m=place, eye_elevation_m=0.0 * place)
+    return Profiles(eyes, y, table[row, slot].astype(np.intp), start)
 
 
 def random_profiles(seed, count):
