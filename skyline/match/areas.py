@@ -67,7 +67,15 @@ class Area:
         cls, lonlat_deg: Sequence[tuple[float, float]], built_km: float, needed_km: float
     ) -> "Area":
         """Return the area that contains circles round places, which lie close together."""
-        needed, built = (_around(lonlat_deg, km) for km in (needed_km, built_km))
+        frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
+        east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
+        needed, built = (
+            frame.box_deg(
+                easting_m=np.add.outer(east, [-1000.0 * km, 1000.0 * km]),
+                northing_m=np.add.outer(north, [-1000.0 * km, 1000.0 * km]),
+            )
+            for km in (needed_km, built_km)
+        )
         return cls(needed, built)
 
 
@@ -236,16 +244,6 @@ def _dem_files(dem: Sequence[str | Path]) -> Iterator[str]:
                 f"{path} has no elevation files; expected {', '.join(_RASTERS)}, or name files"
             )
         yield from (absolute_name(str(file)) for file in some)
-
-
-def _around(lonlat_deg: Sequence[tuple[float, float]], km: float) -> Bounds:
-    """Return the box that contains circles round places, which lie close together."""
-    frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
-    east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
-    margin = np.array([-1000.0, 1000.0]) * km
-    return frame.box_deg(
-        easting_m=np.add.outer(east, margin), northing_m=np.add.outer(north, margin)
-    )
 
 
 def _grown(bounds_deg: Bounds, km: float) -> Bounds:

@@ -165,7 +165,7 @@ class Retriever:
         """Return the screen that finds places: of few, likely fields of view."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
         low, high = np.clip(query.log_scale_bounds, -likely, likely)
-        zooms = _middles(float(low), float(high), _ZOOM_STEP * _zoom_share(query))
+        zooms = _zooms(query, float(low), float(high), _ZOOM_STEP)
         penalty = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         fovs_deg = query.searched_fov_deg(zooms)
         return Screen.of(query, fovs_deg, self._sample, prior.open_turns, penalty)
@@ -260,17 +260,17 @@ def _total(found: Sequence[Hypotheses]) -> Float64Array:
     return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
 
 
-def _middles(low: float, high: float, step: float) -> Float64Array:
-    """Return the middles of equal parts of a range, as few as are no wider than a step."""
+def _zooms(query: QueryRays, low: float, high: float, step: float) -> Float64Array:
+    """Return the middles of equal parts of a range of zooms, as few as are no wider than a step.
+
+    The step of a wide panorama is shorter: its ends move as far as those of a lens.
+    """
+    if query.is_panorama:
+        step *= min(1.0, REFERENCE_FOV_DEG / query.fov_deg)
     parts = max(1, math.ceil((high - low) / step))
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
 def _start_zooms(query: QueryRays) -> Float64Array:
     """Return the zooms that fits start from."""
-    return _middles(*query.log_scale_bounds, _START_ZOOM_STEP * _zoom_share(query))
-
-
-def _zoom_share(query: QueryRays) -> float:
-    """Return the share of a zoom step that moves the ends of a wide panorama as far."""
-    return min(1.0, REFERENCE_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
+    return _zooms(query, *query.log_scale_bounds, _START_ZOOM_STEP)
