@@ -168,7 +168,7 @@ class Retriever:
         zooms = _zooms(query, float(low), float(high), _ZOOM_STEP)
         penalty = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         fovs_deg = query.searched_fov_deg(zooms)
-        return Screen.of(query, fovs_deg, self._sample, prior.open_turns, penalty)
+        return Screen(query, fovs_deg, self._sample, prior.open_turns, penalty)
 
     def _start(
         self,
@@ -184,7 +184,7 @@ class Retriever:
         turn.
         """
         zooms = _start_zooms(query)
-        screen = Screen.of(query, query.searched_fov_deg(zooms), self._sample, prior.open_turns)
+        screen = Screen(query, query.searched_fov_deg(zooms), self._sample, prior.open_turns)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = pool.map(
                 lambda first: screen.best_turns(

@@ -51,7 +51,7 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     y[generator.random(y.shape) < 0.05] = np.nan
     held = places_of(y)
     query = rays(seed, heading)
-    raw = Screen.of(query, np.array([60.0]), held)
+    raw = Screen(query, np.array([60.0]), held)
     fast = raw._every_turn(held.phase)[:, 0]
     waves = query_waves(query)
     weight, angle, grows = np.abs(waves), np.angle(waves), roll_to_turn()
@@ -82,14 +82,14 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     smooth = places_of(np.stack([0.1 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
     u, v = photo(lambda azimuth: 0.1 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
     query = equally_trusted(u, v, 60.0)
-    screen = Screen.of(query, np.array([60.0]), smooth)
+    screen = Screen(query, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
 
 
 @pytest.mark.parametrize("size", [64, 7])
 @pytest.mark.parametrize("count", [5, 200])
 def test_blocks_change_nothing(places, size, count):
-    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
     order = np.lexsort((np.arange(64), -score))[:count]
     found = screen_places(screen.scores, Blocks(places, size), count, every)
@@ -98,7 +98,7 @@ def test_blocks_change_nothing(places, size, count):
 
 
 def test_parts_joined_are_the_whole_to_the_bit(places):
-    screen, source = Screen.of(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
+    screen, source = Screen(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
     whole = screen_places(screen.scores, source, 10, every)
     parts = [
         screen_places(screen.scores, source, 10, every, slice(k, k + 3)) for k in range(0, 8, 3)
@@ -109,7 +109,7 @@ def test_parts_joined_are_the_whole_to_the_bit(places):
 
 
 def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
-    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
     heading_deg, fov, peak = screen.best_turns(places.phase, 3)
     scores = (screen._every_turn(places.phase) - screen.mean[:, None]) * screen.scale[:, None]
     headings_deg = turn_heading_deg(np.arange(PHASE_BINS))
@@ -126,15 +126,15 @@ def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
-    alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
+    alone = [Screen(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
     expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
-    scores = Screen.of(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
+    scores = Screen(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
 
 def test_only_places_within_are_looked_at(places):
-    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
     source, scores = Blocks(places, 8), screen.scores
     found = screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
     assert sorted(found.row) == list(range(10))
@@ -144,7 +144,7 @@ def test_only_places_within_are_looked_at(places):
 
 def test_shut_turns_are_not_looked_at(places):
     turns = turns_within(20.0, 15.0)
-    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
 
