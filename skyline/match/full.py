@@ -79,9 +79,7 @@ class FullMatcher:
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
-        places = self.retriever.places
-        step = max(1, len(places) // _SHOWN_EYES)
-        some = places.take(np.arange(0, len(places), step, dtype=np.intp))
+        some = self.retriever.sample(_SHOWN_EYES)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)

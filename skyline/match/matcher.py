@@ -95,30 +95,28 @@ class Matcher:
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
+        self.render_thread, self._scene = render_thread, None
+        self._ranker: FullMatcher | ProfileMatcher
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
             self.rows, self.holds = len(file), header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
-            self.frame, self._scene = Frame(header.frame_wkt), None
+            self.frame = Frame(header.frame_wkt)
             self.terrain = None if dem is None else header.read_dem(dem)
-            self._ranker: FullMatcher | ProfileMatcher
             if matcher != FULL:
                 self._ranker = resolve_name(kind).open(file)
-            else:
-                places, curvature = file.places(), header.curvature
-                if self.terrain is None:
-                    self.terrain = terrain_at_hand(header, "answers unrefined")
-                if surface is not None and self.terrain is None:
-                    raise InputError(
-                        "a surface needs the store's DEM, which is not at hand; give it"
-                    )
-                if refine and self.terrain is not None:
-                    over = None if surface is None else read_surface(surface, self.terrain)
-                    rendering = RenderConfig(VIEW_WIDTH, curvature=curvature)
-                    self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-                self._ranker = FullMatcher(places, self.frame, curvature, self.terrain, self._scene)
-        self.render_thread = render_thread
+                return
+            places = file.places()
+        if self.terrain is None:
+            self.terrain = terrain_at_hand(header, "answers unrefined")
+        if surface is not None and self.terrain is None:
+            raise InputError("a surface needs the store's DEM, which is not at hand; give it")
+        if refine and self.terrain is not None:
+            over = None if surface is None else read_surface(surface, self.terrain)
+            rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
+            self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
+        self._ranker = FullMatcher(places, self.frame, header.curvature, self.terrain, self._scene)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:

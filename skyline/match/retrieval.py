@@ -69,11 +69,14 @@ class Retriever:
         share = math.ceil(_SCREENED_SHARE * len(places))
         self._screened = min(max(share, _SCREENED_LEAST), _SCREENED_MOST)
 
+    def sample(self, count: int) -> Places:
+        """Return an even sample of some ``count`` places, the same in every process."""
+        step = max(1, len(self.places) // count)
+        return self.places.take(np.arange(0, len(self.places), step, dtype=np.intp))
+
     @cached_property
     def _sample(self) -> Places:
-        """An even sample of the places, the same in every process."""
-        step = max(1, len(self.places) // _SAMPLE)
-        return self.places.take(np.arange(0, len(self.places), step, dtype=np.intp))
+        return self.sample(_SAMPLE)
 
     def _no_place_error(self, priors: Sequence[Prior]) -> InputError:
         """Return the error that a search is narrowed to no place."""
