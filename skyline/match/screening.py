@@ -121,7 +121,7 @@ class Screen:
     open_turns : (B,) bool, optional
         The turns that are searched, as of `turns_within`; by default all.
     penalty : (F,) float64, optional
-        What a score loses at each field of view, in deviations; by default nothing.
+        Loss of the scores at each field of view, in deviations; by default none.
     """
 
     def __init__(
@@ -137,8 +137,7 @@ class Screen:
         level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
-        # The query covers so many bins, from the first on, counted from half a turn left of
-        # straight ahead.
+        # The first bin counts from half a turn left of straight ahead; the span is in bins.
         self._first, self._span, self._fovs = first, last - first + 1, len(fovs_deg)
         # (2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and its
         # derivative by roll, scaled so that the square of the second product is the gain of a roll.
@@ -148,6 +147,7 @@ class Screen:
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if penalty is not None:
             mean += (penalty * deviation).astype(np.float32)
+        # A sum less the mean, times the scale, is a score.
         self.mean = mean
         self.scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
 
