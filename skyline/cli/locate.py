@@ -86,7 +86,7 @@ def locate(
         lambda: bool(cached_files() - before),
     )
     ready = prepare_area(area, dem or (), source, print_note, progress_bar)
-    on_interrupt(f"the area is kept in {ready.store.parent}")
+    on_interrupt(f"the area is kept in {ready.folder}")
     within = narrowing.near or narrowing.bounds_deg or ()
     match(
         ready.store,

@@ -13,11 +13,12 @@ import hashlib
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -66,35 +67,55 @@ class Area:
         cls, lonlat_deg: Sequence[tuple[float, float]], built_km: float, needed_km: float
     ) -> "Area":
         """Return the area that contains circles round places, which lie close together."""
-        needed, built = (_around(lonlat_deg, km) for km in (needed_km, built_km))
+        frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
+        east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
+        needed, built = (
+            frame.box_deg(
+                easting_m=np.add.outer(east, [-1000.0 * km, 1000.0 * km]),
+                northing_m=np.add.outer(north, [-1000.0 * km, 1000.0 * km]),
+            )
+            for km in (needed_km, built_km)
+        )
         return cls(needed, built)
 
 
 @dataclass(frozen=True, slots=True)
-class ReadyArea:
-    """The store of an area and its elevation model, which `skyline.read_dem` reads."""
-
-    store: Path
-    terrain: Path
-
-
-@dataclass(frozen=True, slots=True)
 class CachedArea:
-    """One area of the cache: its tiles and its store."""
+    """A folder of the cache with the elevation tiles of an area, its terrain, and its store."""
 
     folder: Path
-    origin: str
     bounds_deg: Bounds
-    finished: bool
-    tiles: int
-    tile_bytes: int
-    store_bytes: int
-    changed: datetime
 
-    def to_dict(self) -> dict[str, object]:
-        """Return the area as JSON can hold it."""
-        changed = self.changed.isoformat(timespec="seconds")
-        return asdict(self) | {"folder": str(self.folder), "changed": changed}
+    @property
+    def store(self) -> Path:
+        """The store of the area's places."""
+        return self.folder / _STORE
+
+    @property
+    def terrain(self) -> Path:
+        """The elevation model as it was read, a file for `skyline.read_dem`."""
+        return self.folder / _TERRAIN
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the area can be searched."""
+        return self.store.is_file() and self.terrain.is_file()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the area as JSON can hold it, with the sizes of its files."""
+        about = [(path, path.stat()) for path in self.folder.rglob("*") if path.is_file()]
+        tiles = [known.st_size for path, known in about if path.parent.name == "tiles"]
+        latest = max((known.st_mtime for _, known in about), default=self.folder.stat().st_mtime)
+        return {
+            "folder": str(self.folder),
+            "origin": self.folder.parent.name,
+            "bounds_deg": self.bounds_deg,
+            "finished": self.is_finished,
+            "tiles": len(tiles),
+            "tile_bytes": sum(tiles),
+            "store_bytes": sum(known.st_size for _, known in about) - sum(tiles),
+            "changed": datetime.fromtimestamp(latest).astimezone().isoformat(timespec="seconds"),
+        }
 
 
 def cache_folder() -> Path:
@@ -114,7 +135,7 @@ def prepare_area(
     source: str | None = None,
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
-) -> ReadyArea:
+) -> CachedArea:
     """Return the store of an area from the cache, where it is built if it is not there.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
@@ -127,16 +148,23 @@ def prepare_area(
     source = source or os.environ.get("SKYLINE_DEM_SOURCE") or DEFAULT_SOURCE
     home = _areas() / _origin(files, source)
     with _explained():
-        serving = _serving(home, area.needed)
-        if serving is not None:
-            print_note(f"{serving.store.parent}: the area is there already")
-            return serving
+        # The smallest that serves.
+        serving = [
+            (_km2(one.bounds_deg), str(one.folder), one)
+            for one in _areas_in(home.glob("*"))
+            if one.is_finished and _contains(one.bounds_deg, area.needed)
+        ]
+        if serving:
+            made = min(serving)[2]
+            print_note(f"{made.folder}: the area is there already")
+            return made
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
+        made = CachedArea(folder, bounds)
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder, print_note):
-            if ready := _ready(folder):
-                return ready
+            if made.is_finished:
+                return made
             _check_room(folder, bounds, with_tiles=not files)
             print_note(f"{folder} keeps what is made for this area")
             if not files:
@@ -144,45 +172,18 @@ def prepare_area(
             with bar("reading the elevation model"):
                 terrain = read_dem(files)
             _check_terrain(terrain, area, dem)
-            save_field(terrain, folder / _TERRAIN)
+            save_field(terrain, made.terrain)
             print_note(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
-                built = build_places(terrain, folder / _STORE, bounds_deg=bounds, progress=progress)
+                built = build_places(terrain, made.store, bounds_deg=bounds, progress=progress)
             print_note(f"{built.rows} places are built, in {built.seconds:.0f} s")
-            return ReadyArea(folder / _STORE, folder / _TERRAIN)
-
-
-def _ready(folder: Path) -> ReadyArea | None:
-    """Return a finished area; None if there is none in a folder."""
-    store, terrain = folder / _STORE, folder / _TERRAIN
-    return ReadyArea(store, terrain) if store.is_file() and terrain.is_file() else None
+            return made
 
 
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
-    found = []
     with _explained():
-        for folder in sorted(_areas().glob("*/*")):
-            bounds = _bounds_of(folder.name)
-            if bounds is None:
-                continue
-            sizes = [(path, path.stat()) for path in folder.rglob("*") if path.is_file()]
-            tiles = [about.st_size for path, about in sizes if path.parent.name == "tiles"]
-            total = sum(about.st_size for _, about in sizes)
-            latest = max((about.st_mtime for _, about in sizes), default=folder.stat().st_mtime)
-            found.append(
-                CachedArea(
-                    folder,
-                    folder.parent.name,
-                    bounds,
-                    (folder / _STORE).exists(),
-                    len(tiles),
-                    sum(tiles),
-                    total - sum(tiles),
-                    datetime.fromtimestamp(latest).astimezone(),
-                )
-            )
-    return found
+        return _areas_in(_areas().glob("*/*"))
 
 
 def cached_files() -> set[Path]:
@@ -245,16 +246,6 @@ def _dem_files(dem: Sequence[str | Path]) -> Iterator[str]:
         yield from (absolute_name(str(file)) for file in some)
 
 
-def _around(lonlat_deg: Sequence[tuple[float, float]], km: float) -> Bounds:
-    """Return the box that contains circles round places, which lie close together."""
-    frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
-    east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
-    margin = np.array([-1000.0, 1000.0]) * km
-    return frame.box_deg(
-        easting_m=np.add.outer(east, margin), northing_m=np.add.outer(north, margin)
-    )
-
-
 def _grown(bounds_deg: Bounds, km: float) -> Bounds:
     """Return a box grown by a distance to each side."""
     west, south, _, north = bounds_deg
@@ -302,16 +293,10 @@ def _bounds_of(name: str) -> Bounds | None:
         return None
 
 
-def _serving(home: Path, needed: Bounds) -> ReadyArea | None:
-    """Return the smallest finished area that contains a box; None if there is none."""
-    found = [
-        (_km2(bounds), str(folder), ready)
-        for folder in home.glob("*")
-        if (bounds := _bounds_of(folder.name)) is not None
-        and _contains(bounds, needed)
-        and (ready := _ready(folder))
-    ]
-    return min(found)[2] if found else None
+def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
+    """Return the areas among folders, whose names are bounds, in order."""
+    named = ((folder, _bounds_of(folder.name)) for folder in sorted(folders))
+    return [CachedArea(folder, bounds) for folder, bounds in named if bounds is not None]
 
 
 def _fetch(

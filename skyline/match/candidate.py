@@ -1,7 +1,7 @@
 """Poses of a camera: hypotheses of a search, refined poses, candidates of an answer."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -152,6 +152,11 @@ class Candidate:
             f"the skylines are {self.residual_deg:.2f} degrees apart (rms) over "
             f"{100.0 * self.terrain_share:.0f} % of the skyline"
         )
+
+    def to_hypothesis(self) -> "Hypotheses":
+        """Return the pose as one hypothesis, with a score of 0."""
+        pose = asdict(self) | {"heading_deg": self.grid_heading_deg, "score": 0.0}
+        return Hypotheses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Hypotheses)})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the candidate as ``skyline match --json`` prints it."""

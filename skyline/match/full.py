@@ -1,6 +1,6 @@
 """The full matcher: retrieval among places, refinement by rendering, and a confidence."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -8,14 +8,13 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.arrays import IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.match import confidence
 from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
-from skyline.match.prior import Prior
+from skyline.match.prior import Narrowing, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
+from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
@@ -27,7 +26,7 @@ from skyline.terrain.viewpoints import Viewpoints
 _SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
 """Poses that retrieval returns, a place of the store, and their least and greatest number: among
 more places there are more that are alike."""
-_SEPARATION_M = 100.0
+SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
@@ -72,17 +71,15 @@ class FullMatcher:
         if terrain is not None:
             ground = ground_of(terrain)
             edge = DataEdge.of(terrain, curvature) if scene is None else scene.edge
-        self._frame, self._scene = frame, scene
-        self._retriever = Retriever(places, ground, edge)
-        self._models = confidence.models()
+        self.frame, self._scene = frame, scene
+        self.retriever = Retriever(places, ground, edge)
+        self.models = confidence.models()
         share = round(_SHORTLIST_SHARE * len(places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), _SHORTLIST_MOST)
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
-        places = self._retriever.places
-        step = max(1, len(places) // _SHOWN_EYES)
-        some = places.take(np.arange(0, len(places), step, dtype=np.intp))
+        some = self.retriever.sample(_SHOWN_EYES)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
@@ -92,27 +89,27 @@ class FullMatcher:
     ) -> tuple[Candidate, ...]:
         """Return up to ``top`` candidates, best first, none where nothing fits.
 
-        ``screened`` are the results of `screened` for all parts of the store, joined; by default
-        the store is screened here. Raises `InputError` where the search is narrowed to no place.
+        ``screened`` are the results of `Retriever.screened` for all parts of the store, joined; by
+        default the store is screened here. Raises `InputError` where the search is narrowed to no
+        place.
         """
         found, poses = self.found(query, prior, screened)
         if not len(found):
             return ()
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
-            chosen = _distinct(found, top)
-            near, roughly = confidence.probabilities(self._models, "retrieved", figures)
-            return candidates_of(self._frame, found[chosen], near[chosen], roughly[chosen])
+            chosen = found.suppress_non_maxima(top, SEPARATION_M)
+            near, roughly = confidence.probabilities(self.models, "retrieved", figures)
+            return candidates_of(self.frame, found[chosen], near[chosen], roughly[chosen])
         figures = confidence.refined_figures(poses, found, query)
         # A pose that has moved out of the narrowing is no candidate.
         standing = poses.hypotheses
-        score = np.where(prior.allows(standing), standing.score, np.inf)
-        allowed = replace(standing, score=score)
-        chosen = _distinct(allowed, top)
+        allowed = replace(standing, score=np.where(prior.allows(standing), standing.score, np.inf))
+        chosen = allowed.suppress_non_maxima(top, SEPARATION_M)
         if not len(chosen):
             return ()
-        near, roughly = confidence.shared_probabilities(self._models, allowed, figures)
-        return candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
+        near, roughly = confidence.shared_probabilities(self.models, allowed, figures)
+        return candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
 
     @one_blas_thread()
     def found(
@@ -124,94 +121,38 @@ class FullMatcher:
         other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
         `rank`.
         """
-        found = self.retrieve(query, prior, screened)
+        found = self.retriever.shortlist(query, self._shortlist, prior, screened)
         if not len(found) or self._scene is None:
             return found, None
         start = self._with_noted(found, query, prior)
-        known = prior.narrowing.eye_height_m, prior.noted
-        poses = Refinement(query, self._scene, QUICK, *known).run(start)
+        poses = Refinement(query, self._scene, QUICK, prior).run(start)
         if not len(poses) or poses.margin[0] <= _SURE_MARGIN:
-            poses = Refinement(query, self._scene, WHOLE, *known).run(start)
+            poses = Refinement(query, self._scene, WHOLE, prior).run(start)
         return found, poses
 
     @one_blas_thread()
-    def rank_together(
-        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> list[tuple[Candidate, ...]]:
-        """Return up to ``top`` places of queries of one eye, as each query's candidates there.
-
-        A query that was likely taken at another place has none. A place lies within the narrowings
-        of all queries that agree. Raises as `rank`, and `InputError` without a scene.
-
-        Each query is first matched by itself: its least cost shows whether it was taken there.
-        """
-        scene = self._rendered_scene()
-        queries = _with_one_noted_place(queries)
-        found = [self.found(query, prior) for query, prior in queries]
-        alone = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
-        refinements = [
-            Refinement(query, scene, WHOLE, prior.narrowing.eye_height_m, prior.noted)
-            for query, prior in queries
-        ]
-        places = self._retriever.shortlist_together(queries, WHOLE.particles)
-        joint, agreeing = JointRefinement(refinements, WHOLE).run(places, alone)
-        cost = joint[0].hypotheses.score
-        for poses, (_, prior), agrees in zip(joint, queries, agreeing, strict=True):
-            cost = np.where(prior.allows(poses.hypotheses) | ~agrees, cost, np.inf)
-        standing = replace(joint[0].hypotheses, score=cost)
-        chosen = _distinct(standing, top)
-        agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
-        figures = [
-            confidence.refined_figures(poses, retrieved, query)
-            for poses, (query, _), (retrieved, _), belongs in zip(
-                joint, queries, found, agrees, strict=True
-            )
-            if belongs and len(retrieved)
-        ]
-        near = roughly = np.zeros(len(cost))
-        if figures:
-            # Queries of one place share the errors of the terrain model there, to an unknown
-            # degree: together they count as one query with the mean figures.
-            mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
-            near, roughly = confidence.shared_probabilities(self._models, standing, mean)
-        return [
-            candidates_of(self._frame, poses[chosen], near[chosen], roughly[chosen])
-            if belongs
-            else ()
-            for poses, belongs in zip(joint, agrees.tolist(), strict=True)
-        ]
-
-    @one_blas_thread()
-    def screened(self, query: QueryRays, prior: Prior, part: slice) -> Alike:
-        """Return the places of a part of the store that are most like a query."""
-        return self._retriever.screened(query, prior, part)
-
-    def retrieve(self, query: QueryRays, prior: Prior, screened: Alike | None = None) -> Hypotheses:
-        """Return the poses retrieved for a query."""
-        return self._retriever.shortlist(query, self._shortlist, prior, screened)
-
-    @one_blas_thread()
-    def fit_from(self, query: QueryRays, start: Hypotheses) -> tuple[Candidate, ...]:
-        """Return one pose, refined by rendering; none where nothing fits.
+    def fitted(self, query: QueryRays, start: Candidate) -> Candidate | None:
+        """Return a pose refined by rendering; None where nothing near it fits.
 
         The eye keeps its height above the ground. The confidence is that of a search in which
         nothing else fits. Raises `InputError` without a scene, and for a pose off the map or on a
         hole.
         """
-        scene = self._rendered_scene()
-        ground_m = scene.ground_m(start.easting_m, start.northing_m)
-        above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
+        scene, pose = self.needed_scene(), start.to_hypothesis()
+        above_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
         effort = replace(WHOLE, restarts=1)
-        poses = Refinement(query, scene, effort, float(above_m[0])).run(start)[:1]
+        prior = Prior(Narrowing(eye_height_m=max(0.0, float(above_m[0]))))
+        poses = Refinement(query, scene, effort, prior).run(pose)[:1]
         if not len(poses):
-            return ()
+            return None
         figures = confidence.lone_figures(poses, query)
-        near, roughly = confidence.probabilities(self._models, "refined", figures)
-        return candidates_of(self._frame, poses, near, roughly)
+        near, roughly = confidence.probabilities(self.models, "refined", figures)
+        return candidates_of(self.frame, poses, near, roughly)[0]
 
-    def _rendered_scene(self) -> RenderedScene:
+    def needed_scene(self) -> RenderedScene:
+        """Return the scene; raises `InputError` without one."""
         if self._scene is None:
             raise InputError(BY_RENDERING)
         return self._scene
@@ -224,30 +165,11 @@ class FullMatcher:
         near_noted = prior.near_noted()
         if near_noted is None:
             return found
-        alike = self._retriever.screened(query, near_noted)
+        alike = self.retriever.screened(query, near_noted)
         if not len(alike):
             return found
-        near = self._retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted, alike)
+        near = self.retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted, alike)
         if not len(near):
             return found
         raised = near.score - near.score.min() + found.score.min()
         return Hypotheses.concatenate([found, replace(near, score=raised)])
-
-
-def _distinct(poses: Hypotheses, top: int) -> IntArray:
-    return poses.suppress_non_maxima(top, _SEPARATION_M)
-
-
-def _with_one_noted_place(
-    queries: Sequence[tuple[QueryRays, Prior]],
-) -> list[tuple[QueryRays, Prior]]:
-    """Return queries with the most precise noted place alone.
-
-    The positions of photos from one phone share their error, so they are not independent.
-    """
-    noted = [prior.noted for _, prior in queries if prior.noted is not None]
-    best = min(noted, key=lambda place: place.sd_m, default=None)
-    return [
-        (query, prior if prior.noted is best else replace(prior, noted=None))
-        for query, prior in queries
-    ]

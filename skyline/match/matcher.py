@@ -8,12 +8,10 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
 from skyline.errors import InputError, named
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
-from skyline.match.candidate import Candidate, Hypotheses, candidates_of
+from skyline.match.candidate import Candidate, candidates_of
 from skyline.match.confidence import (
     MatchConfig,
     misfit,
@@ -22,7 +20,8 @@ from skyline.match.confidence import (
     too_little,
     unsure,
 )
-from skyline.match.full import BY_RENDERING, FullMatcher
+from skyline.match.full import BY_RENDERING, FullMatcher, one_blas_thread
+from skyline.match.joint import rank_together
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.scene import VIEW_WIDTH, RenderedScene, terrain_at_hand
@@ -96,30 +95,28 @@ class Matcher:
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
+        self.render_thread, self._scene = render_thread, None
+        self._ranker: FullMatcher | ProfileMatcher
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
             self.rows, self.holds = len(file), header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
-            self.frame, self._scene = Frame(header.frame_wkt), None
+            self.frame = Frame(header.frame_wkt)
             self.terrain = None if dem is None else header.read_dem(dem)
-            self._ranker: FullMatcher | ProfileMatcher
             if matcher != FULL:
                 self._ranker = resolve_name(kind).open(file)
-            else:
-                places, curvature = file.places(), header.curvature
-                if self.terrain is None:
-                    self.terrain = terrain_at_hand(header, "answers unrefined")
-                if surface is not None and self.terrain is None:
-                    raise InputError(
-                        "a surface needs the store's DEM, which is not at hand; give it"
-                    )
-                if refine and self.terrain is not None:
-                    over = None if surface is None else read_surface(surface, self.terrain)
-                    rendering = RenderConfig(VIEW_WIDTH, curvature=curvature)
-                    self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-                self._ranker = FullMatcher(places, self.frame, curvature, self.terrain, self._scene)
-        self.render_thread = render_thread
+                return
+            places = file.places()
+        if self.terrain is None:
+            self.terrain = terrain_at_hand(header, "answers unrefined")
+        if surface is not None and self.terrain is None:
+            raise InputError("a surface needs the store's DEM, which is not at hand; give it")
+        if refine and self.terrain is not None:
+            over = None if surface is None else read_surface(surface, self.terrain)
+            rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
+            self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
+        self._ranker = FullMatcher(places, self.frame, header.curvature, self.terrain, self._scene)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
@@ -181,11 +178,11 @@ class Matcher:
         """
         started = time.perf_counter()
         _check_top(top)
-        name, query = name_of(query), skyline_of(query, fov_deg)
+        name, query = named_skyline(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query)
         if refusal is None:
-            rays, prior = self._rays(query), self._prior(query, narrowing)
+            rays, prior = self._rays_and_prior(query, narrowing)
             with reporting_progress(report_progress):
                 if isinstance(self._ranker, FullMatcher):
                     candidates = self._ranker.rank(rays, top, prior, screened)
@@ -240,30 +237,29 @@ class Matcher:
                 f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        skylines = [skyline_of(query, fov_deg) for query in queries]
-        refusals = [too_little(query) for query in skylines]
-        usable = [
-            (self._rays(query), self._prior(query, narrowing))
-            for query, narrowing, refusal in zip(skylines, narrowings, refusals, strict=True)
-            if refusal is None
-        ]
-        with reporting_progress(report_progress):
-            together = self._full().rank_together(usable, top) if len(usable) > 1 else ()
-        cameras = iter(together)
-        found = [() if refusal else next(cameras, ()) for refusal in refusals]
-        best = next((one for one in found if one), ())
+        photos = [named_skyline(query, fov_deg) for query in queries]
+        refusals = [too_little(query) for _, query in photos]
+        usable = {
+            number: self._rays_and_prior(query, narrowings[number])
+            for number, (_, query) in enumerate(photos)
+            if refusals[number] is None
+        }
+        found: dict[int, tuple[Candidate, ...]] = {}
+        if len(usable) > 1:
+            with reporting_progress(report_progress):
+                together = rank_together(self._full(), list(usable.values()), top)
+            found = {number: some for number, some in zip(usable, together, strict=True) if some}
+        best = next(iter(found.values()), ())
         refusal = unsure(best, self._config)
-        if sum(map(bool, found)) < 2:
+        if len(found) < 2:
             refusal = "fewer than two photos agree on a place"
         within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, refusal, within_m, name)
-            if places
-            else MatchResult(query, (), seconds, little or _DISAGREES, name=name)
-            for name, query, places, little in zip(
-                map(name_of, queries), skylines, found, refusals, strict=True
-            )
+            MatchResult(query, found[number], seconds, refusal, within_m, name)
+            if number in found
+            else MatchResult(query, (), seconds, refusals[number] or _DISAGREES, name=name)
+            for number, (name, query) in enumerate(photos)
         )
         return JointResult(results, seconds, refusal)
 
@@ -288,25 +284,16 @@ class Matcher:
             The matcher does not render, or the pose is off the map.
         """
         started = time.perf_counter()
-        given = (
-            start.easting_m,
-            start.northing_m,
-            start.eye_elevation_m,
-            start.grid_heading_deg,
-            start.pitch_deg,
-            start.roll_deg,
-            start.fov_deg,
-            start.distortion,
-        )
-        poses = Hypotheses(*(np.array([float(value)]) for value in (*given, 0.0)))
-        rays = self._rays(query.with_fov(start.fov_deg))
-        fitted: tuple[Candidate, ...] = ()
-        refusal: str | None = "nothing near this pose fits"
-        for alone in self._full().fit_from(rays, poses):
-            refusal = misfit(alone, self._config)
-            pose = replace(alone, rank=None, confidence=None, confidence_1km=None)
-            fitted = (pose if refusal is None else replace(pose, covariance_m2=None),)
-        return MatchResult(query, fitted, time.perf_counter() - started, refusal)
+        rays, _ = self._rays_and_prior(query.with_fov(start.fov_deg), None)
+        pose = self._full().fitted(rays, start)
+        if pose is None:
+            seconds = time.perf_counter() - started
+            return MatchResult(query, (), seconds, "nothing near this pose fits")
+        refusal = misfit(pose, self._config)
+        pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
+        if refusal is not None:
+            pose = replace(pose, covariance_m2=None)
+        return MatchResult(query, (pose,), time.perf_counter() - started, refusal)
 
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
@@ -318,7 +305,8 @@ class Matcher:
         """
         if too_little(query) is not None or not isinstance(self._ranker, FullMatcher):
             return None
-        return self._ranker.screened(self._rays(query), self._prior(query, narrowing), part)
+        with one_blas_thread():
+            return self._ranker.retriever.screened(*self._rays_and_prior(query, narrowing), part)
 
     def _full(self) -> FullMatcher:
         """Return the full matcher; raises `InputError` for another one."""
@@ -326,21 +314,20 @@ class Matcher:
             raise InputError(BY_RENDERING)
         return self._ranker
 
-    def _prior(self, query: QuerySkyline, narrowing: Narrowing | None) -> Prior:
-        """Return the prior of a query; raises `InputError` if the matcher cannot take it."""
-        narrowing = narrowing or Narrowing()
-        if not isinstance(self._ranker, FullMatcher):
+    def _rays_and_prior(
+        self, query: QuerySkyline, narrowing: Narrowing | None
+    ) -> tuple[QueryRays, Prior]:
+        """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
+        is_full, narrowing = isinstance(self._ranker, FullMatcher), narrowing or Narrowing()
+        rays = QueryRays.of(query, self._config.fov_slack, finds_fov=is_full)
+        if not is_full:
             if narrowing != Narrowing():
                 raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
-            return NOTHING_KNOWN
+            return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
             narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
         noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
-        return Prior.of(narrowing, self.frame, noted)
-
-    def _rays(self, query: QuerySkyline) -> QueryRays:
-        finds_fov = isinstance(self._ranker, FullMatcher)
-        return QueryRays.of(query, self._config.fov_slack, finds_fov=finds_fov)
+        return rays, Prior.of(narrowing, self.frame, noted)
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
@@ -348,16 +335,16 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     return [store] if isinstance(store, str | Path) else store
 
 
-def name_of(query: Picture | QuerySkyline) -> str:
-    """Return the file of a query; empty for pixels and for a query skyline."""
-    return str(query) if isinstance(query, str | Path) else ""
+def named_skyline(
+    query: Picture | QuerySkyline, fov_deg: float | None = None
+) -> tuple[str, QuerySkyline]:
+    """Return the file of a query, empty for pixels and for a query skyline, and its skyline.
 
-
-def skyline_of(query: Picture | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
-    """Return a query's skyline, with its field of view or a given one."""
+    The skyline has its own field of view, or else the given one.
+    """
     if not isinstance(query, QuerySkyline):
-        return read_query(query, fov_deg)
-    return query if fov_deg is None else query.with_fov(fov_deg)
+        return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
+    return "", query if fov_deg is None else query.with_fov(fov_deg)
 
 
 def _check_top(top: int) -> None:

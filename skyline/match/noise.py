@@ -217,11 +217,13 @@ def likelihood(
     other = np.where(residual >= 0.0, ABOVE_SHARE, BELOW_SHARE) / RANGE_RAD
     limited, open_ = np.isfinite(errors.rise_rad), errors.beyond_rad > 0.0
     if limited.any():
-        share, risen = _risen(off, errors.rise_rad, np.sqrt(variance + spread))
-        bare = np.where(limited, share, bare)
-        other = np.where(limited, magnified * risen, other)
+        shown = 1.0 - 2.0 * BELOW_SHARE
+        covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
+        bare = np.where(limited, shown - covered, bare)
+        other = np.where(limited, magnified * (density + BELOW_SHARE / RANGE_RAD), other)
     if open_.any():
-        hidden, density = _hidden(off, errors.beyond_rad, np.sqrt(variance + spread))
+        sd_rad = np.sqrt(variance + spread)
+        hidden, density = _raised(off, errors.beyond_rad, sd_rad, BEYOND_SHARE)
         bare = np.where(open_, bare * (1.0 - hidden), bare)
         other = np.where(open_, other * (1.0 - hidden) + magnified * density, other)
     terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
@@ -238,40 +240,20 @@ def likelihood(
     return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
 
 
-def _risen(
-    off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array
+def _raised(
+    off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probability of terrain, and the density of all else, (M, R), for known rises.
+    """Return the probability that something stands above the terrain, and its density, (M, R).
 
-    Anything that covers the terrain lies uniformly up to the rise, blurred by the errors. The
-    larger the rise against the errors, the likelier the column is covered.
+    It lies uniformly up to a rise, blurred by the errors. The smaller the rise against the errors,
+    the less likely it is; for a large one its probability is ``share``.
     """
-    rise_rad = np.clip(rise_rad, _LEAST_RISE * sd_rad, RANGE_RAD)
-    within = _within(off_rad, rise_rad, sd_rad)
-    shown = 1.0 - 2.0 * BELOW_SHARE
-    covered = shown * rise_rad / (rise_rad + 2.0 * sd_rad)
-    return shown - covered, covered * within + BELOW_SHARE / RANGE_RAD
-
-
-def _hidden(
-    off_rad: Float64Array, beyond_rad: Float64Array, sd_rad: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return the probability that terrain past the edge rises in a column, and its density, (M, R).
-
-    That terrain lies uniformly up to its bound, blurred by the errors. The smaller the bound
-    against the errors, the less likely the terrain rises there.
-    """
-    rise_rad = np.clip(beyond_rad, _LEAST_RISE * sd_rad, RANGE_RAD)
-    hidden = BEYOND_SHARE * rise_rad / (rise_rad + 2.0 * sd_rad)
-    return hidden, hidden * _within(off_rad, rise_rad, sd_rad)
-
-
-def _within(off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array) -> Float64Array:
-    """Return the density of a uniform distribution from 0 to a rise, blurred by errors."""
     from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
 
-    below = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
-    return np.asarray(below / rise_rad)
+    rise_rad = np.clip(rise_rad, _LEAST_RISE * sd_rad, RANGE_RAD)
+    within = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
+    raised = share * rise_rad / (rise_rad + 2.0 * sd_rad)
+    return raised, raised * np.asarray(within / rise_rad)
 
 
 def _explained(

@@ -27,8 +27,8 @@ from skyline.match.answer import to_dataframe
 from skyline.match.candidate import Candidate, RefinedPoses, candidates_of
 from skyline.match.confidence import MatchConfig, at_bound, too_little
 from skyline.match.full import one_blas_thread
-from skyline.match.matcher import name_of, skyline_of
-from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior
+from skyline.match.matcher import named_skyline
+from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
@@ -253,7 +253,8 @@ class Orienter:
             The query has no usable skyline, or is a panorama of unknown field of view.
         """
         started = time.perf_counter()
-        name, skyline = name or name_of(query), skyline_of(query, fov_deg)
+        file, skyline = named_skyline(query, fov_deg)
+        name = name or file
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
@@ -279,7 +280,7 @@ class Orienter:
             known = replace(
                 known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
             )
-        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, noted=known)
+        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, Prior(noted=known))
         return refinement.run(fitted[np.union1d(each, best)])
 
     def _orientation(
@@ -363,13 +364,13 @@ class _RefinementByHeading(Refinement):
     def survivors(self, particles: Particles, count: int) -> Particles:
         """Return the particles of the next round: the best, and the best of each heading."""
         ordered = particles.best(len(particles))
-        standing = self.hypotheses(ordered, self.rough)
+        standing = self.hypotheses(ordered)
         rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
     def finalists(self, particles: Particles) -> Particles:
         """Return the best particle of each heading, best first."""
-        standing = self.hypotheses(particles, self.rough)
+        standing = self.hypotheses(particles)
         return particles[standing.suppress_non_maxima(_EFFORT.finalists, np.inf, _APART_DEG)]
 
 
@@ -395,13 +396,13 @@ def orient(
     OffMapError
         The place is off the map or on a hole.
     """
-    skyline = skyline_of(query, fov_deg)
+    name, skyline = named_skyline(query, fov_deg)
     if lon is None or lat is None:
-        lon, lat, _, noted_m = noted_place(skyline, name_of(query))
+        lon, lat, _, noted_m = noted_place(skyline, name)
         within_m = noted_m if within_m is None else within_m
     within_m = DEFAULT_WITHIN_M if within_m is None else within_m
     with Orienter(dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m) as orienter:
-        return orienter.orient(skyline, name=name_of(query))
+        return orienter.orient(skyline, name=name)
 
 
 def noted_place(query: QuerySkyline, name: str) -> Place:

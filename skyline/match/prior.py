@@ -306,21 +306,21 @@ class Prior:
 
         The hint is given where the swapped narrowing would meet the rectangle around the places.
         """
+        if self.frame is None:
+            return ""
+        near, bounds = self.narrowing.near, self.narrowing.bounds_deg
         west, east = places.easting_m.min(), places.easting_m.max()
         south, north = places.northing_m.min(), places.northing_m.max()
-        near, bounds, frame = self.narrowing.near, self.narrowing.bounds_deg, self.frame
-        if frame is not None and near is not None and max(abs(near[0]), abs(near[1])) <= 90.0:
-            easting, northing = frame.from_lonlat(near[1], near[0])
+        if near is not None and max(abs(near[0]), abs(near[1])) <= 90.0:
+            easting, northing = self.frame.from_lonlat(near[1], near[0])
             if west <= easting <= east and south <= northing <= north:
                 return f"; {swapped_in_words(*near[:2])}"
-        if (
-            frame is not None
-            and bounds is not None
-            and are_bounds(bounds[1], bounds[0], bounds[3], bounds[2])
-        ):
-            box = frame.rectangle_m((bounds[1], bounds[0], bounds[3], bounds[2]))
-            if box[0] <= east and west <= box[2] and box[1] <= north and south <= box[3]:
-                return f"; {swapped_in_words(*bounds)}"
+        if bounds is not None:
+            swapped = bounds[1], bounds[0], bounds[3], bounds[2]
+            if are_bounds(*swapped):
+                box = self.frame.rectangle_m(swapped)
+                if box[0] <= east and west <= box[2] and box[1] <= north and south <= box[3]:
+                    return f"; {swapped_in_words(*bounds)}"
         return ""
 
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray, Rows
+from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryCurves, QueryRays
@@ -59,38 +59,6 @@ _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fits(Rows):
-    """The best pose of a query at each of L locations."""
-
-    score: Float64Array
-    """(L,) float64. Lower is better; infinite where nothing fits."""
-    heading_deg: Float64Array
-    pitch_deg: Float64Array
-    roll_deg: Float64Array
-    """``heading_deg``, ``pitch_deg``, ``roll_deg``: (L,) float64. The heading is a grid azimuth."""
-
-    @classmethod
-    def none(cls, locations: int) -> "Fits":
-        """Return no fit at any location."""
-        return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
-
-    def placed_among(self, rows: IntArray, locations: int) -> "Fits":
-        """Return these as the fits of ``rows`` among ``locations``, without a fit at the others."""
-        wide = Fits.none(locations)
-        for name in self._names():
-            getattr(wide, name)[rows] = getattr(self, name)
-        return wide
-
-    def split(self, parts: int) -> list["Fits"]:
-        """Return ``parts`` pieces of equal length, in order."""
-        return [self[rows] for rows in np.split(np.arange(len(self.score)), parts)]
-
-    def best_with(self, other: "Fits") -> "Fits":
-        """Return the better fit at each location; this one where the scores are equal."""
-        return self.replaced(other.score < self.score, other)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
     """Skylines of L locations all the way round, in B equal steps of grid azimuth.
 
@@ -98,10 +66,7 @@ class Profiles:
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
     """
 
-    easting_m: Float64Array
-    northing_m: Float64Array
-    eye_elevation_m: Float64Array
-    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (L,) float64."""
+    eyes: Viewpoints
     y: Float32Array
     """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
     where no view looks or the view has no data."""
@@ -113,7 +78,7 @@ class Profiles:
     1]]``."""
 
     def __len__(self) -> int:
-        return len(self.easting_m)
+        return len(self.y)
 
     @property
     def bins(self) -> int:
@@ -124,6 +89,27 @@ class Profiles:
     def bin_px(self) -> float:
         """Width of a bin in px, so that azimuth and elevation have one unit at the horizon."""
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
+
+    def poses(
+        self,
+        score: Float64Array,
+        heading_deg: Float64Array,
+        pitch_deg: Float64Array,
+        roll_deg: Float64Array,
+        fov_deg: float,
+    ) -> Hypotheses:
+        """Return one pose at each location, of scores and angles (L,)."""
+        return Hypotheses(
+            self.eyes.easting_m,
+            self.eyes.northing_m,
+            self.eyes.eye_elevation_m,
+            heading_deg % 360.0,
+            pitch_deg,
+            roll_deg,
+            np.full(len(self), fov_deg),
+            np.zeros(len(self)),
+            score,
+        )
 
     @classmethod
     def from_views(cls, chunks: Iterable[tuple[Views, KeypointTable]]) -> "Profiles":
@@ -156,7 +142,8 @@ class Profiles:
         key = np.unique(location[view] * bins + bin_)
         start = np.searchsorted(key, np.arange(len(eye) + 1) * bins)
         easting_m, northing_m, eye_m = np.ascontiguousarray(eye.T)
-        return cls(easting_m, northing_m, eye_m, joined, key % bins, start)
+        standing = Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=eye_m)
+        return cls(standing, joined, key % bins, start)
 
 
 class ProfileMatcher(ABC):
@@ -182,12 +169,7 @@ class ProfileMatcher(ABC):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the profiles."""
-        some = self.profiles
-        return Viewpoints(
-            easting_m=some.easting_m,
-            northing_m=some.northing_m,
-            eye_elevation_m=some.eye_elevation_m,
-        )
+        return self.profiles.eyes
 
     def rank(self, query: QueryRays, top: int) -> Hypotheses:
         """Return up to ``top`` poses, best first, at most one a location.
@@ -195,23 +177,12 @@ class ProfileMatcher(ABC):
         Locations where nothing fits are left out. Of equal scores the location that comes first in
         the store wins.
         """
-        fits, profiles = self.fit(query), self.profiles
-        poses = Hypotheses(
-            profiles.easting_m,
-            profiles.northing_m,
-            profiles.eye_elevation_m,
-            fits.heading_deg % 360.0,
-            fits.pitch_deg,
-            fits.roll_deg,
-            np.full(len(profiles), query.fov_deg),
-            np.zeros(len(profiles)),
-            fits.score,
-        )
+        poses = self.fit(query)
         return poses[poses.suppress_non_maxima(top, 0.0)]
 
     @abstractmethod
-    def fit(self, query: QueryRays) -> Fits:
-        """Return the best pose at each location of `profiles`; lower scores are better.
+    def fit(self, query: QueryRays) -> Hypotheses:
+        """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
         `skyline.match.query_rays.QueryCurves` levels the query at the assumed pitches and puts it
         on the profiles' bins. The score is infinite at a location where nothing fits.
@@ -225,7 +196,7 @@ class CorrelationMatcher(ProfileMatcher):
     query needs, and would take several times the memory of the profiles.
     """
 
-    def fit(self, query: QueryRays) -> Fits:
+    def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
         curves = QueryCurves.of(query, profiles.bins)
@@ -233,12 +204,9 @@ class CorrelationMatcher(ProfileMatcher):
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
         peak, pitch, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
         axis = turn + profiles.bins // 2
-        return Fits(
-            1.0 - peak,
-            axis % profiles.bins * (360.0 / profiles.bins),
-            curves.pitch_deg[pitch],
-            np.zeros(len(profiles)),
-        )
+        heading_deg = axis % profiles.bins * (360.0 / profiles.bins)
+        none = np.zeros(len(profiles))
+        return profiles.poses(1.0 - peak, heading_deg, curves.pitch_deg[pitch], none, query.fov_deg)
 
     def _greatest(
         self, curves: QueryCurves, y: Float32Array

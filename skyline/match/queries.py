@@ -34,10 +34,12 @@ _PICTURES = (
     ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".jp2", ".bmp",
 )  # fmt: skip
 """Suffixes of the files of a folder that are matched."""
-_TOGETHER = (
-    ("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"), ("lowest_m", "highest_m"),
-)  # fmt: skip
-"""Groups of columns; a row fills either all columns of a group or none."""
+_TOGETHER = {
+    "near": ("lon", "lat", "radius_km"),
+    "heading_deg": ("heading_deg", "heading_slack_deg"),
+    "elevation_m": ("lowest_m", "highest_m"),
+}
+"""Columns of each field of a narrowing; a row fills either all columns of a field or none."""
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
 _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
@@ -125,20 +127,16 @@ def _query(table: Table, row: Row, common: Query) -> Query:
     if not row["path"]:
         raise InputError(f"{row.where} has no path; {_EXPECTED}")
     given = {column: row.number(column) for column in _NUMBERS if row[column]}
-    for group in _TOGETHER:
-        if 0 < sum(column in given for column in group) < len(group):
+    known: dict[str, Any] = {}
+    for name, group in _TOGETHER.items():
+        if all(column in given for column in group):
+            known[name] = tuple(given[column] for column in group)
+        elif any(column in given for column in group):
             raise InputError(f"{row.where} has some of {', '.join(group)}; expected all or none")
-    known: dict[str, object] = {}
-    if "lon" in given:
-        known["near"] = given["lon"], given["lat"], given["radius_km"]
-    if "heading_deg" in given:
-        known["heading_deg"] = given["heading_deg"], given["heading_slack_deg"]
-    if "lowest_m" in given:
-        known["elevation_m"] = given["lowest_m"], given["highest_m"]
     if "eye_height_m" in given:
         known["eye_height_m"] = given["eye_height_m"]
     try:
-        narrowing = replace(common.narrowing, **known)  # type: ignore[arg-type]
+        narrowing = replace(common.narrowing, **known)
     except InputError as error:
         raise InputError(f"{row.where}: {error}") from error
     return replace(

@@ -107,11 +107,6 @@ class QueryRays:
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
 
     @property
-    def azimuth_rad(self) -> Float64Array:
-        """Azimuths (W,) of the rays from straight ahead, the camera held level."""
-        return self.u if self.is_panorama else np.arctan(self.u)
-
-    @property
     def log_scale_bounds(self) -> tuple[float, float]:
         """The smallest and the largest `log_scale`."""
         low, high = self.log_scale(np.array(self.fov_bounds_deg))
@@ -134,6 +129,10 @@ class QueryRays:
         half_width = self._half_width(self.fov_deg) * np.exp(log_scale)
         half_rad = half_width if self.is_panorama else np.arctan(half_width)
         return np.asarray(np.degrees(2.0 * half_rad))
+
+    def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
+        """Return the fields of view of factors, as `fov_at`, within `fov_bounds_deg`."""
+        return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
 
     @property
     def warp_sd(self) -> Float64Array:
@@ -333,7 +332,8 @@ def thinned(query: QueryRays, bins: int) -> QueryRays:
     many columns at the cost of few. They are returned from left to right. The weight of an average
     is the mean weight of its rays, so weights refer to the noise of averages.
     """
-    step = np.floor(query.azimuth_rad * (bins / (2.0 * np.pi))).astype(np.intp)
+    azimuth = query.u if query.is_panorama else np.arctan(query.u)
+    step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
     step -= step.min()
     total = np.bincount(step, query.weight)
     kept = np.flatnonzero(total)

@@ -13,22 +13,8 @@ gives near and far terrain the right weights, and gives costs and covariances th
 the list of hypotheses is long, one coarse rendering of each first selects those worth following.
 Where terrain is near, even the right place may look wrong until the eye has moved, so the likeliest
 hypotheses by their scores move before they are compared with others.
-
-Several queries of one eye are refined together (`JointRefinement`): each has its own attitude and
-field of view, and they share the eye. A round renders the view of each query from each place, lets
-each query solve its own step, and moves the eye by the mean of these steps, weighted by their
-precisions. That is the Gauss-Newton step of all unknowns together. The cost of a place is
-
-.. math::
-
-    -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
-
-with c_q the cost of query q there, b_q the least cost of q anywhere, and T the factor between costs
-and log odds. The second term is the possibility that q was taken somewhere else: a query that does
-not belong to the others costs at most T L wherever they are put.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,9 +29,8 @@ from skyline.match.candidate import (
     Hypotheses,
     RefinedPoses,
 )
-from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene, joined_views
 from skyline.match.screening import report_progress
 from skyline.match.solver import (
@@ -61,6 +46,7 @@ from skyline.match.solver import (
     Fit,
     Solver,
 )
+from skyline.terrain.heightfield import ground_slope
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 _SEPARATION_M = 12.0
@@ -70,7 +56,7 @@ _RIVALS = 3
 pose: their fits show how sure an answer is."""
 _LIKELIEST_ROUNDS = 4
 """Moves of the likeliest hypotheses before they are compared with others."""
-_RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
+RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
 """Renderings of each place on the rings from which the search restarts, and the rings' radii: a
 near slope is found from 10 to 20 m away, and a far one from farther."""
 _FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
@@ -81,22 +67,10 @@ _SETTLING = 3
 """Fits without a step after which the chosen errors no longer change."""
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered if the query comes this near to it."""
-_GREATEST_LOG_ODDS = 50.0
-
-_STRANGER = 10.0
-"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
-about 10."""
-_JOINT_SHARE, _JOINT_LEAST = 0.5, 8
-"""Share of places kept from one joint round to the next, and their least number: several queries
-separate right places from wrong ones at once."""
-_HEADING_STEP_DEG = 6.0
-"""Step of the headings that are tried for a query of unknown heading."""
-_EYE = slice(EYE_HEIGHT + 1)
-"""Columns of a state that all queries of one eye share."""
+GREATEST_LOG_ODDS = 50.0
+"""Log odds beyond this count as this, so that their exponential exists."""
 _LEAST_NEARNESS = 1e-6
 """Least mean inverse distance of a skyline, 1 / m."""
-_LEAST_SHARE = 1e-6
-"""Least weight of a query, so that the mean of the steps exists where no query fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +123,16 @@ class Particles(Rows):
         order = np.argsort(self.fit.cost, kind="stable")[:count]
         return self[order[np.isfinite(self.fit.cost[order])]]
 
+    def kept(self, new: "Particles", better: BoolArray) -> "Particles":
+        """Return new particles where they are better, with a longer next step, and these."""
+        step_m = self.step_m * np.where(better, _LONGER, _SHORTER)
+        return replace(self.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
+
 
 class Refinement:
     """The refinement of one query.
 
-    The height of the eye above the ground is solved for unless it is given; ``noted`` is the prior
-    from the photo's EXIF.
+    The height of the eye above the ground is solved for unless the prior's narrowing gives it.
     """
 
     def __init__(
@@ -162,19 +140,18 @@ class Refinement:
         query: QueryRays,
         scene: RenderedScene,
         effort: Effort,
-        eye_height_m: float | None = None,
-        noted: PlacePrior | None = None,
+        prior: Prior = NOTHING_KNOWN,
     ) -> None:
-        self._scene, self._effort = scene, effort
+        self._scene, self.effort = scene, effort
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
-        if eye_height_m is not None:
-            eye = EyeHeightPrior(eye_height_m, 0.0)
+        if prior.narrowing.eye_height_m is not None:
+            eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.fine = (
-            Solver(query, mode, eye, scene.height_sd_m, noted, scene.edge)
+            Solver(query, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
             for mode in (SCOUT, ROUGH, FINE)
         )
         self._rendered = 0
-        self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
+        self._expected = effort.rounds + RESTART_ROUNDS + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
         self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
 
@@ -188,7 +165,7 @@ class Refinement:
         The scores, headings and fields of view of the hypotheses are used, but not their eyes'
         elevations.
         """
-        effort = self._effort
+        effort = self.effort
         best = np.argsort(hypotheses.score, kind="stable")[: effort.shortlist]
         hypotheses, likeliest = hypotheses[best], None
         if len(hypotheses) > effort.particles:
@@ -197,7 +174,7 @@ class Refinement:
                 for _ in range(_LIKELIEST_ROUNDS):
                     likeliest = self._moved(self.rough, likeliest)
             seen = self.started(self.scout, hypotheses).best(effort.particles)
-            hypotheses = self.hypotheses(seen, self.scout)
+            hypotheses = self.hypotheses(seen)
         particles = self.started(self.rough, hypotheses)
         if likeliest is not None:
             particles = Particles.concatenate([particles, likeliest])
@@ -226,7 +203,7 @@ class Refinement:
         """Return particles after one step, where the rendering from the new place fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         new = self.stepped(solver, particles, solved.state, solved)
-        return self.kept(particles, new, new.fit.cost < particles.fit.cost)
+        return particles.kept(new, new.fit.cost < particles.fit.cost)
 
     def stepped(
         self, solver: Solver, particles: Particles, step: Float64Array, fit: Fit
@@ -235,11 +212,6 @@ class Refinement:
         length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * particles.step_m / length_m)
         return self.arrived(solver, particles.curves.place_m + (east_m + 1j * north_m), fit)
-
-    def kept(self, old: Particles, new: Particles, better: BoolArray) -> Particles:
-        """Return new particles where they are better, with a longer next step, and old ones."""
-        step_m = old.step_m * np.where(better, _LONGER, _SHORTER)
-        return replace(old.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
 
     def around(self, particles: Particles) -> Particles:
         """Return particles that start from rings around each place."""
@@ -257,10 +229,10 @@ class Refinement:
 
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
-        standing = self.hypotheses(particles, self.rough)
-        best = standing.suppress_non_maxima(self._effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
+        standing = self.hypotheses(particles)
+        best = standing.suppress_non_maxima(self.effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
         around = self.around(particles[best])
-        for _ in range(_RESTART_ROUNDS - 1):
+        for _ in range(RESTART_ROUNDS - 1):
             around = self._moved(self.rough, around.best(len(around)))
         return around
 
@@ -313,15 +285,12 @@ class Refinement:
 
     def finalists(self, particles: Particles) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
-        standing = self.hypotheses(particles, self.rough)
-        return particles[best_and_rivals(standing, self._effort.finalists, SAME_VIEW_DEG)]
+        standing = self.hypotheses(particles)
+        return particles[best_and_rivals(standing, self.effort.finalists, SAME_VIEW_DEG)]
 
-    def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
+    def hypotheses(self, particles: Particles) -> Hypotheses:
         """Return the poses of particles; the scores are their costs."""
-        place_m = particles.curves.place_m
-        ground_m = self._scene.ground_m(place_m.real, place_m.imag)
-        eye_m = ground_m + particles.fit.state[:, EYE_HEIGHT]
-        return solver.hypotheses(particles.fit, place_m, eye_m)
+        return self.rough.hypotheses(particles.curves, particles.fit)
 
     def poses(self, particles: Particles) -> RefinedPoses:
         """Return particles after the last rounds as poses with their figures."""
@@ -334,7 +303,7 @@ class Refinement:
         squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
-        hypotheses = self.hypotheses(particles, solver)
+        hypotheses = self.hypotheses(particles)
         return RefinedPoses(
             hypotheses,
             spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
@@ -368,7 +337,7 @@ def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
     apart = place[:, np.newaxis] - place
     near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
     better = hypotheses.score[:, np.newaxis] - hypotheses.score
-    odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
+    odds = near * np.exp(np.minimum(better / TEMPERATURE, GREATEST_LOG_ODDS))
     share = odds / odds.sum(axis=1, keepdims=True)
     squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
     return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
@@ -384,145 +353,3 @@ def best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -
             rivals = standing[others].suppress_non_maxima(_RIVALS, _SEPARATION_M, turn_deg)
             chosen = np.union1d(chosen, others[rivals])
     return chosen[np.argsort(standing.score[chosen], kind="stable")]
-
-
-class JointRefinement:
-    """The joint refinement of several queries of one eye, each with its own `Refinement`."""
-
-    def __init__(self, refinements: Sequence[Refinement], effort: Effort) -> None:
-        self._solos, self._effort = refinements, effort
-        self._solvers = [solo.rough for solo in refinements]
-        self._least = np.full(len(refinements), np.inf)
-
-    def run(
-        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
-    ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
-        """Return the M places where the N queries fit together, best first, and which agree there.
-
-        ``found`` has the poses of each query, at the same places in the same order, best first;
-        ``alone`` the best pose that each query was refined to by itself, if any. The poses of each
-        query are at the same places; their scores are the costs of the places. Margins and
-        covariances are joint ones, with the information of one average query, not the sum: queries
-        of one place share the terrain model's errors. A query agrees, (N, M) bool, where it was
-        more likely taken than somewhere else.
-        """
-        effort = self._effort
-        particles = [
-            solo.started(solo.rough, places[: effort.particles])
-            for solo, places in zip(self._solos, found, strict=True)
-        ]
-        for _ in range(effort.rounds - 1):
-            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(particles[0])))
-            particles = self._moved(self._kept(particles, kept))
-        particles = self._joined(particles, self._restarted(particles))
-        particles = self._kept(particles, effort.finalists)
-        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
-        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
-        particles = self._joined(particles, self._at_best_headings(best_m))
-        self._solvers = [solo.fine for solo in self._solos]
-        self._least = np.array([poses.score.min(initial=np.inf) for poses in alone])
-        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
-        for _ in range(effort.final_rounds):
-            particles = self._moved(particles)
-        return self._poses(self._kept(particles, effort.finalists))
-
-    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
-        """Return particles after one common step, where the renderings from there fit better."""
-        solved = [
-            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
-            for solver, own in zip(self._solvers, particles, strict=True)
-        ]
-        precision = self._precision(solved, self._share(self._off(particles)))
-        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
-        step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
-        new = [
-            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
-            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
-        ]
-        before, after = np.split(self._cost(self._off(self._joined(particles, new))), 2)
-        return [
-            solo.kept(old, own, after < before)
-            for solo, old, own in zip(self._solos, particles, new, strict=True)
-        ]
-
-    def _restarted(self, particles: Sequence[Particles]) -> list[Particles]:
-        """Return the particles that started around each of the best places."""
-        best = self._kept(particles, self._effort.restarts)
-        around = [solo.around(own) for solo, own in zip(self._solos, best, strict=True)]
-        for _ in range(_RESTART_ROUNDS - 1):
-            around = self._moved(around)
-        return around
-
-    def _at_best_headings(self, place_m: Complex128Array) -> list[Particles]:
-        """Return the best particle of each query at each place, of all headings."""
-        turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
-        at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
-        none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
-        best_of_each = []
-        for solo in self._solos:
-            fov_deg = none + solo.scout.query.fov_deg
-            every = Hypotheses(
-                at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none
-            )
-            seen = solo.started(solo.scout, every)
-            cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
-            best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
-            best_of_each.append(solo.started(solo.rough, solo.hypotheses(best, solo.scout)))
-        return best_of_each
-
-    def _joined(self, *parts: Sequence[Particles]) -> list[Particles]:
-        return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
-
-    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
-        """Return the best distinct places, and rivals of the very best, best first."""
-        standing = self._solos[0].hypotheses(particles[0], self._solvers[0])
-        standing = replace(standing, score=self._cost(self._off(particles)))
-        chosen = best_and_rivals(standing, count)
-        return [own[chosen] for own in particles]
-
-    def _off(self, particles: Sequence[Particles]) -> Float64Array:
-        """Return the costs of queries (N, M) above the least cost of each anywhere."""
-        cost = np.stack([own.fit.cost for own in particles])
-        least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
-        return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
-
-    def _cost(self, off: Float64Array) -> Float64Array:
-        """Return the costs of places (M,); infinite where no query fits."""
-        cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
-        return np.where(np.isinf(off).all(axis=0), np.inf, cost)
-
-    def _share(self, off: Float64Array) -> Float64Array:
-        """Return the probability (N, M) that each query was taken at each place."""
-        odds = _STRANGER - off / TEMPERATURE
-        return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
-
-    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
-        """Return the precisions (N, M, 3, 3) of the eye by each query, times its ``share``."""
-        covariance = np.stack(
-            [
-                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
-                for solver, own in zip(self._solvers, particles, strict=True)
-            ]
-        )
-        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
-        return np.asarray(np.linalg.inv(covariance) * share)
-
-    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
-        """Return the poses of each query at the places, and which queries agree; see `run`."""
-        off = self._off(particles)
-        cost, share = self._cost(off), self._share(off)
-        agrees = share >= 0.5
-        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
-        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
-        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
-        poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
-        standing = replace(poses[0].hypotheses, score=cost)
-        # Margins and covariances are those of one query in the mean, and so are these odds.
-        covariance_m2 = spread(replace(standing, score=cost / len(poses)), covariance_m2)
-        margin, far_margin = (
-            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
-            for least_m in DISTANCES_M
-        )
-        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        each = (replace(own, hypotheses=replace(own.hypotheses, score=cost)) for own in poses)
-        return tuple(replace(own, **joint) for own in each), agrees

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -45,10 +45,6 @@ from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource
 
-Contains = Callable[[Places], BoolArray]
-"""Returns which places (N,) of a block are searched."""
-Scores = Callable[[UInt8Array], Float32Array]
-"""Returns the scores (N,) of places with phases (N, B): `Screen.scores`, or a sum of several."""
 ReportProgress = Callable[[str, float], None]
 """Called with the current step of a match, and the share of that step that is done, 0 to 1."""
 
@@ -57,8 +53,6 @@ _TURNS_AT_ONCE = 20
 product is wasted; with fewer, the products are too small to be fast."""
 _APART_TURNS = 6
 """Least difference of the best turns of a place: 12 degrees."""
-_SAMPLE = 2048
-"""Places from which the mean and deviation of a query's scores are estimated."""
 _SLACK = 4
 """Multiple of the wanted number of places that is kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
@@ -113,54 +107,49 @@ class Alike(Rows):
         return cls.concatenate([none, *parts])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Screen:
-    """A query, prepared to be compared with any number of places."""
+    """A query at F assumed fields of view, prepared to be compared with any number of places.
 
-    first: int
-    """The bin in which the query begins, counted from half a turn left of straight ahead."""
-    span: int
-    """Width of the query in bins."""
-    matrices: Float32Array
-    """(2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and its
-    derivative by roll, scaled so that the square of the second product is the gain of a roll."""
-    open_turns: BoolArray
-    """(B,) bool. The turns that are searched."""
-    mean: Float32Array
-    scale: Float32Array
-    """``mean``, ``scale``: (F,) float32. Scores less ``mean``, times ``scale``, are deviations
-    above the mean of all turns, less the penalty of a field of view."""
+    Scores of fields of view are made comparable by their mean and deviation over all turns of a
+    sample of places.
 
-    @classmethod
-    def of(
-        cls,
+    Parameters
+    ----------
+    query : QueryRays
+    fovs_deg : (F,) float64
+    sample : Places
+    open_turns : (B,) bool, optional
+        The turns that are searched, as of `turns_within`; by default all.
+    penalty : (F,) float64, optional
+        Loss of the scores at each field of view, in deviations; by default none.
+    """
+
+    def __init__(
+        self,
         query: QueryRays,
         fovs_deg: Float64Array,
         sample: Places,
         open_turns: BoolArray | None = None,
         penalty: Float64Array | None = None,
-    ) -> "Screen":
-        """Prepare a query at assumed fields of view (F,).
-
-        Their scores are made comparable by the mean and deviation over all turns of a sample of
-        places, and each loses its ``penalty`` (F,), in deviations. All turns are open by default;
-        see `turns_within`.
-        """
+    ) -> None:
+        every = np.ones(PHASE_BINS, dtype=bool)
+        self.open_turns = every if open_turns is None else open_turns
         level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
-        matrices = _at_turns(np.stack([level, _rolled(level)])[:, :, first : last + 1])
-        every = np.ones(PHASE_BINS, dtype=bool)
-        none = np.zeros(len(fovs_deg), dtype=np.float32)
-        opened = every if open_turns is None else open_turns
-        raw = cls(first, last - first + 1, matrices, opened, none, none + 1)
-        sums = raw._every_turn(sample.phase)
+        # The first bin counts from half a turn left of straight ahead; the span is in bins.
+        self._first, self._span, self._fovs = first, last - first + 1, len(fovs_deg)
+        # (2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and its
+        # derivative by roll, scaled so that the square of the second product is the gain of a roll.
+        self._matrices = _at_turns(np.stack([level, _rolled(level)])[:, :, first : last + 1])
+        sums = self._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if penalty is not None:
             mean += (penalty * deviation).astype(np.float32)
-        scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
-        return replace(raw, mean=mean, scale=scale)
+        # A sum less the mean, times the scale, is a score.
+        self.mean = mean
+        self.scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view for phases (N, B)."""
@@ -203,23 +192,23 @@ class Screen:
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""
         sums = self._sums(phase, slice(None)).transpose(1, 2, 0, 3)
-        return sums.reshape(len(phase), len(self.mean), PHASE_BINS)
+        return sums.reshape(len(phase), self._fovs, PHASE_BINS)
 
     def _sums(self, phase: UInt8Array, parts: slice | IntArray) -> Float32Array:
         """Return the sums (C, N, F, T) at some of the B / T runs of T turns."""
-        wanted = PHASE_BINS + self.span - 1
-        strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
+        wanted = PHASE_BINS + self._span - 1
+        strip = np.concatenate([phase[:, self._first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
-        runs = sliding_window_view(waves, self.matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
+        runs = sliding_window_view(waves, self._matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
         # Two products: the halves of one would lie apart, and squaring them takes as long again.
-        level, rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self.matrices[:, np.newaxis])
+        level, rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self._matrices[:, np.newaxis])
         np.square(rolled, out=rolled)
         level += rolled
-        return np.reshape(level, (len(level), len(phase), len(self.mean), _TURNS_AT_ONCE))
+        return np.reshape(level, (len(level), len(phase), self._fovs, _TURNS_AT_ONCE))
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
-    """Return the scaled derivative by roll of a query's waves (F, B); see `Screen.matrices`."""
+    """Return the scaled derivative by roll of a query's waves (F, B); see `Screen`."""
     growth = roll_to_turn()
     stiff = np.abs(level) @ np.square(growth)
     scale = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
@@ -270,25 +259,20 @@ def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 
-def sample_of(source: PlaceSource) -> Places:
-    """Return an even sample of a source's places, the same in every process."""
-    step = max(1, len(source) // _SAMPLE)
-    return source.take(np.arange(0, len(source), step, dtype=np.intp))
-
-
 def screen_places(
-    scores: Scores,
+    scores: Callable[[UInt8Array], Float32Array],
     source: PlaceSource,
     count: int,
-    contains: Contains,
+    contains: Callable[[Places], BoolArray],
     part: slice = slice(None),
 ) -> Alike:
     """Return the best ``count`` places of a source, or fewer where fewer are contained.
 
-    ``part`` selects blocks of the source, so that several workers can share it: the lists of all
-    parts, joined, give the list of the whole source.
+    ``scores`` gives the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several;
+    ``contains`` marks which places (N,) of a block are searched. ``part`` selects blocks of the
+    source, so that several workers can share it: the lists of all parts, joined, give the list of
+    the whole source.
     """
-    kept = Alike.joined([])
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
         parts = []
@@ -299,18 +283,19 @@ def screen_places(
                 parts.append(Alike(start + chosen, scores(phase)))
         return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
-    waiting: list[Alike] = []
-    seen, held, last = 0, 0, max(len(source), 1)
+    batches, kept, seen = _batches(source, part), Alike.joined([]), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, places in _a_few_ahead(pool, scored, _batches(source, part)):
-            waiting.append(found)
+        # A few batches are in work at a time, so that memory does not grow with the store.
+        ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
+        while ahead:
+            found, places = ahead.pop(0).result()
+            ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
-            held += len(found)
-            report_progress("screening", seen / last)
-            if held > _SLACK * count:
-                kept = Alike.joined([kept, *waiting]).best(count)
-                waiting, held = [], 0
-    return Alike.joined([kept, *waiting]).best(count)
+            report_progress("screening", seen / max(len(source), 1))
+            kept = Alike.joined([kept, found])
+            if len(kept) > _SLACK * count:
+                kept = kept.best(count)
+    return kept.best(count)
 
 
 def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
@@ -325,15 +310,3 @@ def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Place
     chosen = islice(numbered(), part.start, part.stop)
     while batch := list(islice(chosen, _BLOCKS_AT_ONCE)):
         yield batch
-
-
-def _a_few_ahead(
-    pool: ThreadPoolExecutor,
-    work: Callable[[list[tuple[int, Places]]], tuple[Alike, int]],
-    items: Iterator[list[tuple[int, Places]]],
-) -> Iterator[tuple[Alike, int]]:
-    """Yield results in order, with no more than a few batches in work at a time."""
-    ahead = [pool.submit(work, item) for item in islice(items, 2 * (os.cpu_count() or 1))]
-    while ahead:
-        yield ahead.pop(0).result()
-        ahead.extend(pool.submit(work, item) for item in islice(items, 1))

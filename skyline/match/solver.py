@@ -258,16 +258,14 @@ class Solver:
         state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
         return replace(fit, state=state)
 
-    def hypotheses(
-        self, fit: Fit, place_m: Complex128Array, eye_elevation_m: Float64Array
-    ) -> Hypotheses:
-        """Return fits as poses of eyes (M,); the score is the cost."""
+    def hypotheses(self, curves: Curves, fit: Fit) -> Hypotheses:
+        """Return fits as poses of the eyes (M,) of curves; the score is the cost."""
         # A lens has one warp or none; those of a panorama are in `wander`.
         distortion = fit.state[:, WARP : WARP if self.query.is_panorama else None]
         return Hypotheses(
-            place_m.real,
-            place_m.imag,
-            eye_elevation_m,
+            curves.place_m.real,
+            curves.place_m.imag,
+            curves.ground_m + fit.state[:, EYE_HEIGHT],
             np.degrees(fit.state[:, HEADING]) % 360.0,
             np.degrees(fit.state[:, PITCH]),
             np.degrees(fit.state[:, ROLL]),

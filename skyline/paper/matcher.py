@@ -25,14 +25,14 @@ every pair:
 """
 
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
-from skyline.match.profiles import TANGENT_PER_PX, Fits, ProfileMatcher, Profiles
+from skyline.match.candidate import Hypotheses
+from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.paper.curves import (
     MIN_OVERLAP,
@@ -87,20 +87,22 @@ class PaperMatcher(ProfileMatcher):
         super().__init__(profiles)
         self._shortlist = Shortlist(profiles)
 
-    def fit(self, query: QueryRays) -> Fits:
+    def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at every location; score in px, infinite where nothing fits.
 
         A location that is not on the shortlist has no fit.
         """
         curves = QueryCurves.of(query, self.profiles.bins)
         assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
-        fits = Fits.none(len(self.profiles))
+        fits = _no_fit(len(self.profiles))
         for one, listed in zip(assumed, self._listed(assumed), strict=True):
             for start in range(0, len(listed), _CHUNK):
                 rows = listed[start : start + _CHUNK]
                 found = _fits(StoredCurves.of(self.profiles, rows), one)
-                fits = fits.best_with(found.placed_among(rows, len(fits.score)))
-        return fits
+                better = found[0] < fits[0, rows]
+                fits[:, rows[better]] = found[:, better]
+        score, heading_deg, pitch_deg, roll_deg = fits
+        return self.profiles.poses(score, heading_deg, pitch_deg, roll_deg, query.fov_deg)
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:
         """Return the locations on the shortlist, ascending, for each pitch."""
@@ -112,10 +114,15 @@ class PaperMatcher(ProfileMatcher):
         return [np.flatnonzero(column) for column in listed.T]
 
 
-def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
-    """Return the fits of one assumed pitch at some locations."""
+def _no_fit(locations: int) -> Float64Array:
+    """Return the score, heading, pitch and roll (4, C) of locations where nothing fits."""
+    return np.concatenate([np.full((1, locations), np.inf), np.zeros((3, locations))])
+
+
+def _fits(stored: StoredCurves, query: QueryCurve) -> Float64Array:
+    """Return the score, heading, pitch and roll (4, C) of one assumed pitch at some locations."""
     if not stored.bins.shape[1] or not len(query.bins):
-        return Fits.none(len(stored))
+        return _no_fit(len(stored))
     step_px = stored.bin_px * float(np.diff(patch_offsets(stored.bin_px))[0])
     nearest, distance = nearest_patches(query.patches, stored.patches, query.min_known, step_px)
     raw_shift = np.take_along_axis(stored.bins, nearest, axis=1) - query.bins
@@ -127,13 +134,13 @@ def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
     shift, agreeing = (np.concatenate(parts) for parts in zip(*directions, strict=True))
     # All directions are fitted together; this step needs only the skylines.
     repeated = replace(stored, y_px=np.tile(stored.y_px, (_DIRECTIONS, 1)))
-    fits = _fits_in_direction(repeated, query, shift, agreeing).split(_DIRECTIONS)
-    return reduce(Fits.best_with, fits)
+    fits = _fits_in_direction(repeated, query, shift, agreeing).reshape(4, _DIRECTIONS, -1)
+    return fits[:, fits[0].argmin(axis=0), np.arange(len(stored))]
 
 
 def _fits_in_direction(
     stored: StoredCurves, query: QueryCurve, shift: IntArray, agreeing: BoolArray
-) -> Fits:
+) -> Float64Array:
     """Return the fits of the correspondences that agree on a direction at each location."""
     source, target = _corresponding_points(query, stored, shift)
     used = np.repeat(agreeing, len(query.local_bins), axis=1)
@@ -210,8 +217,8 @@ def _distance_after_warp_px(
 
 def _pose(
     affine: Float64Array, score: Float64Array, query: QueryCurve, stored: StoredCurves
-) -> Fits:
-    """Return the poses that follow from the maps: where these put the optical axis and turn it.
+) -> Float64Array:
+    """Return the poses (4, C) that follow from the maps: where these put and turn the optical axis.
 
     The axis' vertical is followed at the skyline's mean height, not at the axis itself: the
     points the map was made from lie there, and its shear is too poorly known to leave them.
@@ -222,12 +229,8 @@ def _pose(
     raised = np.arctan(y_px * TANGENT_PER_PX) - np.arctan(mean_y_px * TANGENT_PER_PX)
     bins = stored.y_px.shape[1]
     turn_deg = np.degrees(np.arctan2(affine[:, 1, 0], affine[:, 0, 0]))
-    return Fits(
-        score,
-        (x_px / stored.bin_px + bins // 2) * (360.0 / bins) % 360.0,
-        query.pitch_deg + np.degrees(raised),
-        -turn_deg,
-    )
+    heading_deg = (x_px / stored.bin_px + bins // 2) * (360.0 / bins) % 360.0
+    return np.stack([score, heading_deg, query.pitch_deg + np.degrees(raised), -turn_deg])
 
 
 # --- the shortlist --------------------------------------------------------------------------

@@ -37,6 +37,8 @@ _LEAST_SPACING_M = 0.01
 of arc is 0.0003 degrees)."""
 _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
+_SLOPE_REACH_M = 15.0
+"""Half the distance over which the ground's slope is taken."""
 _LONGEST_PX = 240
 """The longer side of the picture of a field in a notebook."""
 
@@ -346,6 +348,14 @@ class HeightField:
 def ground_of(field: HeightField) -> Ground:
     """Return the heights of a field as a function of eastings and northings."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)
+
+
+def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
+    """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground."""
+    place = easting_m + 1j * northing_m
+    around = np.concatenate([place + _SLOPE_REACH_M * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

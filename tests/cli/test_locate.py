@@ -206,7 +206,7 @@ def test_an_interrupted_build_continues(made, cache, server):
     with pytest.raises(KeyboardInterrupt):
         prepare_area(area, bar=lambda doing: nullcontext(stop if "building" in doing else None))
     (unfinished,) = areas.cached_areas()
-    assert not unfinished.finished
+    assert not unfinished.is_finished
     assert list(unfinished.folder.rglob("*-of-*.h5"))
     server.requests.clear()
     ready = prepare_area(area)

@@ -8,7 +8,9 @@ from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.match.candidate import Hypotheses
-from skyline.match.refine import WHOLE, JointRefinement, Refinement
+from skyline.match.joint import JointRefinement
+from skyline.match.prior import Narrowing, Prior
+from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import joined_views
 from skyline.match.solver import Curves
 from skyline.render.horizon import HorizonRenderer
@@ -86,8 +88,8 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
 
 @pytest.mark.parametrize(("above_m", "known"), [(2.0, True), (2.0, False), (45.0, False)])
 def test_the_eye_s_height_above_the_ground_is_found_or_held(scene, above_m, known):
-    known_m = 2.0 if known else None
-    refinement = Refinement(rays_of(*_seen(scene, above_m), 60.0), scene, SHORT, known_m)
+    prior = Prior(Narrowing(eye_height_m=2.0 if known else None))
+    refinement = Refinement(rays_of(*_seen(scene, above_m), 60.0), scene, SHORT, prior)
     best = refinement.run(_around()).hypotheses
     height_m = best.eye_elevation_m - scene.ground_m(best.easting_m, best.northing_m)
     assert _off_m(best)[0] < 5.0
@@ -167,7 +169,7 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     found = _around()
     alone = Refinement(query, scene, SHORT).run(found)
     each = Refinement(query, scene, SHORT)
-    joint, _ = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
+    joint, _ = JointRefinement([each, each]).run([found] * 2, [alone.hypotheses[:1]] * 2)
     once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once
 

@@ -12,6 +12,7 @@ from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher, Shortlist
 from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
 MATCHERS = PaperMatcher, CorrelationMatcher
@@ -48,7 +49,7 @@ def test_profiles_join_the_headings_without_a_seam(profiles, viewpoints):
     azimuth_deg, y = panorama(viewpoints, 5)
     expected = np.interp(np.arange(2048) * 360.0 / 2048, azimuth_deg, y, period=360.0)
     east_m, north_m = viewpoints.easting_m[5], viewpoints.northing_m[5]
-    away_m = np.hypot(profiles.easting_m - east_m, profiles.northing_m - north_m)
+    away_m = np.hypot(profiles.eyes.easting_m - east_m, profiles.eyes.northing_m - north_m)
     error = np.abs(profiles.y[np.argmin(away_m)] - expected)
     # A bin is 0.2 degrees; cliffs between bins are where two samplings may part.
     assert np.median(error) < 1e-3
@@ -120,7 +121,8 @@ def profiles_of(y):
     row, slot = np.nonzero(table != NO_KEYPOINT)
     start = np.searchsorted(row, np.arange(len(y) + 1))
     place = np.arange(len(y), dtype=np.float64)
-    return Profiles(place, place, 0.0 * place, y, table[row, slot].astype(np.intp), start)
+    eyes = Viewpoints(easting_m=place, northing_m=place, eye_elevation_m=0.0 * place)
+    return Profiles(eyes, y, table[row, slot].astype(np.intp), start)
 
 
 def random_profiles(seed, count):

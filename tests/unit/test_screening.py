@@ -42,7 +42,7 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     y[generator.random(y.shape) < 0.05] = np.nan
     held = places_of(y)
     query = rays(seed, heading)
-    raw = screening.Screen.of(query, np.array([60.0]), held)
+    raw = screening.Screen(query, np.array([60.0]), held)
     fast = raw._every_turn(held.phase)[:, 0]
     waves = screening.query_waves(query)
     weight, angle, grows = np.abs(waves), np.angle(waves), screening.roll_to_turn()
@@ -73,14 +73,14 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     smooth = places_of(np.stack([0.1 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
     u, v = photo(lambda azimuth: 0.1 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
     query = equally_trusted(u, v, 60.0)
-    screen = screening.Screen.of(query, np.array([60.0]), smooth)
+    screen = screening.Screen(query, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
 
 
 @pytest.mark.parametrize("size", [64, 7])
 @pytest.mark.parametrize("count", [5, 200])
 def test_blocks_change_nothing(places, size, count):
-    screen = screening.Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
     order = np.lexsort((np.arange(64), -score))[:count]
     found = screening.screen_places(screen.scores, Blocks(places, size), count, every)
@@ -89,7 +89,7 @@ def test_blocks_change_nothing(places, size, count):
 
 
 def test_parts_joined_are_the_whole_to_the_bit(places):
-    screen, source = screening.Screen.of(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
+    screen, source = screening.Screen(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
     whole = screening.screen_places(screen.scores, source, 10, every)
     thirds = (slice(k, k + 3) for k in range(0, 8, 3))
     parts = [screening.screen_places(screen.scores, source, 10, every, some) for some in thirds]
@@ -99,7 +99,7 @@ def test_parts_joined_are_the_whole_to_the_bit(places):
 
 
 def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
-    screen = screening.Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
     heading_deg, fov, peak = screen.best_turns(places.phase, 3)
     scores = (screen._every_turn(places.phase) - screen.mean[:, None]) * screen.scale[:, None]
     headings_deg = screening.turn_heading_deg(np.arange(PHASE_BINS))
@@ -117,15 +117,15 @@ def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     fovs = (FOVS_DEG[k : k + 1] for k in range(3))
-    alone = [screening.Screen.of(query, fov, places).scores(places.phase) for fov in fovs]
+    alone = [screening.Screen(query, fov, places).scores(places.phase) for fov in fovs]
     expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
-    scores = screening.Screen.of(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
+    scores = screening.Screen(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
 
 def test_only_places_within_are_looked_at(places):
-    screen = screening.Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
     source, scores = Blocks(places, 8), screen.scores
     found = screening.screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
     assert sorted(found.row) == list(range(10))
@@ -135,7 +135,7 @@ def test_only_places_within_are_looked_at(places):
 
 def test_shut_turns_are_not_looked_at(places):
     turns = screening.turns_within(20.0, 15.0)
-    screen = screening.Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
+    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
 

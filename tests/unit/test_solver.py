@@ -36,7 +36,7 @@ def settled(hypotheses, panoramas, query, edge=None):
     solver = Solver(query, LONG, EYE, HEIGHT_SD_M, edge=edge)
     curves = curves_of(*panoramas)
     fit = solver.settle(curves, solver.start(hypotheses))
-    return solver.hypotheses(fit, curves.place_m, curves.ground_m)
+    return solver.hypotheses(curves, fit)
 
 
 @pytest.mark.parametrize("is_panorama", [False, True])
@@ -101,7 +101,7 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
     assert np.degrees(fit.state[0, HEADING]) == pytest.approx(SWEPT[0], abs=0.02)
     assert np.degrees(fit.state[0, PITCH]) == pytest.approx(SWEPT[1], abs=0.1)
     np.testing.assert_allclose(solver.wander(fit)[0], wander, atol=np.radians(0.1))
-    assert solver.hypotheses(fit, curves.place_m, curves.ground_m).distortion[0] == 0.0
+    assert solver.hypotheses(curves, fit).distortion[0] == 0.0
 
 
 def test_attitude_and_field_of_view_are_recovered():

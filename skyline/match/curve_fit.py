@@ -1,0 +1,264 @@
+r"""Curve fit: poses of a query fitted to the skylines of places, without rendering.
+
+With the distance D, tangent y and slope y' of a place's skyline at azimuth a, and the ground rising
+by g, an eye moved by t (east, north) sees to first order
+
+.. math::
+
+    y(a; t) \approx y(a) + \frac{y' t_\perp + y t_\parallel - g \cdot t}{D}, \quad
+    t_\parallel = t_e \sin a + t_n \cos a, \quad t_\perp = t_e \cos a - t_n \sin a
+
+so heading, pitch, roll, field of view and a small move are fitted together, by damped Gauss-Newton
+with Cauchy weights whose scale shrinks from round to round. The first order neglects an error that
+grows with (t / D)^2, so near terrain is trusted less.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.match.candidate import Hypotheses
+from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, level_axes
+from skyline.store.places import Places
+from skyline.terrain.edge import DataEdge
+
+_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH, _WANDER = range(7)
+"""Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
+`QueryRays.log_scale` of the field of view; metres east and north of the stored place. The columns
+from `_WANDER` on are those of a panorama's `QueryRays.wander`, and there are none for a lens."""
+_MOVE = slice(_EAST, _WANDER)
+_DAMPING = np.float32(1e-3)
+_LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
+"""Longest step of a round; moves in standard deviations of the place. Rows of a panorama wander at
+most as far as a pitch goes."""
+_MIN_FORWARD = np.float32(0.05)
+"""Rays nearer to a quarter turn from straight ahead are taken to lie there."""
+_QUERY_ERROR_DEG = 0.06
+"""Expected error of a mean of rays, at a field of view of 60 degrees."""
+_CURVATURE = 0.05
+"""Error of the tangent over (t / D)^2, for a query at t from its place and terrain at distance
+D."""
+_PITCH_SD_DEG, _ROLL_SD_DEG = 5.0, 4.0
+"""Prior standard deviations of the attitude."""
+_OUTLIER = 4.0
+"""Largest miss of a ray that is counted, in expected errors."""
+_BEYOND = 2.0
+"""The same for a ray above the profile where terrain past the data's edge may rise as high."""
+
+ROUGH_FIT = 40, (0.5, 0.35, 0.25)
+GOOD_FIT = 100, (0.5, 0.35, 0.25, 0.2, 0.2)
+"""The number of runs of the query's columns whose means are fitted, and the scales of the Cauchy
+weights, degrees, beside the expected error, from round to round."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misses:
+    """Elevation tangents of rays (M, R) of M poses minus those of the profiles."""
+
+    miss: Float32Array
+    """(M, R) float32. 0 where the profile is unknown."""
+    change: Float32Array
+    """(M, P, R) float32. Derivatives of the miss by the columns of a pose."""
+    nearness: Float32Array
+    """(M, R) float32. Inverse distance of the profile, 1 / m."""
+    known: BoolArray
+    azimuth: Float32Array
+    tangent: Float32Array
+    """``azimuth``, ``tangent``: (M, R) float32. Azimuths of the rays from grid north, radians, and
+    their elevation tangents."""
+
+
+class CurveFit:
+    """Fits one pose of a query to each of M places.
+
+    Queries lie evenly within a place's tolerance, so their standard deviation from it is the
+    tolerance over the root of 3; no fit moves farther than twice that.
+
+    Parameters
+    ----------
+    places : Places
+    ground_slope : (M, 2) float32
+        Rise of the ground to the east and to the north.
+    rays : QueryRays
+        R means of runs of the query's rays; see `skyline.match.query_rays.in_runs`.
+    runs : int
+        Number of runs within 60 degrees.
+    edge : DataEdge or None
+        Without it no terrain is taken to lie past the data.
+    """
+
+    def __init__(
+        self,
+        places: Places,
+        ground_slope: Float32Array,
+        rays: QueryRays,
+        runs: int,
+        edge: DataEdge | None,
+    ) -> None:
+        self._places, self._ground_slope, self._rays, self._edge = places, ground_slope, rays, edge
+        self._runs = runs
+        self._y = places.elevation_tan()
+        nearness = 1.0 / places.distance_m()
+        self._nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
+        self._deviation_m = (places.tolerance_m / np.float32(np.sqrt(3.0)))[:, np.newaxis]
+        self._wander = rays.wander.astype(np.float32)
+        self._prior = self._inverse_variances()
+
+    def fit(
+        self, heading_rad: Float64Array, zoom: Float64Array, scales_deg: tuple[float, ...]
+    ) -> Hypotheses:
+        """Return the poses fitted from headings and zooms (M,).
+
+        A score is the mean over rays of the negative log likelihood, up to a constant.
+        ``scales_deg`` are the scales of the Cauchy weights from round to round.
+        """
+        pose = np.zeros(self._prior.shape, dtype=np.float32)
+        pose[:, _HEADING], pose[:, _ZOOM] = heading_rad, zoom
+        misses = self._misses(pose)
+        pose[:, _PITCH] = -np.median(misses.miss, axis=1)
+        for scale_deg in scales_deg:
+            misses = self._misses(pose)
+            variance = self._variance(pose, misses.nearness)
+            weight = self._rays.weight.astype(np.float32) * misses.known
+            weight = weight / (variance + np.square(misses.miss) + np.radians(scale_deg) ** 2)
+            pose = self._bounded(pose, self._step(pose, misses, weight.astype(np.float32)))
+        score = self._score(pose, self._misses(pose))
+        heading, pitch, roll, zoom = pose[:, :_EAST].T.astype(np.float64)
+        move = pose[:, _MOVE].astype(np.float64)
+        return Hypotheses(
+            self._places.easting_m + move[:, 0],
+            self._places.northing_m + move[:, 1],
+            self._places.eye_elevation_m + (self._ground_slope * move).sum(axis=1),
+            np.degrees(heading) % 360.0,
+            np.degrees(pitch),
+            np.degrees(roll),
+            self._rays.searched_fov_deg(zoom),
+            np.zeros(len(zoom)),
+            score.astype(np.float64),
+        )
+
+    def _misses(self, pose: Float32Array) -> _Misses:
+        """Return the misses of poses (M, P), and their derivatives."""
+        y, nearness = self._y, self._nearness
+        azimuth, tangent = self._project(pose)
+        bins = y.shape[1]
+        toward = azimuth + pose[:, :1]
+        position = toward * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
+        left = np.floor(position)
+        share = position - left
+        row = (np.arange(len(y)) * bins)[:, np.newaxis]
+        begin = row + left.astype(np.intp) % bins
+        end = row + (left.astype(np.intp) + 1) % bins
+        profile = y.ravel()[begin]
+        rise = y.ravel()[end] - profile
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, np.float32(0.0))
+        profile = np.where(known, profile, np.float32(0.0)) + share * rise
+        slope = rise * np.float32(bins / (2.0 * np.pi))
+        coarse = nearness.shape[1]
+        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
+        near = nearness.ravel()[(np.arange(len(y)) * coarse)[:, np.newaxis] + run % coarse]
+        sine, cosine = np.sin(toward), np.cos(toward)
+        ground = self._ground_slope[:, :, np.newaxis]
+        east = (slope * cosine + profile * sine - ground[:, 0]) * near
+        north = (profile * cosine - slope * sine - ground[:, 1]) * near
+        miss = tangent - profile - east * pose[:, _EAST, np.newaxis]
+        miss -= north * pose[:, _NORTH, np.newaxis]
+        own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
+        if self._rays.is_panorama:
+            pitch, zoom = np.ones_like(tangent), tangent - slope * azimuth
+        else:
+            pitch = own_cosine
+            zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
+        change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
+        if self._rays.is_panorama:
+            wander = self._wander.T
+            change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
+        miss = np.where(known, miss, np.float32(0.0))
+        return _Misses(miss, change, near, known, toward, tangent)
+
+    def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
+        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
+        scale = np.exp(zoom)
+        u, v = (ray.astype(np.float32) * scale for ray in (self._rays.u, self._rays.v))
+        is_panorama = self._rays.is_panorama
+        if is_panorama:
+            v = v + pose[:, _WANDER:] @ self._wander.T
+        right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
+        if is_panorama:
+            return np.arctan2(right, forward), up / np.hypot(right, forward)
+        forward = np.maximum(forward, _MIN_FORWARD)
+        return np.arctan(right / forward), up / np.hypot(right, forward)
+
+    def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
+        """Return the expected squared error (M, R) of the tangents."""
+        query = np.radians(_QUERY_ERROR_DEG) * self._scale(pose)
+        move = _CURVATURE * np.square(self._deviation_m * nearness)
+        return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
+
+    def _scale(self, pose: Float32Array) -> Float32Array:
+        """Return the size (M,) of a pixel over that at a field of view of 60 degrees.
+
+        A camera measures pixels. Without this scale a small enough field of view would make every
+        miss small.
+        """
+        half_rad = np.radians([self._rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
+        size = 1.0 if self._rays.is_panorama else float(np.divide(*np.tan(half_rad)))
+        return np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
+
+    def _inverse_variances(self) -> Float32Array:
+        """Return the prior inverse variances (M, P) of the columns of a pose."""
+        columns = _WANDER + self._wander.shape[1]
+        prior = np.zeros((len(self._places), columns), dtype=np.float32)
+        prior[:, _PITCH] = np.radians(_PITCH_SD_DEG) ** -2.0
+        prior[:, _ROLL] = np.radians(_ROLL_SD_DEG) ** -2.0
+        prior[:, _ZOOM] = self._rays.log_scale_sd**-2.0
+        prior[:, _MOVE] = self._deviation_m**-2.0
+        if self._rays.is_panorama:
+            prior[:, _WANDER:] = self._rays.warp_sd**-2.0
+        return prior
+
+    def _step(self, pose: Float32Array, misses: _Misses, weight: Float32Array) -> Float32Array:
+        """Return the damped Gauss-Newton step (M, P) that is subtracted from poses."""
+        weighted = misses.change * weight[:, np.newaxis]
+        normal = weighted @ misses.change.transpose(0, 2, 1)
+        gradient = (weighted @ misses.miss[:, :, np.newaxis])[:, :, 0] + self._prior * pose
+        diagonal = np.einsum("mkk->mk", normal)
+        diagonal += self._prior
+        diagonal += _DAMPING * (diagonal + 1.0)
+        return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
+
+    def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
+        """Return poses less a step, within the bounds of a step and of a pose."""
+        limit = np.tile(_LONGEST_STEP, (len(pose), 1))
+        limit[:, _MOVE] *= self._deviation_m
+        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)
+        limit = np.concatenate([limit, wander], axis=1)
+        pose = pose - np.clip(step, -limit, limit)
+        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self._rays.log_scale_bounds)
+        farthest = 2.0 * self._deviation_m
+        pose[:, _MOVE] = np.clip(pose[:, _MOVE], -farthest, farthest)
+        return pose
+
+    def _score(self, pose: Float32Array, misses: _Misses) -> Float32Array:
+        variance = self._variance(pose, misses.nearness)
+        outlier = np.float32(_OUTLIER)
+        miss = np.abs(misses.miss) / np.sqrt(variance)
+        most = np.where(self._may_hide(misses), np.float32(_BEYOND), outlier)
+        cost = np.where(misses.known, np.minimum(miss, most), outlier)
+        cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
+        unlikely = 0.5 * (np.square(pose) * self._prior).sum(axis=1) / self._runs
+        mean = (cost * self._rays.weight.astype(np.float32)).mean(axis=1)
+        return np.asarray(mean + unlikely, dtype=np.float32)
+
+    def _may_hide(self, misses: _Misses) -> BoolArray:
+        """Return which rays (M, R) terrain past the data's edge may explain."""
+        if self._edge is None:
+            return np.zeros(misses.miss.shape, dtype=np.bool_)
+        places = self._places
+        eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+        east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
+        most = self._edge.elevation_tan(east_m, north_m, eye_m, misses.azimuth)
+        return np.asarray((misses.miss > 0.0) & (misses.tangent < most))
