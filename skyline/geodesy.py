@@ -19,6 +19,8 @@ from skyline.errors import InputError, swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
+GROUND_M = -500.0, 9000.0
+"""Lowest and highest ground on Earth, with a margin: Dead Sea -430 m, Everest 8849 m."""
 _EDGE_POINTS = 63
 """Points along each side of a box that is transformed to other coordinates, where it is curved."""
 
