@@ -51,7 +51,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
         if partial.is_file():
             partial.unlink()
         raise InputError(
-            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists"
+            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists and "
+            "has room"
         ) from error
 
 

@@ -19,6 +19,8 @@ from skyline.errors import InputError, swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
+GROUND_M = -500.0, 9000.0
+"""Lowest and highest ground on Earth, with a margin: Dead Sea -430 m, Everest 8849 m."""
 _EDGE_POINTS = 63
 """Points along each side of a box that is transformed to other coordinates, where it is curved."""
 
@@ -90,12 +92,15 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
 
 
 def are_bounds(west: float, south: float, east: float, north: float) -> bool:
-    """Return whether numbers can be the bounds of a box in degrees."""
+    """Return whether numbers can be the bounds of a box in degrees.
+
+    A box with W > E crosses the antimeridian; wider than half a turn, its W and E were swapped.
+    """
     return (
         -90.0 <= south < north <= 90.0
         and -180.0 <= west <= 180.0
         and -180.0 <= east <= 180.0
-        and width_deg((west, south, east, north)) > 0.0
+        and 0.0 < width_deg((west, south, east, north)) <= (360.0 if west < east else 180.0)
     )
 
 

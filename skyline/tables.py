@@ -19,8 +19,8 @@ from skyline.files import STANDARD, read_bytes
 _SEPARATORS = ",;\t"
 _LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
 _OTHER_NAMES = {
-    **dict.fromkeys(("longitude", "long", "lng"), "lon"),
-    "latitude": "lat",
+    **dict.fromkeys(("longitude", "long", "lng", "@lon"), "lon"),
+    **dict.fromkeys(("latitude", "@lat"), "lat"),
     "easting_m": "easting",
     "northing_m": "northing",
     "fid": "id",

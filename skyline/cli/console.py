@@ -193,16 +193,20 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
     """Show a bar on standard error from the first step on; yields a function of done and total.
 
     Without a terminal, a line names a step that takes more than five seconds, and one a minute says
-    how far it is.
+    how far it is, and how long the rest takes at the rate since its first step.
     """
     if _quiet.is_set() or not sys.stderr.isatty():
         noted_s = time.monotonic()
+        first: tuple[float, int] | None = None
 
         def note(done: int, total: int) -> None:
-            nonlocal noted_s
-            if time.monotonic() - noted_s > _NOTE_EVERY_S:
-                noted_s = time.monotonic()
-                print_note(f"{doing}: {done} of {total}")
+            nonlocal noted_s, first
+            now_s = time.monotonic()
+            started_s, before = first = first or (now_s, done)
+            if now_s - noted_s > _NOTE_EVERY_S and done > before:
+                noted_s = now_s
+                left_min = (now_s - started_s) * (total - done) / (done - before) / 60.0
+                print_note(f"{doing}: {done} of {total}, about {left_min:.0f} min left")
 
         with note_if_slow(doing.partition(",")[0]):
             yield note

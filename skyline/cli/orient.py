@@ -169,7 +169,7 @@ def label(
     """Write the names and distances of the summits that a photo shows on it.
 
     The camera is oriented by the skyline at its place, unless its pose is given.
-    Summits that terrain hides are left out.
+    Summits that terrain hides are left out; if none is in view, the photo is written without names.
     """
     from skyline.report.figures import unnamed_in_words  # noqa: PLC0415  (slow to load)
     from skyline.report.overlay import draw_labels  # noqa: PLC0415

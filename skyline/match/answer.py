@@ -425,7 +425,7 @@ def _view(one: Candidate) -> str:
 
 def _quality(one: Candidate) -> str:
     if one.confidence is None:
-        return f"score {one.score:.3f} (the lower, the better it fits)"
+        return f"score {one.score:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 

@@ -14,7 +14,8 @@ from PIL.ExifTags import GPS
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
-_LOWEST_M, _HIGHEST_M = -500.0, 9000.0
+from skyline.geodesy import GROUND_M
+
 _ERROR_PER_DOP_M = 5.0
 """Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
@@ -141,8 +142,9 @@ def _elevation_m(gps: Tags) -> float | None:
     if reference not in (_UP, _DOWN):
         raise _UnusableError("it does not say whether it is above or below sea level")
     height_m = -height_m if reference == _DOWN else height_m
-    if not _LOWEST_M <= height_m <= _HIGHEST_M:
-        raise _UnusableError(f"{height_m:.0f} m is outside {_LOWEST_M:.0f} to {_HIGHEST_M:.0f} m")
+    lowest_m, highest_m = GROUND_M
+    if not lowest_m <= height_m <= highest_m:
+        raise _UnusableError(f"{height_m:.0f} m is outside {lowest_m:.0f} to {highest_m:.0f} m")
     return height_m
 
 

@@ -265,7 +265,8 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
         yield picture
         return
     if isinstance(picture, np.ndarray):
-        if picture.dtype != np.uint8 or picture.ndim not in {2, 3} or 0 in picture.shape:
+        is_image = picture.shape[2:] in {(), (3,), (4,)} and picture.size and picture.ndim > 1
+        if picture.dtype != np.uint8 or not is_image:
             raise InputError(
                 f"the image is an array of {picture.dtype} of shape {picture.shape}; expected (H, "
                 "W, 3) uint8"

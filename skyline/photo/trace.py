@@ -104,7 +104,8 @@ def _notes(table: Table) -> tuple[dict[str, float], Projection]:
                     raise InputError(f"{where}: projection is {text}; expected {known}")
                 projection = Projection(text)
                 continue
-            notes[name] = Row(where, {name: text}).number(name, 0.0)
+            most = 1.0 if name == "fov_slack" else math.inf
+            notes[name] = Row(where, {name: text}).number(name, 0.0, most)
     return notes, projection
 
 

@@ -24,6 +24,7 @@ from skyline.report.peaks import (
     highest_between_deg,
     most_prominent_first,
     visible_peaks,
+    warn_if_off_map,
 )
 from skyline.solar.local_horizons import horizons_of
 from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
@@ -113,7 +114,10 @@ def panorama_view(
         config.summit_within_m,
     )
     terrain, eye = landscape.terrain, landscape.eye
-    seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
+    seen = []
+    if peaks is not None:
+        warn_if_off_map(peaks, blocks.frame, blocks.grid.bounds)
+        seen = visible_peaks(terrain, eye, peaks, Curvature())
     inside = [
         one
         for one in seen

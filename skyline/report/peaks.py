@@ -19,14 +19,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError, printable
+from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import read_bytes
-from skyline.geodesy import Curvature, Frame
+from skyline.geodesy import GROUND_M, Curvature, Frame, Rectangle
 from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sightlines import edge_crossings_m
 from skyline.terrain.summits import prominence_m
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints, is_inside
 
 SUMMIT_RADIUS_M = 150.0
 """Radius around a named place in which its summit is searched, and terrain cannot hide it."""
@@ -44,15 +44,15 @@ _METRES = {
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _WITH_UNIT = re.compile(rf"([-+]?{_NUMBER})\s?([a-z]*)")
 _FEET_INCHES = re.compile(rf"""({_NUMBER})['\u2019\u2032](?:\s?({_NUMBER})["\u201d\u2033])?""")
-_HEIGHTS_M = -500.0, 9000.0
-"""Lowest and highest ground on Earth, with a margin: the Dead Sea at -430 m, Everest at 8849 m."""
+_Point = tuple[str, float, float, object]
+"""Name, coordinates and height of a peak; the height as it is in the file, None if it is empty."""
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
 S = TypeVar("S", bound="Sighting")
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
-    "GeoJSON (.geojson, .json) of points with the property `name`"
+    "GeoJSON (.geojson, .json) of points in degrees with the property `name`"
 )
 
 
@@ -84,22 +84,39 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     ----------
     path : str or Path
         GeoJSON (``.geojson``, ``.json``) of points with the properties ``name`` and, optionally,
-        ``ele``, as in OpenStreetMap (`height_of_ele`); one warning counts the peaks whose ``ele``
-        is no height. Any other file is CSV with the columns ``name`` and ``lon,lat`` (degrees, WGS
-        84) or ``easting,northing`` (metres, in ``frame``), and optionally ``height_m``, which may
-        be empty. Features and rows without a name are skipped, as are other columns.
+        ``ele``. Any other file is CSV with the columns ``name`` and ``lon,lat`` (degrees, WGS 84)
+        or ``easting,northing`` (metres, in ``frame``), and optionally ``height_m`` or ``ele``,
+        which may be empty. Heights are read by `height_of_ele`; one warning counts the peaks whose
+        height cannot be read. Features and rows without a name are skipped, as are other columns.
 
     Raises
     ------
     MissingFileError
         There is no such file.
     InputError
-        The columns are wrong, a value is no number, or no point has a name.
+        The columns are wrong, a coordinate is no number, no point has a name, or a name is not
+        UTF-8.
     """
     names, (first, second, height_m), is_lonlat = _read(path)
     if is_lonlat:
         first, second = frame.from_lonlat(first, second)
     return Peaks(names=names, easting_m=first, northing_m=second, height_m=height_m)
+
+
+def warn_if_off_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
+    """Log a warning if none of the peaks lies on a map."""
+    if is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
+        return
+    lon, lat = frame.to_lonlat(peaks.easting_m, peaks.northing_m)
+    swapped = is_inside(bounds_m, *frame.from_lonlat(lat, lon)).any()
+    _log.warning(
+        "none of %d peaks lies on the elevation model (the first is %s at %.4f,%.4f)%s",
+        len(peaks),
+        peaks.names[0],
+        lon[0],
+        lat[0],
+        f"; {swapped_in_words(lon[0], lat[0])}" if swapped else "",
+    )
 
 
 def find_place(path: str | Path, name: str) -> tuple[float, float]:
@@ -136,16 +153,34 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
         is_lonlat = columns == _COLUMNS[0]
     if not points:
         raise InputError(f"gazetteer {path} has no named point; {_EXPECTED}")
-    names, *numbers = zip(*points, strict=True)
-    return tuple(map(printable, names)), np.array(numbers, dtype=np.float64), is_lonlat
+    names, first, second, heights = zip(*points, strict=True)
+    try:
+        "".join(names).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"gazetteer {path} is not UTF-8; save it again as UTF-8") from None
+    height_m = [math.nan if one is None else height_of_ele(one) for one in heights]
+    unread = [k for k, one in enumerate(heights) if one is not None and math.isnan(height_m[k])]
+    if unread:
+        _log.warning(
+            "gazetteer %s: %d of %d heights cannot be read (the first is `%.40s` of %s), so these "
+            "peaks are shown without one; expected metres, such as 4421, or a unit, such as 4421 "
+            "m, 14505 ft or 14505'3\"",
+            path,
+            len(unread),
+            len(points),
+            heights[unread[0]],
+            names[unread[0]],
+        )
+    numbers = np.array([first, second, height_m], dtype=np.float64)
+    return tuple(map(printable, names)), numbers, is_lonlat
 
 
-def _row(row: Row, first: str, second: str) -> tuple[str, float, float, float]:
-    height_m = row.number("height_m") if row["height_m"] else math.nan
-    return " ".join(row["name"].split()), row.number(first), row.number(second), height_m
+def _row(row: Row, first: str, second: str) -> _Point:
+    height = row["height_m"].replace(",", ".") if row.has_decimal_commas else row["height_m"]
+    return " ".join(row["name"].split()), row.number(first), row.number(second), height or None
 
 
-def _of_geojson(path: str | Path) -> list[tuple[str, float, float, float]]:
+def _of_geojson(path: str | Path) -> list[_Point]:
     try:
         read = json.loads(read_bytes(path, _EXPECTED).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -155,30 +190,11 @@ def _of_geojson(path: str | Path) -> list[tuple[str, float, float, float]]:
         ) from None
     features = read.get("features") if isinstance(read, dict) else None
     found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
-    points, unread = [], []
-    for name, lon, lat, ele in filter(None, found):
-        height_m = math.nan if ele is None else height_of_ele(ele)
-        points.append((name, lon, lat, height_m))
-        if ele is not None and math.isnan(height_m):
-            unread.append((ele, name))
-    if unread:
-        _log.warning(
-            "gazetteer %s: `ele` of %d of %d peaks is no height (the first is `%.40s` of %s), so "
-            "these are shown without one; expected metres, such as 4421, or a unit, such as "
-            "4421 m, 14505 ft or 14505'3\"",
-            path,
-            len(unread),
-            len(points),
-            *unread[0],
-        )
-    return points
+    return list(filter(None, found))
 
 
-def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
-    """Return name, longitude, latitude and ``ele`` of a feature, None unless it is a named point.
-
-    ``ele`` is the value in the file, None if it is empty.
-    """
+def _named_point(feature: Any) -> _Point | None:
+    """Return a feature's name, longitude, latitude and ``ele``; None unless it is a named point."""
     try:
         properties, geometry = feature["properties"], feature["geometry"]
         lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
@@ -204,7 +220,7 @@ def height_of_ele(ele: object) -> float:
         height_m = float(read[1]) * _METRES[read[2]]
     elif read := _FEET_INCHES.fullmatch(text):
         height_m = float(read[1]) * _FOOT_M + float(read[2] or 0.0) * _INCH_M
-    return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
+    return height_m if GROUND_M[0] <= height_m <= GROUND_M[1] else math.nan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

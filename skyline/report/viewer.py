@@ -21,7 +21,7 @@ from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, OffMapError, suffix_of
+from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
@@ -30,7 +30,13 @@ from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
 from skyline.render.context import RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
+from skyline.report.peaks import (
+    Peaks,
+    Sighting,
+    most_prominent_first,
+    visible_peaks,
+    warn_if_off_map,
+)
 from skyline.skylines import Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
@@ -259,6 +265,8 @@ class Viewer:
     ) -> None:
         self.terrain, self.peaks = read_dem(terrain), peaks
         self.frame = self.terrain.frame
+        if peaks is not None:
+            warn_if_off_map(peaks, self.frame, self.terrain.bounds_m)
         self.curvature = curvature or Curvature()
         self._thread, self._making = render_thread, Lock()
         self._scene: RenderedScene | None = None
@@ -393,8 +401,9 @@ class Viewer:
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
         """Return the summits visible in the photo of a pose, the most prominent first.
 
-        Raises `OffMapError` for a pose off the map or on a hole.
+        Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
         """
+        query.projection.check_fov_deg(pose.fov_deg)
         # Ranking takes long, so only the peaks in the photo are ranked.
         return most_prominent_first(
             self.terrain, peaks_in_picture(pose, query, self._visible(pose))
@@ -412,10 +421,7 @@ class Viewer:
     def _standing(self, pose: Candidate) -> Viewpoints:
         """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
-        try:
-            eye = stand_on(self.terrain, **place, eye_height_m=0.0)
-        except OffMapError:
-            raise OffMapError("the pose is off the map or on a hole; move it") from None
+        eye = stand_on(self.terrain, **place, eye_height_m=0.0)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
         return eye
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Int64Array
 from skyline.errors import InputError
+from skyline.geodesy import GROUND_M
 
 ABSURD_M = 30_000.0
 """No known solid body has a height beyond this above or below its datum (Mars: +21.2, -8.2 km)."""
@@ -81,10 +82,6 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
     despiked and undeclared samples, as `skyline.Provenance` has them. Raises `InputError` where
     there is no height at all.
     """
-    if not any(np.isfinite(heights_m[rows]).any() for rows in strips(heights_m)):
-        raise InputError(
-            f"{source} holds no height: all samples are nodata; check the file and its nodata value"
-        )
     undeclared, values_m = void_undeclared(heights_m, spacing_m)
     if values_m:
         _log.warning(
@@ -94,6 +91,22 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
             " and ".join(f"{value:g}" for value in values_m),
         )
     despiked = remove_spikes(heights_m, spacing_m)
+    highest_m = max(
+        float(np.max(heights_m[rows], where=np.isfinite(heights_m[rows]), initial=-np.inf))
+        for rows in strips(heights_m)
+    )
+    if np.isinf(highest_m):
+        raise InputError(
+            f"{source} holds no height: all samples are nodata or beyond {ABSURD_M:.0f} m; check "
+            "the file and its nodata value"
+        )
+    if highest_m > GROUND_M[1]:
+        _log.warning(
+            "%s has heights of up to %.0f m, more than any ground on Earth; name the unit of its "
+            "heights, or its nodata value (rio edit-info)",
+            source,
+            highest_m,
+        )
     filled = fill_voids(heights_m)
     hollow = 0
     for rows in strips(heights_m):

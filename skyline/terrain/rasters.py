@@ -98,8 +98,6 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
     on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
-    if band.dtype.kind not in "iuf":
-        raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
     # Once xarray has applied attributes, they are in the encoding instead.
     scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
     void_values = [attrs[name] for name in ("_FillValue", "missing_value") if name in attrs]
@@ -109,7 +107,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
             voids = np.zeros(band[rows].shape, dtype=np.bool_)
             for value in void_values:
                 voids |= band[rows] == value
-            yield rows, _heights_of(band[rows], voids, scale, offset, vertical.metres)
+            yield rows, _heights_of(source, band[rows], voids, scale, offset, vertical.metres)
 
     conventions = {**conventions_of(on_map), **vertical.conventions}
     return Tile(source, on_map, grid, north_up, vertical, conventions, read)
@@ -222,15 +220,20 @@ def _tile_of(
                 window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
                 band = dataset.read(1, window=window, masked=True)
                 voids = np.ma.getmaskarray(band)
-                yield rows, _heights_of(band.data, voids, scale, offset, vertical.metres)
+                yield rows, _heights_of(source, band.data, voids, scale, offset, vertical.metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
 
 
 def _heights_of(
-    band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
+    source: str, band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
 ) -> Float32Array:
-    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared."""
+    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared.
+
+    Raises `InputError` for numbers that are not real.
+    """
+    if band.dtype.kind not in "iuf":
+        raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
     heights: Float32Array = band.astype(np.float32)
     heights[voids | ~np.isfinite(heights)] = np.nan
     undeclared = np.isin(heights, UNDECLARED_VOIDS)

@@ -130,7 +130,7 @@ def place_on(
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = frame.from_lonlat(lon, lat)
-    outside = np.flatnonzero(~_is_inside(bounds_m, easting, northing))
+    outside = np.flatnonzero(~is_inside(bounds_m, easting, northing))
     if outside.size:
         first = outside[0]
         west, south, east, north = bounds_m
@@ -138,7 +138,7 @@ def place_on(
         which, remedy = f"viewpoint {first} ({outside.size} such)", "move it or remove it"
         if len(lon) == 1:
             which, remedy = "the place", "give another place, or a DEM that covers it"
-        if _is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first])):
+        if is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{which} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off the map; the DEM covers "
@@ -181,15 +181,18 @@ def _no_ground(
     first = missing[0]
     easting, northing = easting_m[first], northing_m[first]
     lon, lat = field.frame.to_lonlat(easting, northing)
+    which, such = f"viewpoint {first}", f"; {missing.size} such"
+    if len(easting_m) == 1:
+        which, such = "the place", ""
     place = (
-        f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
-        f"{northing:.2f}; {missing.size} such) is"
+        f"{which} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
+        f"{northing:.2f}{such}) is"
     )
-    if _is_inside(field.bounds_m, easting, northing):
+    if is_inside(field.bounds_m, easting, northing):
         return OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
     remedy = "move it or remove it"
-    if _is_inside(field.bounds_m, northing, easting):
+    if is_inside(field.bounds_m, northing, easting):
         remedy = swapped_in_words(easting, northing, names="easting and northing")
     return OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
@@ -197,7 +200,7 @@ def _no_ground(
     )
 
 
-def _is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
     """Return a mask of the places that lie within bounds."""
     west, south, east, north = bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)

@@ -47,6 +47,8 @@ MOON = {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100
         (ONES, {"transform": TURNED}, None, "gdalwarp"),
         (ONES, MOON, None, "Moon"),
         (VOIDS, {"nodata": -9999.0}, None, "all samples are nodata"),
+        (ONES.astype(np.complex64), {}, None, "expected real heights"),
+        (ONES - 32000, {}, None, "beyond 30000 m"),
     ],
 )
 def test_a_raster_that_is_no_dem(tmp_path, heights, options, given, said):

@@ -124,6 +124,11 @@ def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     assert "exactly 0 m" in caplog.text
 
 
+def test_heights_above_any_ground_are_warned_of(tmp_path, caplog):
+    read_dem(write(tmp_path / "dem.tif", 10.0 * mountains()))
+    assert "more than any ground on Earth" in caplog.text
+
+
 def test_the_turned_footprint_of_a_real_dem(shared_data):
     field = read_dem(shared_data / "photos" / "columbia" / "dem_Columbia.tif")
     # Both flanks go; the fjord, 3,796 samples at 0 m, stays.

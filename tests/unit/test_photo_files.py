@@ -63,8 +63,9 @@ def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene,
         query = read_query(other, 60.0)
         np.testing.assert_array_equal(query.row_px, of_file.row_px)
         assert query.fov_deg == 60.0
-    with pytest.raises(InputError, match=r"array of float64 of shape \(4, 4\); expected"):
-        read_query(np.zeros((4, 4)))
+    for bad in (np.zeros((4, 4)), np.zeros((4, 4, 1), np.uint8), np.zeros((4, 4, 5), np.uint8)):
+        with pytest.raises(InputError, match=r"array of .* of shape \(4, 4.*\); expected"):
+            read_query(bad)
 
 
 def test_sky_cut_away_to_transparent_is_white(tmp_path, scene):

@@ -85,6 +85,7 @@ HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
         (HEAD.format("") + "3,80\n", "row_px is `80`; expected a number from -0.5 to 79.5"),
         (HEAD.format("") + "3,nan\n", "draws no column"),
         (HEAD.format(" fov=60"), "line 1 notes 'fov'; expected some of width, height, fov_deg"),
+        (HEAD.format(" fov_deg=60 fov_slack=5") + "0,30\n9,31\n", "fov_slack is `5`"),
         (HEAD.format(" fov_deg=600") + "0,30\n9,31\n", "horizontal field of view is 600"),
     ],
 )

@@ -2,13 +2,14 @@
 
 import json
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scenes import FRAME, at_m, candidate_at, field_from, field_of, fractal
 from scipy import ndimage
 
-from skyline.errors import InputError
+from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
 from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks, read_peaks, visible_peaks
@@ -61,17 +62,34 @@ def test_the_curve_of_the_earth_hides_what_is_far():
     assert visible_peaks(terrain, eye, far, Curvature()) == []
 
 
+def test_a_viewer_refuses_poses_and_warns_of_peaks_that_are_elsewhere(caplog):
+    terrain, query = field(0.0), QuerySkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
+    lon, lat = FRAME.to_lonlat(TWO.easting_m, TWO.northing_m)
+    east, north = FRAME.from_lonlat(lat, lon)
+    away = Peaks(names=TWO.names, easting_m=east, northing_m=north, height_m=TWO.height_m)
+    assert Viewer(terrain, TWO).summits(candidate_at(0.0, -900.0), query)
+    assert not caplog.records
+    viewer = Viewer(terrain, away)
+    assert "longitude and latitude seem to be swapped" in caplog.text
+    with pytest.raises(OffMapError, match="the DEM covers easting"):
+        viewer.summits(candidate_at(1e6, 0.0), query)
+    with pytest.raises(InputError, match="field of view"):
+        viewer.summits(replace(candidate_at(0.0, -900.0), fov_deg=200.0), query)
+
+
 def test_a_gazetteer_in_degrees_or_metres(tmp_path):
     lon, lat = FRAME.to_lonlat(1200.0, -3400.0)
     degrees, metres = tmp_path / "degrees.csv", tmp_path / "metres.csv"
-    degrees.write_text(f"name,lon,lat,height_m\nWeißkugel,{lon},{lat},3738\nB,{lon},{lat},\n")
+    degrees.write_text(
+        f"name,lon,lat,height_m\nWeißkugel,{lon},{lat},3738\nB,{lon},{lat},12303.15 ft\n"
+    )
     metres.write_text('easting,northing,name\n1200,-3400,"A, the  first"\n\n')
     first, second = read_peaks(degrees, FRAME), read_peaks(metres, FRAME)
     assert first.names == ("Weißkugel", "B")
     assert second.names == ("A, the first",)
     np.testing.assert_allclose(first.easting_m, 1200.0, atol=1e-3)
     np.testing.assert_allclose(first.northing_m, -3400.0, atol=1e-3)
-    np.testing.assert_array_equal(first.height_m, [3738.0, np.nan])
+    np.testing.assert_array_equal(first.height_m, [3738.0, 3750.00012])
     np.testing.assert_array_equal(second.easting_m, [1200.0])
     assert np.isnan(second.height_m).all()
 
@@ -113,7 +131,7 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
     np.testing.assert_array_equal(peaks.height_m, [1200.0, np.nan, np.nan, np.nan])
     assert np.isfinite(peaks.easting_m).all()
     [record] = caplog.records
-    assert "`ele` of 1 of 4 peaks is no height" in record.getMessage()
+    assert "1 of 4 heights cannot be read" in record.getMessage()
     assert "of B)" in record.getMessage()
 
 
@@ -124,12 +142,12 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
         ("name,lon,lat\na,1,2,3\n", "line 2 has 4 cells; expected 3"),
         ("name,lon,lat\na,east,2\n", "line 2: lon is `east`"),
         ("name,lon,lat\na,1,91\n", "from -90 to 90"),
-        ("name,lon,lat,height_m\na,1,2,high\n", "line 2: height_m is `high`"),
+        ("name,lon,lat\nGr\udcfcnhorn,1,2\n", "not UTF-8"),
     ],
 )
 def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
     path = tmp_path / "peaks.csv"
-    path.write_text(text)
+    path.write_text(text, errors="surrogateescape")
     with pytest.raises(InputError, match=message):
         read_peaks(path, FRAME)
 

@@ -22,9 +22,10 @@ def places(path, text):
         "\ufeffLongitude, Latitude ,Name\r\n9.85,46.75, A\r\n\r\n",
         "name;longitude;latitude\nA;9,85;46,75\n",
         "lat\tlng\tid\tname\n46.75\t9.85\tA\tnot this\n",
+        "@lat\t@lon\tname\n46.75\t9.85\tA\n",
         '# from a survey\n"id","long","lat"\n"A","9.85","46.75"\n',
     ],
-    ids=["old line ends", "excel", "semicolons and decimal commas", "tabs", "notes and quotes"],
+    ids=["old line ends", "excel", "semicolons and decimal commas", "tabs", "overpass", "quotes"],
 )
 def test_places_are_read_however_their_file_is_written(tmp_path, text):
     assert places(tmp_path / "a.csv", text) == [("A", 9.85, 46.75)]
