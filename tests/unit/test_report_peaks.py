@@ -34,14 +34,18 @@ def named(**places):
 TWO = named(west=(-860.0, 3030.0), east=(930.0, 2960.0))
 
 
-def names_seen(wall_m):
+def two_cones(wall_m):
     """Two cones north of the eye, and a wall before the eastern one."""
 
     def height_m(east, north):
         cones = cone(np.abs(east), north, 900.0, 3000.0, 600.0)
         return cones + np.where((north == 1500.0) & (east > 0.0), wall_m, 0.0)
 
-    terrain = field_from(height_m, 301, 30.0)
+    return field_from(height_m, 301, 30.0)
+
+
+def names_seen(wall_m):
+    terrain = two_cones(wall_m)
     eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
     return [peak.label for peak in visible_peaks(terrain, eye, TWO, FLAT)]
 
@@ -63,7 +67,7 @@ def test_the_curve_of_the_earth_hides_what_is_far():
 
 
 def test_a_viewer_refuses_poses_and_warns_of_peaks_that_are_elsewhere(caplog):
-    terrain, query = field(0.0), QuerySkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
+    terrain, query = two_cones(0.0), QuerySkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
     lon, lat = FRAME.to_lonlat(TWO.easting_m, TWO.northing_m)
     east, north = FRAME.from_lonlat(lat, lon)
     away = Peaks(names=TWO.names, easting_m=east, northing_m=north, height_m=TWO.height_m)
