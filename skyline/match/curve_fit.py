@@ -21,7 +21,6 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, level_axes
 from skyline.store.places import Places
-from skyline.terrain.edge import DataEdge
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH, _WANDER = range(7)
 """Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
@@ -41,10 +40,9 @@ _CURVATURE = 0.05
 D."""
 _PITCH_SD_DEG, _ROLL_SD_DEG = 5.0, 4.0
 """Prior standard deviations of the attitude."""
-_OUTLIER = 4.0
-"""Largest miss of a ray that is counted, in expected errors."""
-_BEYOND = 2.0
-"""The same for a ray above the profile where terrain past the data's edge may rise as high."""
+_OUTLIER, _UNKNOWN = 8.0, 4.0
+"""Largest miss of a ray that counts, and the miss of a ray without a profile, in expected errors:
+in coarse elevation models rays of the right pose miss by several."""
 
 ROUGH_FIT = 40, (0.5, 0.35, 0.25)
 GOOD_FIT = 100, (0.5, 0.35, 0.25, 0.2, 0.2)
@@ -63,10 +61,7 @@ class _Misses:
     nearness: Float32Array
     """(M, R) float32. Inverse distance of the profile, 1 / m."""
     known: BoolArray
-    azimuth: Float32Array
-    tangent: Float32Array
-    """``azimuth``, ``tangent``: (M, R) float32. Azimuths of the rays from grid north, radians, and
-    their elevation tangents."""
+    """(M, R). Whether the profile is known."""
 
 
 class CurveFit:
@@ -84,20 +79,12 @@ class CurveFit:
         R means of runs of the query's rays; see `skyline.match.query_rays.in_runs`.
     runs : int
         Number of runs within 60 degrees.
-    edge : DataEdge or None
-        Without it no terrain is taken to lie past the data.
     """
 
     def __init__(
-        self,
-        places: Places,
-        ground_slope: Float32Array,
-        rays: QueryRays,
-        runs: int,
-        edge: DataEdge | None,
+        self, places: Places, ground_slope: Float32Array, rays: QueryRays, runs: int
     ) -> None:
-        self._places, self._ground_slope, self._rays, self._edge = places, ground_slope, rays, edge
-        self._runs = runs
+        self._places, self._ground_slope, self._rays, self._runs = places, ground_slope, rays, runs
         self._y = places.elevation_tan()
         nearness = 1.0 / places.distance_m()
         self._nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
@@ -176,7 +163,7 @@ class CurveFit:
             wander = self._wander.T
             change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
         miss = np.where(known, miss, np.float32(0.0))
-        return _Misses(miss, change, near, known, toward, tangent)
+        return _Misses(miss, change, near, known)
 
     def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
@@ -243,22 +230,9 @@ class CurveFit:
         return pose
 
     def _score(self, pose: Float32Array, misses: _Misses) -> Float32Array:
-        variance = self._variance(pose, misses.nearness)
-        outlier = np.float32(_OUTLIER)
-        miss = np.abs(misses.miss) / np.sqrt(variance)
-        most = np.where(self._may_hide(misses), np.float32(_BEYOND), outlier)
-        cost = np.where(misses.known, np.minimum(miss, most), outlier)
-        cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
+        error = np.radians(_QUERY_ERROR_DEG) * self._scale(pose)
+        cost = np.minimum(np.abs(misses.miss) / error[:, np.newaxis], np.float32(_OUTLIER))
+        cost = np.where(misses.known, cost, np.float32(_UNKNOWN))
         unlikely = 0.5 * (np.square(pose) * self._prior).sum(axis=1) / self._runs
         mean = (cost * self._rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
-
-    def _may_hide(self, misses: _Misses) -> BoolArray:
-        """Return which rays (M, R) terrain past the data's edge may explain."""
-        if self._edge is None:
-            return np.zeros(misses.miss.shape, dtype=np.bool_)
-        places = self._places
-        eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
-        east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
-        most = self._edge.elevation_tan(east_m, north_m, eye_m, misses.azimuth)
-        return np.asarray((misses.miss > 0.0) & (misses.tangent < most))

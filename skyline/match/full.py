@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from skyline.errors import InputError
-from skyline.geodesy import Curvature, Frame
+from skyline.geodesy import Frame
 from skyline.match import confidence
 from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
 from skyline.match.prior import Narrowing, Prior
@@ -19,7 +19,6 @@ from skyline.match.retrieval import Retriever
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
 from skyline.store.read import PlaceSource
-from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -63,16 +62,12 @@ class FullMatcher:
         self,
         places: PlaceSource,
         frame: Frame,
-        curvature: Curvature,
         terrain: HeightField | None,
         scene: RenderedScene | None,
     ) -> None:
-        ground = edge = None
-        if terrain is not None:
-            ground = ground_of(terrain)
-            edge = DataEdge.of(terrain, curvature) if scene is None else scene.edge
+        ground = None if terrain is None else ground_of(terrain)
         self.frame, self._scene = frame, scene
-        self.retriever = Retriever(places, ground, edge)
+        self.retriever = Retriever(places, ground)
         self.models = confidence.models()
         share = round(_SHORTLIST_SHARE * len(places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), _SHORTLIST_MOST)

@@ -116,7 +116,7 @@ class Matcher:
             over = None if surface is None else read_surface(surface, self.terrain)
             rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
             self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-        self._ranker = FullMatcher(places, self.frame, header.curvature, self.terrain, self._scene)
+        self._ranker = FullMatcher(places, self.frame, self.terrain, self._scene)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:

@@ -66,7 +66,7 @@ _RIVALS = 6
 """Best poses of other headings that are kept to the end: their fits show how sure a heading is."""
 _EFFORT = Effort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
-    restarts=2, finalists=8, final_rounds=4,
+    restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
 _FAR_SD = 4.0
 """A pose farther from the known place than so many of its standard errors is of another place."""
@@ -216,7 +216,7 @@ class Orienter:
         # Kept, since it holds the terrain's textures, which the scene shares.
         self._panoramas = PanoramaRenderer(self.terrain, BINS, self.curvature)
         places = self._rendered_places()
-        self._retriever = Retriever(places, self._scene.ground_m, self._scene.edge)
+        self._retriever = Retriever(places, self._scene.ground_m)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
     def release(self) -> None:
@@ -368,10 +368,10 @@ class _RefinementByHeading(Refinement):
         rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
-    def finalists(self, particles: Particles) -> Particles:
+    def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best particle of each heading, best first."""
         standing = self.hypotheses(particles)
-        return particles[standing.suppress_non_maxima(_EFFORT.finalists, np.inf, _APART_DEG)]
+        return particles[standing.suppress_non_maxima(count, np.inf, _APART_DEG)]
 
 
 def orient(

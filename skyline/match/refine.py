@@ -91,20 +91,22 @@ class Effort:
     their least number."""
     restarts: int
     """Best places around which the search restarts."""
+    weighed: int
+    """Places whose fits are weighed anew with correlated errors, from what has been rendered."""
     finalists: int
-    """Places that go through the last rounds."""
+    """The best of these, which go through the last rounds."""
     final_rounds: int
     """Most renderings of each in the last rounds."""
 
 
 QUICK = Effort(
     shortlist=64, particles=16, likeliest=0, rounds=4, keep_share=0.6, keep_least=6,
-    restarts=1, finalists=6, final_rounds=3,
+    restarts=1, weighed=48, finalists=6, final_rounds=3,
 )  # fmt: skip
 """Enough for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
     shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.9, keep_least=48,
-    restarts=6, finalists=12, final_rounds=5,
+    restarts=6, weighed=48, finalists=12, final_rounds=5,
 )  # fmt: skip
 """For all other skylines."""
 
@@ -182,10 +184,11 @@ class Refinement:
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
             particles = self._moved(self.rough, self.survivors(particles, kept))
         particles = Particles.concatenate([particles, self._restarted(particles)])
-        particles = self.reweighted(self.finalists(particles))
+        particles = self.reweighted(self.distinct(particles, effort.weighed))
+        particles = self.distinct(particles, effort.finalists)
         for _ in range(effort.final_rounds):
             particles = self._moved(self.fine, particles)
-        return self.poses(self.finalists(particles))
+        return self.poses(self.distinct(particles, effort.finalists))
 
     def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
         """Return particles at hypotheses, their attitudes solved from there."""
@@ -283,10 +286,10 @@ class Refinement:
             chosen = np.union1d(chosen, rivals[:_RIVALS])
         return ordered[chosen]
 
-    def finalists(self, particles: Particles) -> Particles:
+    def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
         standing = self.hypotheses(particles)
-        return particles[best_and_rivals(standing, self.effort.finalists, SAME_VIEW_DEG)]
+        return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
     def hypotheses(self, particles: Particles) -> Hypotheses:
         """Return the poses of particles; the scores are their costs."""

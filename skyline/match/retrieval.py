@@ -23,7 +23,6 @@ from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs
 from skyline.match.screening import Alike, Screen, report_progress, screen_places
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
-from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, ground_slope
 
 _SAMPLE = 2048
@@ -58,14 +57,11 @@ _UNLIKELY = 0.25
 class Retriever:
     """Finds short lists of poses among places.
 
-    Without ``ground`` the ground around each place is taken to be level; without ``edge`` no
-    terrain is taken to lie past the data.
+    Without ``ground`` the ground around each place is taken to be level.
     """
 
-    def __init__(
-        self, places: PlaceSource, ground: Ground | None = None, edge: DataEdge | None = None
-    ) -> None:
-        self.places, self._ground, self._edge = places, ground, edge
+    def __init__(self, places: PlaceSource, ground: Ground | None = None) -> None:
+        self.places, self._ground = places, ground
         share = math.ceil(_SCREENED_SHARE * len(places))
         self._screened = min(max(share, _SCREENED_LEAST), _SCREENED_MOST)
 
@@ -226,7 +222,7 @@ class Retriever:
             if self._ground is not None:
                 rise = ground_slope(self._ground, places.easting_m, places.northing_m)
                 slope = rise.astype(np.float32)
-            fit = CurveFit(places, slope, rays, runs, self._edge)
+            fit = CurveFit(places, slope, rays, runs)
             poses = fit.fit(part.heading_rad, part.zoom, scales_deg)
             # The sum of both scores: a fit compares more than screening does, but assumes that the
             # query is near its place.
