@@ -153,11 +153,6 @@ class Candidate:
             f"{100.0 * self.terrain_share:.0f} % of the skyline"
         )
 
-    def to_hypothesis(self) -> "Hypotheses":
-        """Return the pose as one hypothesis, with a score of 0."""
-        pose = asdict(self) | {"heading_deg": self.grid_heading_deg, "score": 0.0}
-        return Hypotheses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Hypotheses)})
-
     def to_dict(self) -> dict[str, Any]:
         """Return the candidate as ``skyline match --json`` prints it."""
         return {name: getattr(self, name) for name in _JSON}
@@ -266,6 +261,12 @@ class RefinedPoses(Rows):
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
     wander: Float64Array
     """(M, 4) float64, or (M, 0). As in `Candidate`."""
+
+
+def hypothesis_of(candidate: Candidate) -> Hypotheses:
+    """Return a candidate's pose as one hypothesis, with a score of 0."""
+    pose = asdict(candidate) | {"heading_deg": candidate.grid_heading_deg, "score": 0.0}
+    return Hypotheses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Hypotheses)})
 
 
 def candidates_of(

@@ -11,7 +11,13 @@ from threadpoolctl import ThreadpoolController
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match import confidence
-from skyline.match.candidate import Candidate, Hypotheses, RefinedPoses, candidates_of
+from skyline.match.candidate import (
+    Candidate,
+    Hypotheses,
+    RefinedPoses,
+    candidates_of,
+    hypothesis_of,
+)
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, Refinement
@@ -133,7 +139,7 @@ class FullMatcher:
         nothing else fits. Raises `InputError` without a scene, and for a pose off the map or on a
         hole.
         """
-        scene, pose = self.needed_scene(), start.to_hypothesis()
+        scene, pose = self.needed_scene(), hypothesis_of(start)
         above_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
