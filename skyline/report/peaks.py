@@ -105,7 +105,7 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
 
 def warn_if_off_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
     """Log a warning if none of the peaks lies on a map."""
-    if is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
+    if not len(peaks) or is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
         return
     lon, lat = frame.to_lonlat(peaks.easting_m, peaks.northing_m)
     swapped = is_inside(bounds_m, *frame.from_lonlat(lat, lon)).any()
