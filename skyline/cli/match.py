@@ -125,6 +125,10 @@ def match(
     stores, query = _stores_and_queries(store, query)
     named("matcher", matcher, dict.fromkeys(_CHOICES))
     for is_wrong, error in (
+        (
+            report is not None and report.exists() and not report.is_dir(),
+            f"{report} is a file; name a folder for the report",
+        ),
         (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),
         (
             use_gps and matcher == _UNREFINED,

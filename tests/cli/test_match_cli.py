@@ -47,12 +47,13 @@ def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher
     assert abs(answer["heading_deg"] - 140.0 - terrain_turn) < 1.5
 
 
-def test_a_matcher_and_a_store_that_do_not_fit_are_refused(run, store, renderings, photo):
+def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
     paper, heading = ("--matcher", "paper"), ("--heading", "140,10")
     for searched, options, message in (
         (renderings, (), "holds renderings, not places"),
         (store, paper, "holds places, not renderings"),
         (renderings, (*paper, *heading), "only the full matcher can narrow its search"),
+        (store, ("--report", store), "is a file; name a folder for the report"),
     ):
         assert_refused(run("match", searched, photo, "--fov-deg", "60", *options), message)
 
