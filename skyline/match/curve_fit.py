@@ -97,7 +97,7 @@ class CurveFit:
     ) -> Hypotheses:
         """Return the poses fitted from headings and zooms (M,).
 
-        A score is the mean over rays of the negative log likelihood, up to a constant.
+        A score is the mean over rays of the misses, in expected errors, and what the priors add.
         ``scales_deg`` are the scales of the Cauchy weights from round to round.
         """
         pose = np.zeros(self._prior.shape, dtype=np.float32)
