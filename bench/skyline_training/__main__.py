@@ -72,7 +72,7 @@ def confidence(
         Path,
         Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
     ],
-    queries: Annotated[int, Option(help="Of each of eight kinds, on each terrain.")] = 20,
+    queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 32,
     model: Annotated[
         Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
     ] = None,
@@ -81,7 +81,7 @@ def confidence(
     ] = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
-    seed: options.Seed = 5000,
+    seed: options.Seed = 6000,
     quick: options.Quick = False,
 ) -> None:
     """Learn the confidence on Sierra, Rofental and Everest; show its reliability on Davos."""

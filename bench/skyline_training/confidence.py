@@ -46,7 +46,7 @@ from skyline_training.workers import over_processes
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""
 
-STAGES = ("refined", "retrieved")
+STAGES = ("refined", "retrieved", confidence.FITTED)
 
 _RIDGE = 1e-2
 _BINS = 10
@@ -80,6 +80,8 @@ def examples_from(
         if poses is not None and len(poses):
             figures = confidence.refined_figures(poses, found, rays)
             yield "refined", _example(figures, poses.hypotheses, query, kind)
+            figures = confidence.pose_figures(poses, rays)
+            yield confidence.FITTED, _example(figures, poses.hypotheses, query, kind)
 
 
 def _example(
@@ -218,6 +220,7 @@ def _examples_on(
         return make_queries(seen, area_m, queries, seed + number, config)
 
     own = {
+        "own model, plain": _without_prior(made(terrain, area, 9, QueryConfig())),
         "own model": _without_prior(made(terrain, area, 1, KINDS[0])),
         "own model, hidden": _without_prior(made(terrain, area, 2, KINDS[1])),
         "other model": _without_prior(made(other, area, 3, KINDS[0])),

@@ -42,6 +42,8 @@ _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
 have been fitted with margins of 124."""
 _MIN_MARGIN = 1e-3
+_LEAST_WEIGHT = 1e-9
+"""Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
 _MOST_VISIBLE_DEG = 90.0
 """Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
 one."""
@@ -55,6 +57,12 @@ photos: wrong slopes fit as well (docs/accuracy.md)."""
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the searched range if its distance from the end is less
 than this share of the range: fits that are held to a bound miss it by rounding."""
+_LEAST_OF_FIT = 2.0 / 3.0
+"""Least share of right ones among poses that fit like a given one. The share is that of the best
+poses of searches; a pose that a person gives is right more often."""
+FITTED = "fitted"
+"""Stage of poses that were fitted without a search. Its models, of `pose_figures` alone, are
+learned from the best poses of searches."""
 ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place, in ``orientation.json``."""
 
@@ -122,29 +130,23 @@ def refined_figures(
     """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
     The skyline of another region can be bent to fit some place well, but seldom resembles that
-    place in retrieval; so the retrieval counts too. The margin is 0 where all retrieved poses are
-    one place, so that there is no rival. Where none lies beyond 1 km, as in a narrow search, the
-    margin over nearer rivals counts for both.
+    place in retrieval; so the retrieval counts too. Rivals are more than 1 km away. Where no
+    retrieved pose is, as in a narrow search, they are more than 200 m away; where all retrieved
+    poses are one place there is no rival, and the odds are even.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     widest_m = found.distances_m().max(initial=0.0)
-    margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
-    far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
-    return _pose_figures(poses, query, margin, far_margin) | {
-        "retrieved_score": np.full(len(poses), retrieved["score"][best]),
+    margin = log_odds = np.zeros(len(poses))
+    if widest_m > ROUGHLY_WITHIN_M:
+        margin, log_odds = poses.far_margin, _log_odds(poses.hypotheses, ROUGHLY_WITHIN_M)
+    elif widest_m > RIGHT_WITHIN_M:
+        margin, log_odds = poses.margin, _log_odds(poses.hypotheses, RIGHT_WITHIN_M)
+    return pose_figures(poses, query) | {
+        "log_odds": log_odds,
+        "log_far_margin": _log_margin(margin),
         "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
         "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
     }
-
-
-def lone_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
-    """Return the figures (M,) of poses that were fitted without a search, by name.
-
-    They are those of a search in which nothing else fits: the margin is the greatest. There are
-    none of retrieval.
-    """
-    most = np.full(len(poses), _MAX_MARGIN)
-    return _pose_figures(poses, query, most, most)
 
 
 def oriented_figures(
@@ -157,34 +159,42 @@ def oriented_figures(
     """
     others = np.where(np.eye(len(poses), dtype=bool), np.inf, poses.hypotheses.score)
     margin = others.min(axis=1, initial=np.inf) - poses.hypotheses.score
-    figures = _pose_figures(poses, query, margin, margin)
-    for name in ("far_margin", "log_far_margin", "log_position_sd"):
-        del figures[name]
+    figures = pose_figures(poses, query)
+    del figures["log_position_sd"]  # The place is known.
     return figures | {
+        "margin": _margin(margin),
+        "log_margin": _log_margin(margin),
         "log_heading_sd": np.log(np.maximum(poses.angle_sd_deg[:, 0], 1e-2)),
         "log_moved": np.log(np.maximum(moved_m, 1.0)),
     }
 
 
-def _pose_figures(
-    poses: RefinedPoses, query: QueryRays, margin: Float64Array, far_margin: Float64Array
-) -> dict[str, Float64Array]:
-    """Return the figures of M poses with given margins, without those of their retrieval."""
+def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.terrain_share,
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
-        "margin": _margin(margin),
-        "log_margin": _log_margin(margin),
-        "far_margin": _margin(far_margin),
-        "log_far_margin": _log_margin(far_margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
         "roll_deg": np.abs(poses.hypotheses.roll_deg),
     } | _query_figures(query, len(poses))
+
+
+def _log_odds(poses: Hypotheses, within_m: float) -> Float64Array:
+    """Return the log odds (M,) of the poses near each one that look its way, against all others."""
+    weight = _weights(poses)
+    own = poses.are_same(within_m, SAME_VIEW_DEG) @ weight
+    odds = (own + _LEAST_WEIGHT) / (weight.sum() - own + _LEAST_WEIGHT)
+    return np.asarray(np.log(odds))
+
+
+def _weights(poses: Hypotheses) -> Float64Array:
+    """Return the likelihoods (M,) of poses, as shares of the best one's."""
+    return np.asarray(np.exp((poses.score.min() - poses.score) / TEMPERATURE))
 
 
 def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
@@ -200,7 +210,7 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
 
 
 def model_name(stage: str, within_m: float) -> str:
-    """Return the name of the model of a stage, refined or retrieved, for a distance."""
+    """Return the name of the model of a stage, refined, retrieved or fitted, for a distance."""
     return f"{stage}, {within_m:g} m"
 
 
@@ -222,7 +232,7 @@ def shared_probabilities(
     """
     best = int(np.argmin(poses.score))
     of_best = {name: values[best : best + 1] for name, values in figures.items()}
-    weight = np.exp((poses.score[best] - poses.score) / TEMPERATURE)
+    weight = _weights(poses)
     near, roughly = (
         _shares(poses.are_same(within_m, SAME_VIEW_DEG), weight, best, float(sure[0]))
         for within_m, sure in zip(
@@ -338,16 +348,16 @@ def _of_a_slope(candidates: Sequence[Candidate]) -> str:
 
 
 def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
-    """Return why a fit has failed: a search would refuse its pose even without rivals; else None.
+    """Return why a fit has failed: poses that fit as badly are seldom right; None if it has not.
 
-    The confidence of ``fitted`` is the one that a search would give it if nothing else fitted.
+    The confidence of ``fitted`` is that of its stage, `FITTED`.
     """
-    if sure_within_m(fitted, config) is not None:
+    sure, least = fitted.confidence_1km or 0.0, min(_LEAST_OF_FIT, config.min_confidence)
+    if sure >= least:
         return None
     return (
-        f"{fitted.residual_in_words}; even if nothing else fitted, the confidence would be "
-        f"{fitted.confidence:.2f}, within 1 km {fitted.confidence_1km:.2f}, and "
-        f"{config.min_confidence:.2f} is needed"
+        f"{fitted.residual_in_words}; of poses that fit like this {100.0 * sure:.0f} % are right, "
+        f"and {100.0 * least:.0f} % are needed"
     )
 
 

@@ -135,8 +135,8 @@ class FullMatcher:
     def fitted(self, query: QueryRays, start: Candidate) -> Candidate | None:
         """Return a pose refined by rendering; None where nothing near it fits.
 
-        The eye keeps its height above the ground. The confidence is that of a search in which
-        nothing else fits. Raises `InputError` without a scene, and for a pose off the map or on a
+        The eye keeps its height above the ground. The confidence is that of
+        `confidence.FITTED`. Raises `InputError` without a scene, and for a pose off the map or on a
         hole.
         """
         scene, pose = self.needed_scene(), hypothesis_of(start)
@@ -148,8 +148,8 @@ class FullMatcher:
         poses = Refinement(query, scene, effort, prior).run(pose)[:1]
         if not len(poses):
             return None
-        figures = confidence.lone_figures(poses, query)
-        near, roughly = confidence.probabilities(self.models, "refined", figures)
+        figures = confidence.pose_figures(poses, query)
+        near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
         return candidates_of(self.frame, poses, near, roughly)[0]
 
     def needed_scene(self) -> RenderedScene:

@@ -74,8 +74,14 @@ def rank_together(
     standing = replace(joint[0].hypotheses, score=cost)
     chosen = standing.suppress_non_maxima(top, SEPARATION_M)
     agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
+    # As margins, odds are those of one query in the mean.
+    cost_of_one = cost / max(agrees.sum(), 1)
     figures = [
-        confidence.refined_figures(poses, retrieved, query)
+        confidence.refined_figures(
+            replace(poses, hypotheses=replace(poses.hypotheses, score=cost_of_one)),
+            retrieved,
+            query,
+        )
         for poses, (query, _), (retrieved, _), belongs in zip(
             joint, queries, found, agrees, strict=True
         )

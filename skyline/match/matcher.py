@@ -267,9 +267,9 @@ class Matcher:
         """Refine a pose by rendering, without a search.
 
         The result's one candidate holds the difference between the skylines. It has no confidence,
-        since no other place was tried. The fit has failed, and there is no answer, if a search
-        would refuse the pose even where nothing else fitted; the candidate then has no covariance.
-        There is no candidate where the pose does not fit at all.
+        since no other place was tried. The fit has failed, and there is no answer, if poses that
+        fit as badly are seldom right; the candidate then has no covariance. There is no candidate
+        where the pose does not fit at all.
 
         Parameters
         ----------

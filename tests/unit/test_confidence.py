@@ -24,16 +24,17 @@ def test_a_margin_is_over_the_best_rival():
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
-    model = confidence.models()[confidence.model_name("refined", within_m)]
+    model = confidence.models()[confidence.model_name(confidence.FITTED, within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
     figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *np.zeros((3, 4))
     covariance_m2 = np.tile(100.0 * np.eye(2), (4, 1, 1))
     figures = *figures, np.ones((4, 4)), np.zeros((4, 0))
     poses = RefinedPoses(retrieved([0.0] * 4, [0.0] * 4), covariance_m2, *figures)
-    sure = model.probability(confidence.lone_figures(poses, QUERY))
+    sure = model.probability(confidence.pose_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
-    assert (sure[2:] < 0.8).all()
+    assert (sure[:2] > 0.8).all()
+    assert (sure[2:] < 2.0 / 3.0).all()
 
 
 def test_poses_near_one_another_share_one_probability_and_others_the_rest():
