@@ -81,6 +81,16 @@ def test_a_place_between_entries_is_found():
     assert turned(found.heading_deg[0], heading_deg) < 0.7
 
 
+def test_a_near_place_that_fits_comes_before_far_ones_that_fit_worse():
+    # How far the fit may be wrong about near terrain weighs its columns, not the place.
+    noise = np.random.default_rng(1).normal(0.0, np.radians(0.2), len(AZIMUTH_DEG))
+    right = curve(3, AZIMUTH_DEG)
+    distance_m = np.array([[20.0], [20_000.0]])
+    entries = places_of(np.stack([right, right + noise]), distance_m, spacing_m=1000.0)
+    found = Retriever(entries).shortlist(rays(3, 77.0), 2)
+    assert found.easting_m[0] == pytest.approx(0.0, abs=25.0)
+
+
 def test_missing_headings_do_not_stop_the_others():
     y = np.stack([curve(seed, AZIMUTH_DEG) for seed in range(20)])
     y[:, 225:] = np.nan
