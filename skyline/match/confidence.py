@@ -365,14 +365,15 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
 
     None if it is sure within neither. The nearer distance may leave half the doubt that the
-    farther one may: a wrong answer is worse than a vague one.
+    farther one may, and the candidate's radius may not be larger: a wrong answer is worse than a
+    vague one.
     """
-    doubt = 1.0 - config.min_confidence
-    sure = (candidate.confidence, 1.0 - 0.5 * doubt), (candidate.confidence_1km, 1.0 - doubt)
-    for within_m, (confidence, least) in zip(DISTANCES_M, sure, strict=True):
-        if confidence is not None and confidence >= least:
-            return within_m
-    return None
+    near, roughly, doubt = candidate.confidence, candidate.confidence_1km, 1 - config.min_confidence
+    if near is None or roughly is None:
+        return None
+    if near >= 1.0 - 0.5 * doubt and (candidate.radius_m or 0.0) <= RIGHT_WITHIN_M:
+        return RIGHT_WITHIN_M
+    return ROUGHLY_WITHIN_M if roughly >= 1.0 - doubt else None
 
 
 def at_bound(best: Candidate, rays: QueryRays) -> str | None:

@@ -53,7 +53,12 @@ def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, fou
 )
 def test_the_nearer_claim_leaves_half_of_the_doubt(near, roughly, within_m):
     candidate = candidate_at(0.0, 0.0, confidence=near, confidence_1km=roughly)
-    assert sure_within_m(candidate, MatchConfig(min_confidence=0.8)) == within_m
+    config = MatchConfig(min_confidence=0.8)
+    assert sure_within_m(candidate, config) == within_m
+    # A circle of more than 200 m cannot be sure to 200 m.
+    vague = replace(candidate, covariance_m2=((150.0**2, 0.0), (0.0, 150.0**2)))
+    assert vague.radius_m > 200.0
+    assert sure_within_m(vague, config) == (within_m and 1000.0)
 
 
 BEST = replace(candidate_at(0.0, 0.0), lon=9.8, lat=46.7, heading_deg=131.0)
