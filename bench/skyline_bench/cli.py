@@ -22,7 +22,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
-        orient.orient: "twenty minutes",
+        orient.orient: "20 minutes",
         photos.photos: "30 minutes",
         photos.sky_masks: "a minute",
     },
