@@ -190,8 +190,15 @@ class Page:
         self.until(lambda: self.find("#answer").text)
 
     def drag(self, selector, right, down, steps=12):
-        """Drag an element of the map with the mouse."""
+        """Drag an element of the map with the mouse, when the map stands still."""
         self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        seen = [None] * 5
+
+        def is_still():
+            seen[:] = [*seen[1:], self.find(selector).rect]
+            return all(one == seen[0] for one in seen)
+
+        self.until(is_still)
         chain = ActionChains(self.browser, duration=30).click_and_hold(self.find(selector))
         for _ in range(steps):
             chain.move_by_offset(right / steps, down / steps)
