@@ -22,13 +22,17 @@ class Scene:
 
 
 def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.12) -> Float64Array:
-    """Border rows: octaves of interpolated noise with peaks at the scale of mountains."""
+    """Border rows: octaves of interpolated noise with peaks at the scale of mountains.
+
+    The relief is a share of the height, or of two thirds of the width of an upright picture: the
+    mountains in it are no steeper.
+    """
     columns = np.arange(width) / width
     row = np.full(width, 0.42 * height)
     for octave in range(1, 7):
         knots = 3 * 2**octave
         noise = rng.uniform(-1.0, 1.0, knots + 1)
-        size_px = height * relief * 2.0**-octave * 2
+        size_px = min(height, width / 1.5) * relief * 2.0**-octave * 2
         row -= size_px * np.interp(columns * knots, np.arange(knots + 1), noise)
     return row
 
@@ -124,9 +128,13 @@ def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Sce
             start = int((side + rng.uniform(0.0, 0.05)) * width)
             crown = np.full(width, np.inf)
             span = slice(start, start + int(0.14 * width))
-            crown[span] = 0.08 * height + 20.0 * np.abs(rng.standard_normal(len(crown[span])))
+            columns = np.arange(width)[span]
+            for trunk in rng.uniform(columns[0], columns[-1], 5):  # Cones, ragged by branches.
+                slope = rng.uniform(6.0, 12.0) * np.abs(columns - trunk)
+                crown[span] = np.minimum(crown[span], rng.uniform(0.05, 0.2) * height + slope)
+            crown[span] += 8.0 * np.abs(rng.standard_normal(len(columns)))
             picture = compose(picture, ground(rng, width, height, FOREST), crown)
-            visible[span] = False
+            visible[span] = crown[span] > row_px[span] + 2.0
     elif kind == "caption":
         picture[: int(0.03 * height)] = 255.0
         picture[-int(0.08 * height) :] = 255.0

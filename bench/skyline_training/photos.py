@@ -4,6 +4,8 @@ Some are views of made terrain, as demos and tests draw them: their sky is smoot
 gather about the ridge.
 """
 
+import itertools
+from collections.abc import Generator
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -11,7 +13,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.geodesy import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
@@ -42,8 +44,8 @@ from skyline_training.landscapes import (
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
 from skyline_training.workers import over_processes
 
-_SIZE_PX = (400, 304)
-_PANORAMA_PX = (880, 200)
+_SIZE_PX = (560, 416)
+_PANORAMA_PX = (1232, 280)
 _WAYS = 8
 """Of so many photographs one is drawn plainly, one is a view and one a panorama: no way of
 drawing is like the world."""
@@ -60,13 +62,9 @@ _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which no eye would see a skyline."""
 
 
-def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
-    """Draw photographs in as many processes as there are cores."""
-    photos = list[TrainingPhoto]()
-    for photo in over_processes(partial(_drawn, seed), range(count)):
-        photos.append(photo)
-        progress(len(photos), count)
-    return photos
+def draw_training_photos(seed: int) -> Generator[TrainingPhoto]:
+    """Draw photographs without end, in as many processes as there are cores."""
+    return over_processes(partial(_drawn, seed), itertools.count())
 
 
 def _drawn(seed: int, index: int) -> TrainingPhoto:

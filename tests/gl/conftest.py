@@ -5,11 +5,18 @@ import pytest
 from scenes import SPACING_M, field_of, fractal, scattered, write_dem
 
 from skyline import read_dem
+from skyline.render.context import describe_context
 
 
 @pytest.fixture(autouse=True)
 def every_test(no_gl_error):
     """Fail a test during which OpenGL recorded an error."""
+
+
+@pytest.fixture(scope="session")
+def is_hardware():
+    """Whether a GPU renders; seen on an NVIDIA H100, driver 580."""
+    return not describe_context()["software"]
 
 
 @pytest.fixture(scope="module")

@@ -54,8 +54,12 @@ def test_out_of_image_exactly_where_the_oracle_leaves_it():
 
 
 @pytest.mark.parametrize("eye_height_m", [0.01, 1500.0])
-def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m):
-    """Inverse depth in 32-bit floats keeps its digits from the feet to the horizon."""
+def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m, is_hardware):
+    """Inverse depth in 32-bit floats keeps its digits from the feet to the horizon.
+
+    A GPU snaps vertices to 1/256 px before it interpolates, so that a pixel may get the depth of
+    half as much below it.
+    """
     field = field_from(lambda e, n: 0.0 * e + 0.0 * n, 401, 250.0)
     viewpoints = stand_on(field, easting_m=[17.0], northing_m=[-35.0], eye_height_m=eye_height_m)
     with DepthRenderer(field, 320, FLAT) as renderer:
@@ -64,10 +68,12 @@ def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m):
     with np.errstate(divide="ignore"):
         expected = np.where(v < 0.0, -eye_height_m / v, np.inf)
     expected = np.broadcast_to(expected[:, np.newaxis], images[0].shape)
+    snapped_px = 2.0**-9 if is_hardware else 0.0
+    bound = 1e-4 + snapped_px / np.abs(160.0 * v)[:, np.newaxis] * np.ones(320)
     for image in images:
         seen = np.isfinite(image)
         assert seen.any()
-        assert np.abs(image[seen] / expected[seen] - 1.0).max() < 1e-4
+        assert (np.abs(image[seen] / expected[seen] - 1.0) < bound[seen]).all()
         # What is missing is beyond the border, or the sky.
         assert (expected[~seen] > 49_000.0).all()
 

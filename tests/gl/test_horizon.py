@@ -26,7 +26,7 @@ def assert_same(first, second):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
 
 
-def test_equals_the_oracle_flags_and_depths_too(rough):
+def test_equals_the_oracle_flags_and_depths_too(rough, is_hardware):
     field, eyes = rough
     truth, views = oracle.skyline(field, eyes, 160), render(field, eyes)
     off = {"rtol": 0.0, "atol": EXACT_PX * 2.0 / 640.0}
@@ -34,7 +34,10 @@ def test_equals_the_oracle_flags_and_depths_too(rough):
     np.testing.assert_array_equal(views.flags, truth.flags)
     assert (views.flags & FLAG_HOLE).any()
     assert (views.flags & FLAG_TRUNCATED).any()
-    np.testing.assert_allclose(views.depth_m, truth.depth_m, rtol=1e-5)
+    # A GPU may divide with an error of 2.5 units in the last place, which counts where a ray grazes
+    # an edge: 5e-5 in one column of 7,680.
+    rtol = 1e-4 if is_hardware else 1e-5
+    np.testing.assert_allclose(views.depth_m, truth.depth_m, rtol=rtol)
 
 
 def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):

@@ -68,8 +68,9 @@ def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene,
             read_query(bad)
 
 
-def test_sky_cut_away_to_transparent_is_white(tmp_path, scene):
-    ground = np.arange(240)[:, np.newaxis] > scene.row_px
+def test_sky_cut_away_to_transparent_is_white(tmp_path):
+    scene = make_scene("clear", 3, 720, 480)
+    ground = np.arange(480)[:, np.newaxis] > scene.row_px
     rgba = np.dstack([scene.image, 255 * ground.astype(np.uint8)])
     Image.fromarray(rgba).save(tmp_path / "cut.png")
     image, query = extract_photo(tmp_path / "cut.png")

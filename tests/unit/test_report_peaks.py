@@ -126,6 +126,18 @@ def test_ele_is_read_by_openstreetmap_s_conventions(tmp_path, caplog, ele, heigh
     assert not caplog.records
 
 
+def test_geojson_in_metres_is_refused_and_in_degrees_of_any_datum_read(tmp_path):
+    path = geojson_of(tmp_path / "peaks.geojson", ["1200"])
+    read = json.loads(path.read_text())
+    for name in ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:EPSG::4258", "mine"):
+        path.write_text(json.dumps(read | {"crs": {"type": "name", "properties": {"name": name}}}))
+        assert read_peaks(path, FRAME).names == ("A",)
+    read["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::2056"}}
+    path.write_text(json.dumps(read))
+    with pytest.raises(InputError, match=r"LV95; expected degrees .*EPSG:4326"):
+        read_peaks(path, FRAME)
+
+
 @pytest.mark.parametrize("ele", ["14,505 ft", "1200;1210", '12"', "nan", "18941", True])
 def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplog, ele):
     path = geojson_of(tmp_path / "peaks.geojson", ["1200", ele, "", None])
