@@ -225,7 +225,7 @@ class MatchResult:
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {_quality(one)}{unrefined}")
         if 0 < len(self.candidates) < TOP:
             count = f"{len(self.candidates)} of {TOP} candidates"
-            lines.append(f"{count}: no other place was worth refining to the end")
+            lines.append(f"{count}: no other place fitted well enough to be refined to the end")
         if self.beyond:
             lines.append(self.beyond)
         if lens is not None:

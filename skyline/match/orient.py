@@ -155,11 +155,11 @@ class Orientation:
                 f"heading {pose.heading_deg:.2f} +- {self.heading_sd_deg:.2f} from true north  "
                 f"pitch {pose.pitch_deg:.2f} +- {self.pitch_sd_deg:.2f}  "
                 f"roll {pose.roll_deg:.2f} +- {self.roll_sd_deg:.2f}  "
-                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f}"
+                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f} degrees"
             )
             lines.append(
                 f"confidence {self.confidence:.2f} that the heading is right within "
-                f"{RIGHT_DEG:g} degree; the eye {self.moved_m:.0f} m from the place given"
+                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given"
             )
         if self.query.lens is not None:
             lines.append(self.query.lens.in_words)

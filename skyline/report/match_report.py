@@ -100,7 +100,7 @@ def _about(viewer: Viewer | None) -> str:
             "rendered for the candidates and no peak is named (give --dem)."
         )
     if viewer.peaks is None:
-        return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
+        return "No file of peaks was given, so no peak is named (--peaks FILE)."
     return (
         f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
         "nothing on the line to them stands above them in the elevation model."
