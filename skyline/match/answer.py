@@ -214,7 +214,7 @@ class MatchResult:
     def to_text(self) -> str:
         """Return the lines that ``skyline match`` prints."""
         lens = self.query.lens
-        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
         if self.answer is not None:
             near = "" if self.within_m is None else f", right within {self.within_m:g} m"
             lines.append(f"the answer is candidate 1{near}; all candidates, best first:")

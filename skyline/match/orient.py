@@ -146,7 +146,7 @@ class Orientation:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient`` prints."""
-        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
         if self.pose is not None:
