@@ -60,10 +60,15 @@ def serve(
     dem: StoreDem = None,
     peaks: Annotated[Path | None, PEAKS] = None,
     port: Annotated[
-        int, Option(min=0, max=65535, help="Port of the page; 0 takes any free port.")
+        int,
+        Option(min=0, max=65535, metavar="PORT", help="Port of the page; 0 takes any free port."),
     ] = 8765,
     host: Annotated[
-        str, Option(help="Address to listen on; any but the default lets other machines in.")
+        str,
+        Option(
+            metavar="ADDRESS",
+            help="Address to listen on; any but the default lets other machines in.",
+        ),
     ] = "127.0.0.1",
 ) -> None:
     """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""

@@ -1,7 +1,7 @@
 """Orientation: how a camera was held at a known place.
 
-The place is known to some metres; the heading may be any. The skylines of the place and of a ring
-of places around it are rendered, and a pose is fitted to each of them from every heading, as
+The place is known to some metres, and the heading is not known. The skylines of the place and of a
+ring of places around it are rendered, and a pose is fitted to each of them from every heading, as
 retrieval fits poses to the places of a store. The best poses are then refined by rendering, with
 the known place as a prior, so the eye may move.
 
@@ -83,6 +83,7 @@ class Orientation:
     Attributes
     ----------
     query : QuerySkyline
+        The skyline that was fitted.
     pose : Candidate or None
         The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
     heading_sd_deg, pitch_sd_deg, roll_sd_deg, fov_sd_deg : float
@@ -181,7 +182,7 @@ class Orienter:
         Elevation of the eye above the DEM's datum; by default the eye stands on the ground, which
         the fit may correct.
     within_m : float
-        Standard error of the place.
+        Standard error of the place, metres.
 
     Raises
     ------

@@ -82,7 +82,7 @@ def report_matches(
     made_by = f"skyline {PACKAGE_VERSION} {today}"
     export_matches(folder / "matches.geojson", results, matcher.frame)
     path = folder / "index.html"
-    write_with_folders(path, page("Where these were taken", lead, sections, made_by))
+    write_with_folders(path, page("Where the photos were taken", lead, sections, made_by))
     return path
 
 
