@@ -1,7 +1,7 @@
 """Match photos to a store of places through the Python API: python match_query.py STORE.h5 PHOTO...
 
-The store is one that `skyline build DEM -o STORE.h5` made. The photos were taken with a lens of 60
-degrees; photos whose EXIF has their field of view need none here.
+The store is one that `skyline build DEM -o STORE.h5` made. The photos are 60 degrees wide; leave
+``fov_deg`` out for photos whose EXIF data has the field of view.
 """
 
 import sys

@@ -85,8 +85,8 @@ def build_places(
     progress : callable, optional
         Called with the number of parts that are done, and the number of all parts.
     places : int, optional
-        Number of places to plan, about. Without a spacing and a number there are 100,000, but as
-        many as lose 5 % of the views, 60 degrees wide, suffice, and no more than 20 % are lost.
+        About how many places to plan. Without this and a spacing there are 100,000: fewer where
+        fewer miss only 5 % of the views, 60 degrees wide, and more where 100,000 miss over 20 %.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 

@@ -245,7 +245,8 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
         covered = field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
         raise InputError(
             f"bounds {west:.6g},{south:.6g},{east:.6g},{north:.6g} do not meet the DEM, which "
-            f"covers {','.join(f'{side:.4f}' for side in covered)}{swapped}"
+            f"covers {','.join(f'{side:.4f}' for side in covered)}"
+            f"{swapped or '; name an area inside it, or a DEM of the area'}"
         )
     return clipped
 

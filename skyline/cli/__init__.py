@@ -37,11 +37,11 @@ COMMANDS = {
         "views.panorama": "Draw the view from a place, with the names of the peaks in sight.",
     },
     "Data": {
-        "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
+        "fetch.peaks": "Fetch the named peaks of a box from OpenStreetMap, for `--peaks`.",
         "info.info": "Describe a DEM, a store, or the OpenGL in use.",
         "explain.explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
-        "fetch.dem": "Elevation data for an area.",
+        "fetch.dem": "Fetch the elevation of an area: `dem fetch`.",
         "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }

@@ -30,7 +30,12 @@ from skyline.store.read import parts_folder
 
 Output = Annotated[Path, output_option("The store to write.", "STORE.h5")]
 Bounds = Annotated[
-    str | None, Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+    str | None,
+    Option(
+        metavar="W,S,E,N",
+        help="The area of the eyes: west, south, east, north in degrees (WGS 84).",
+        show_default="all of the DEM",
+    ),
 ]
 
 
@@ -39,11 +44,16 @@ def build(
     output: Output,
     spacing: Annotated[
         float | None,
-        Option(help="Metres between places of a uniform grid.", show_default="places are planned"),
+        Option(
+            metavar="M",
+            help="Metres between places of a uniform grid.",
+            show_default="places are planned",
+        ),
     ] = None,
     places: Annotated[
         int | None,
         Option(
+            metavar="N",
             help="About this many places: dense where skylines are near, else sparse. "
             "A thousand take a quarter of a second on two cores without a GPU, and 0.7 MB.",
             show_default="100,000; fewer for small areas, more for large ones",

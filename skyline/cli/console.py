@@ -57,7 +57,7 @@ def output_option(about: str, metavar: str = "FILE") -> Any:
 
 of_terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
 
-StoreFile = Annotated[Path, Argument(metavar="STORE.h5")]
+StoreFile = Annotated[Path, Argument(metavar="STORE.h5", help="A store, as `build` writes it.")]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 StoreDem = Annotated[
     list[str] | None,
@@ -84,10 +84,24 @@ Surfaces = Annotated[
         "repeat for each tile.",
     ),
 ]
-RefractionK = Annotated[float, of_terrain("--k", help="Refraction coefficient.")]
-Crs = Annotated[str | None, of_terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
+RefractionK = Annotated[
+    float,
+    of_terrain(
+        "--k",
+        metavar="K",
+        help="Refraction coefficient: the share of the Earth's curvature that refraction undoes.",
+    ),
+]
+Crs = Annotated[
+    str | None,
+    of_terrain(metavar="CRS", help="CRS of a DEM whose files name none, e.g. EPSG:32632."),
+]
 Reproject = Annotated[
-    bool, of_terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")
+    bool,
+    of_terrain(
+        "--reproject",
+        help="Warp a DEM whose CRS is not conformal, so that its map keeps angles.",
+    ),
 ]
 PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")
 
@@ -115,7 +129,10 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
 
 
 def with_quiet(command: Any) -> Any:
-    """Give a command, or all commands of a group, the option ``--quiet``; return it."""
+    """Give a command, or all commands of a group, the option ``--quiet``; return it.
+
+    Typer would show a flag as ``--json <bool>``, as if it took a value; here it shows no type.
+    """
     group = getattr(command, "commands", {})
     for one in group.values():
         with_quiet(one)
@@ -123,6 +140,9 @@ def with_quiet(command: Any) -> Any:
         alone = typer.Typer(add_completion=False)
         alone.command()(_with_option)
         command.params += typer.main.get_command(alone).params
+        for option in command.params:
+            if getattr(option, "is_flag", False):
+                option.metavar = ""
     return command
 
 

@@ -19,7 +19,9 @@ from skyline.fetch.overpass import fetch_peaks
 
 Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
 
-dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+dem = typer.Typer(
+    name="dem", help="Fetch the elevation of an area: `dem fetch`.", no_args_is_help=True
+)
 
 
 @dem.callback()
@@ -67,6 +69,6 @@ def peaks(
     ],
     output: Annotated[Path, output_option("The GeoJSON to write.")],
 ) -> None:
-    """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
+    """Fetch the named peaks of a box from OpenStreetMap, for `--peaks`."""
     count = fetch_peaks(parse_bounds(bbox), server, output)
     print_written(output, f"{count} peaks (OpenStreetMap contributors, ODbL)")

@@ -27,7 +27,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
+from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs
 from skyline.errors import InputError, SkylineError, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
@@ -41,6 +41,8 @@ from skyline.report.viewer import PIXEL_FILES, Viewer
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NAMED = 5
 """Summits that are not seen of which the names are printed."""
+_ELEVATIONS_M = -500.0, 20_000.0
+"""Elevations from which a photo may have been taken, aeroplanes included."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
@@ -139,6 +141,11 @@ def camera_place(at: str | None) -> Place | None:
     lon, lat, *rest = parse_numbers(at, count, error)
     if not are_degrees(lon, lat):
         raise InputError(error)
+    if rest and not _ELEVATIONS_M[0] <= rest[0] <= _ELEVATIONS_M[1]:
+        raise InputError(
+            f"the elevation in --at is {rest[0]:g} m; expected {_ELEVATIONS_M[0]:g} to "
+            f"{_ELEVATIONS_M[1]:g}, or leave it out"
+        )
     return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
 
 
@@ -152,7 +159,7 @@ def _csv(rows: list[dict[str, Any]]) -> str:
 
 
 def label(
-    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    photo: PhotoFile,
     dem: Dem,
     peaks: Annotated[Path, PEAKS],
     output: Annotated[Path, output_option(f"The file to write: {', '.join(_LABEL_FILES)}.")],
@@ -215,11 +222,13 @@ def label(
 
 
 def pixels(
-    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    photo: PhotoFile,
     pose: Annotated[Path, _POSE],
     dem: Dem,
     output: Annotated[Path, output_option(f"The file to write: {' or '.join(PIXEL_FILES)}.")],
-    step: Annotated[int, Option(min=1, help="Take every Nth row and column.")] = 1,
+    step: Annotated[
+        int, Option(min=1, metavar="N", help="Take every Nth row and column of pixels.")
+    ] = 1,
     projection: PhotoProjection = None,
     crs: Crs = None,
     reproject: Reproject = False,

@@ -14,8 +14,13 @@ from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
 
 FieldOfView = Annotated[
-    float | None, Option(help="Horizontal field of view; by default from the photo's EXIF or XMP.")
+    float | None,
+    Option(
+        metavar="DEG",
+        help="Horizontal field of view in degrees; by default from the photo's EXIF or XMP.",
+    ),
 ]
+PhotoFile = Annotated[Path, Argument(metavar="PHOTO", help="The photo.")]
 PhotoProjection = Annotated[
     Projection | None,
     panel("The photos")("--projection", help="Projection of a panorama, usually cylindrical."),
@@ -23,7 +28,7 @@ PhotoProjection = Annotated[
 
 
 def extract(
-    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    photo: PhotoFile,
     output: Annotated[Path, output_option("The trace to write.", "FILE.csv")],
     overlay: Annotated[
         Path | None, Option(metavar="PNG", help="Also write the photo with its skyline drawn.")
@@ -31,7 +36,7 @@ def extract(
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
     sky_model: Annotated[
-        Path | None, Option(metavar="ONNX", help="Your own sky segmentation model.")
+        Path | None, Option(metavar="ONNX", help="Your own sky segmentation model (extra `onnx`).")
     ] = None,
 ) -> None:
     """Find the skyline in a photo and write it as a trace that a person can correct."""
@@ -55,10 +60,15 @@ def serve(
     dem: StoreDem = None,
     peaks: Annotated[Path | None, PEAKS] = None,
     port: Annotated[
-        int, Option(min=0, max=65535, help="Port of the page; 0 takes any free port.")
+        int,
+        Option(min=0, max=65535, metavar="PORT", help="Port of the page; 0 takes any free port."),
     ] = 8765,
     host: Annotated[
-        str, Option(help="Address to listen on; any but the default lets other machines in.")
+        str,
+        Option(
+            metavar="ADDRESS",
+            help="Address to listen on; any but the default lets other machines in.",
+        ),
     ] = "127.0.0.1",
 ) -> None:
     """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""

@@ -71,6 +71,7 @@ def render(
     candidate_spacing: Annotated[
         float | None,
         _of_planners(
+            metavar="M",
             help="Metres between the locations that the planner chooses from.",
             show_default=f"{_PLANNED.candidate_m:g}",
         ),
@@ -79,6 +80,7 @@ def render(
         float | None,
         _of_planners(
             "--threshold-px",
+            metavar="PX",
             help="A location is covered if a rendered skyline differs by at most this many pixels.",
             show_default=f"{_PLANNED.threshold_px:g}",
         ),
@@ -86,7 +88,9 @@ def render(
     coverage: Annotated[
         float | None,
         _of_planners(
-            help="Share of the locations to cover.", show_default=f"{_PLANNED.coverage:g}"
+            metavar="SHARE",
+            help="Share of the locations to cover, from 0 to 1.",
+            show_default=f"{_PLANNED.coverage:g}",
         ),
     ] = None,
     drawn: Annotated[
@@ -98,10 +102,16 @@ def render(
         ),
     ] = None,
     workers: Workers = None,
-    width: Annotated[int, of_terrain(help="Columns of a 90 degree view.")] = _DEFAULTS.width,
+    width: Annotated[
+        int, of_terrain(metavar="N", help="Columns of a 90 degree view.")
+    ] = _DEFAULTS.width,
     tolerance_px: Annotated[
         float,
-        of_terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
+        of_terrain(
+            "--tolerance-px",
+            metavar="PX",
+            help="Pixels by which a skyline may lie too low; 0 is exact.",
+        ),
     ] = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     crs: Crs = None,

@@ -64,7 +64,9 @@ SummitWithin = Annotated[
         "beside a summit of the model, stands as high as the summit; 0 leaves it on the slope.",
     ),
 ]
-EyeHeight = Annotated[float, Option("--eye-height", metavar="M", help="Metres above ground.")]
+EyeHeight = Annotated[
+    float, Option("--eye-height", metavar="M", help="Height of the eye, metres above ground.")
+]
 
 
 def horizon(
@@ -76,11 +78,14 @@ def horizon(
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     summit_within: SummitWithin = None,
     step_deg: Annotated[
-        float, Option("--step-deg", help="Degrees between azimuths.")
+        float, Option("--step-deg", metavar="DEG", help="Degrees between azimuths.")
     ] = DEFAULT_STEP_DEG,
     output: Annotated[
         Path | None,
-        output_option(f"{', '.join(SUFFIXES)} (PVGIS' horizon file). CSV is printed by default."),
+        output_option(
+            f"The file to write: {', '.join(SUFFIXES)} (PVGIS' horizon file). "
+            "By default CSV is printed."
+        ),
     ] = None,
     surface: Surfaces = None,
     k: RefractionK = _CURVATURE.refraction_k,
@@ -144,7 +149,7 @@ def panorama(
         float, Option(metavar="DEG", help="Azimuth of the picture's middle, from true north.")
     ] = _PANORAMA.heading_deg,
     fov_deg: Annotated[
-        float, Option("--fov-deg", help="The picture's width in degrees, 5 to 360.")
+        float, Option("--fov-deg", metavar="DEG", help="The picture's width in degrees, 5 to 360.")
     ] = _PANORAMA.fov_deg,
     eye_height: EyeHeight = _PANORAMA.eye_height_m,
     summit_within: SummitWithin = None,
@@ -222,7 +227,7 @@ def _warn(found: LocalHorizons) -> None:
     unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
     if unsure.any():
         _log.warning(
-            "of the azimuths %.2g %% look over the DEM's border or over a "
-            "hole, where higher terrain may be hidden; give a DEM of a wider area",
+            "%.2g %% of the azimuths look over the DEM's border or over a hole, where higher "
+            "terrain may be hidden; give a DEM of a wider area",
             100.0 * unsure.mean(),
         )

@@ -101,7 +101,7 @@ def _elements(server: str, answer: bytes) -> list[Any]:
     if "error" in str(note):
         raise FetchError(
             f"{shown(server)}: the server gave up ({' '.join(str(note).split())[:120]}); choose "
-            "smaller bounds, or raise --timeout"
+            "smaller bounds, or try again later"
         )
     return elements
 

@@ -214,7 +214,7 @@ class MatchResult:
     def to_text(self) -> str:
         """Return the lines that ``skyline match`` prints."""
         lens = self.query.lens
-        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
         if self.answer is not None:
             near = "" if self.within_m is None else f", right within {self.within_m:g} m"
             lines.append(f"the answer is candidate 1{near}; all candidates, best first:")
@@ -225,7 +225,7 @@ class MatchResult:
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {_quality(one)}{unrefined}")
         if 0 < len(self.candidates) < TOP:
             count = f"{len(self.candidates)} of {TOP} candidates"
-            lines.append(f"{count}: no other place was worth refining to the end")
+            lines.append(f"{count}: no other place fitted well enough to be refined to the end")
         if self.beyond:
             lines.append(self.beyond)
         if lens is not None:

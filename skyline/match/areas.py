@@ -156,7 +156,7 @@ def prepare_area(
         ]
         if serving:
             made = min(serving)[2]
-            print_note(f"{made.folder}: the area is there already")
+            print_note(f"the area is in the cache already: {made.folder}")
             return made
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
@@ -166,7 +166,7 @@ def prepare_area(
             if made.is_finished:
                 return made
             _check_room(folder, bounds, with_tiles=not files)
-            print_note(f"{folder} keeps what is made for this area")
+            print_note(f"the area is kept in the cache: {folder}")
             if not files:
                 files = _fetch(folder, bounds, source, print_note, bar)
             with bar("reading the elevation model"):
@@ -176,7 +176,7 @@ def prepare_area(
             print_note(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
                 built = build_places(terrain, made.store, bounds_deg=bounds, progress=progress)
-            print_note(f"{built.rows} places are built, in {built.seconds:.0f} s")
+            print_note(f"{built.rows} places were built in {built.seconds:.0f} s")
             return made
 
 

@@ -1,10 +1,10 @@
-r"""Confidence: the probability that a pose is right, and why one too low is refused as an answer.
+r"""Confidence: the probability that a pose is right, and the reason why a low one is refused.
 
 A pose is right if it lies within 200 m of the truth, or roughly right within 1 km, and looks the
 same way, within 30 degrees.
 
-It is a logistic model of figures that a match gives, learned from synthetic queries on other
-terrain than any result is reported on (``python -m skyline_training confidence``, which also draws
+It is a logistic model of figures that a match gives, learned from synthetic queries on terrain
+for which no result is reported (``python -m skyline_training confidence``, which also draws
 the reliability diagram):
 
 .. math::

@@ -54,7 +54,7 @@ def locate(
     Returns
     -------
     MatchResult
-        As of `Matcher.match`.
+        The result of `Matcher.match`: candidates, best first, and an answer or a refusal.
 
     Raises
     ------

@@ -64,6 +64,7 @@ class Matcher:
         ``full``, which searches a store of places, or one of `PROFILE_MATCHERS`, which search a
         store of renderings.
     config : MatchConfig, optional
+        Settings of the search, and the confidence from which there is an answer.
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may match, and several at a time. By default the
         thread that makes the matcher renders, and only that thread may match.

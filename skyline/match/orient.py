@@ -1,7 +1,7 @@
 """Orientation: how a camera was held at a known place.
 
-The place is known to some metres; the heading may be any. The skylines of the place and of a ring
-of places around it are rendered, and a pose is fitted to each of them from every heading, as
+The place is known to some metres, and the heading is not known. The skylines of the place and of a
+ring of places around it are rendered, and a pose is fitted to each of them from every heading, as
 retrieval fits poses to the places of a store. The best poses are then refined by rendering, with
 the known place as a prior, so the eye may move.
 
@@ -83,6 +83,7 @@ class Orientation:
     Attributes
     ----------
     query : QuerySkyline
+        The skyline that was fitted.
     pose : Candidate or None
         The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
     heading_sd_deg, pitch_sd_deg, roll_sd_deg, fov_sd_deg : float
@@ -146,7 +147,7 @@ class Orientation:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient`` prints."""
-        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
         if self.pose is not None:
@@ -155,11 +156,11 @@ class Orientation:
                 f"heading {pose.heading_deg:.2f} +- {self.heading_sd_deg:.2f} from true north  "
                 f"pitch {pose.pitch_deg:.2f} +- {self.pitch_sd_deg:.2f}  "
                 f"roll {pose.roll_deg:.2f} +- {self.roll_sd_deg:.2f}  "
-                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f}"
+                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f} degrees"
             )
             lines.append(
                 f"confidence {self.confidence:.2f} that the heading is right within "
-                f"{RIGHT_DEG:g} degree; the eye {self.moved_m:.0f} m from the place given"
+                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given"
             )
         if self.query.lens is not None:
             lines.append(self.query.lens.in_words)
@@ -181,7 +182,7 @@ class Orienter:
         Elevation of the eye above the DEM's datum; by default the eye stands on the ground, which
         the fit may correct.
     within_m : float
-        Standard error of the place.
+        Standard error of the place, metres.
 
     Raises
     ------

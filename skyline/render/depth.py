@@ -54,7 +54,7 @@ class DepthRenderer(Renderer):
         if max(field.rows, field.cols, width) > largest:
             raise InputError(
                 f"a DEM of {field.cols} x {field.rows} samples at width {width} does not fit this "
-                f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
+                f"OpenGL's textures of at most {largest}; cut the DEM to the area (`rio clip`)"
             )
         holes = {"HOLES": "", "HOLE_HEIGHT_M": f"{_HOLE_HEIGHT_M:.1e}"} if field.has_holes else {}
         self._terrain = compile_shaders(

@@ -115,7 +115,7 @@ def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | Non
     """
     root = Xml.Element("kml", xmlns=_KML)
     folder = _child(root, "Document")
-    _child(folder, "name", "Where these were taken")
+    _child(folder, "name", "Where the photos were taken")
     for result, href in zip(results, hrefs, strict=True):
         name = Path(result.name).name
         for candidate in result.candidates:

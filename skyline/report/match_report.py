@@ -82,7 +82,7 @@ def report_matches(
     made_by = f"skyline {PACKAGE_VERSION} {today}"
     export_matches(folder / "matches.geojson", results, matcher.frame)
     path = folder / "index.html"
-    write_with_folders(path, page("Where these were taken", lead, sections, made_by))
+    write_with_folders(path, page("Where the photos were taken", lead, sections, made_by))
     return path
 
 
@@ -100,7 +100,7 @@ def _about(viewer: Viewer | None) -> str:
             "rendered for the candidates and no peak is named (give --dem)."
         )
     if viewer.peaks is None:
-        return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
+        return "No file of peaks was given, so no peak is named (--peaks FILE)."
     return (
         f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
         "nothing on the line to them stands above them in the elevation model."

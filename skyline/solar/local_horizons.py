@@ -148,7 +148,7 @@ class LocalHorizons(Rows):
         return ax
 
     def __repr__(self) -> str:
-        return f"LocalHorizons({len(self)} places, {self.azimuth_deg.shape[1]} azimuths)"
+        return f"LocalHorizons(places={len(self)}, azimuths={self.azimuth_deg.shape[1]})"
 
     def _repr_html_(self) -> str:
         """Return the plots of the first places, for a notebook."""

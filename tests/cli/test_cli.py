@@ -239,6 +239,11 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path)
     assert store.read_bytes() == before
 
 
+def test_help_shows_no_type_beside_a_flag(run):
+    (flag,) = (line for line in run("info", "--help").out.splitlines() if "--json" in line)
+    assert "bool" not in flag.lower()
+
+
 def test_explain_gives_the_model_and_its_errors(dem, run):
     at = "{:.9f},{:.9f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
     done = run("explain", dem, "--at", at, "--json")

@@ -68,7 +68,7 @@ def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, serv
     (tmp_path / "places.csv").write_text("Name;Longitude;Latitude\nAlp;9,501;46,5\n")
     near = "--near", "alp,1", "--peaks", "places.csv"
     again = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--json").ok()
-    assert "there already" in again.err
+    assert "in the cache already" in again.err
     assert "reading the elevation model" not in again.err
     quiet = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--quiet")
     assert (quiet.code, quiet.err) == (0, "")

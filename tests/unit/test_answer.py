@@ -99,5 +99,6 @@ def test_an_answer_and_a_refusal_are_printed_with_their_query():
     assert "score 0.00421 (the lower" in scored.to_text()
     refused = MatchResult(query(), (), 1.5, "no place fits", name="c.jpg")
     assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
+    assert replace(refused, name="").to_text().startswith("query (1.50 s)")
     said = {"query": "c.jpg", "seconds": 1.5, "refusal": "no place fits"}
     assert refused.to_dict() == said | {"answer": None, "answer_within_m": None, "candidates": []}
