@@ -33,8 +33,9 @@ def sky_model(
 ) -> None:
     """Train the network that finds skylines in photos on drawn photographs, and write it.
 
-    Skyline's own was trained for MINUTES on an H100 GPU, while 16 cores drew PHOTOS photographs.
-    Without a GPU it is trained on a processor, a hundred times more slowly.
+    The photographs are drawn meanwhile on all cores. Skyline's own network was trained
+    for 8 minutes on an H100 GPU, and then its decoder for 34 on two cores; see
+    docs/accuracy.md.
     """
     try:
         from skyline_training import network  # noqa: PLC0415  (torch is an extra)
