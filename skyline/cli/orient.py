@@ -37,6 +37,7 @@ from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer
+from skyline.terrain.viewpoints import check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NAMED = 5
@@ -306,4 +307,7 @@ def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
     """Return the pose of a record; without an elevation the eye stands on the ground."""
     given = {name: record[name] for name in (*_NEEDED, "pitch_deg", "roll_deg") if name in record}
     others = {name: record[name] for name in record if name not in given}
-    return replace(viewer.pose(**given), **others)
+    standing = viewer.pose(**given)
+    if "eye_elevation_m" in others:
+        check_eye_elevation(others["eye_elevation_m"], standing.eye_elevation_m)
+    return replace(standing, **others)

@@ -46,5 +46,8 @@ def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):
     assert_refused(run(*orient, "--at", "9"), "expected LON,LAT or LON,LAT,ELEV")
     assert_refused(run(*orient, "--at", "0,0"), "off the map")
     assert_refused(run(*orient, "--at", "9.2,46.7", "--within", "900"), "skyline match")
+    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    assert_refused(run(*orient, "--at", f"{at},30000"), "is 30000 m; expected metres")
+    assert_refused(run(*orient, "--at", f"{at},-400"), "is -400 m, and the ground of the DEM lies")
     absent = run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46")
     assert_refused(absent, "does not exist")
