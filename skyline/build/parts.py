@@ -191,6 +191,9 @@ def build_store(
             if not path.exists() or not (finished := finished_store(path, header)):
                 raise
             rows = finished.rows
+        finally:
+            with suppress(OSError):  # It is empty if its first part could not be written.
+                folder.rmdir()
     _remove(folder)
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"

@@ -37,12 +37,13 @@ from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer
+from skyline.terrain.viewpoints import check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NAMED = 5
 """Summits that are not seen of which the names are printed."""
-_ELEVATIONS_M = -500.0, 20_000.0
-"""Elevations from which a photo may have been taken, aeroplanes included."""
+
+
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
@@ -141,11 +142,6 @@ def camera_place(at: str | None) -> Place | None:
     lon, lat, *rest = parse_numbers(at, count, error)
     if not are_degrees(lon, lat):
         raise InputError(error)
-    if rest and not _ELEVATIONS_M[0] <= rest[0] <= _ELEVATIONS_M[1]:
-        raise InputError(
-            f"the elevation in --at is {rest[0]:g} m; expected {_ELEVATIONS_M[0]:g} to "
-            f"{_ELEVATIONS_M[1]:g}, or leave it out"
-        )
     return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
 
 
@@ -315,4 +311,7 @@ def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
     """Return the pose of a record; without an elevation the eye stands on the ground."""
     given = {name: record[name] for name in (*_NEEDED, "pitch_deg", "roll_deg") if name in record}
     others = {name: record[name] for name in record if name not in given}
-    return replace(viewer.pose(**given), **others)
+    standing = viewer.pose(**given)
+    if "eye_elevation_m" in others:
+        check_eye_elevation(others["eye_elevation_m"], standing.eye_elevation_m)
+    return replace(standing, **others)

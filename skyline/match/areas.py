@@ -2,9 +2,9 @@
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
 ``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN has
-a digest of the source, or of the DEM's files with their sizes and times; DIGEST is a digest of all
-else on which the rows of a store depend. A store appears when it is finished, so a search that
-finds one needs no server.
+a digest of the source, or of the DEM's files, and those that GDAL reads beside them, with their
+sizes and times; DIGEST is a digest of all else on which the rows of a store
+depend. A store appears when it is finished, so a search that finds one needs no server.
 """
 
 import errno
@@ -14,11 +14,11 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -32,7 +32,7 @@ from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.rasters import absolute_name
+from skyline.terrain.rasters import absolute_name, files_of
 
 SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -47,6 +47,9 @@ _SAMPLE_BYTES_DEG2 = 8 * 3600**2
 terrain that is read from them."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
+_LOCK = "lock"
+_LOCK_TRIES = 1000
+"""Times that a lock is sought anew because another process has removed its folder."""
 _RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
 
 PrintNote = Callable[[str], None]
@@ -161,7 +164,6 @@ def prepare_area(
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
         made = CachedArea(folder, bounds)
-        folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder, print_note):
             if made.is_finished:
                 return made
@@ -172,10 +174,10 @@ def prepare_area(
             with bar("reading the elevation model"):
                 terrain = read_dem(files)
             _check_terrain(terrain, area, dem)
-            save_field(terrain, made.terrain)
             print_note(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
                 built = build_places(terrain, made.store, bounds_deg=bounds, progress=progress)
+            save_field(terrain, made.terrain)
             print_note(f"{built.rows} places were built in {built.seconds:.0f} s")
             return made
 
@@ -200,10 +202,13 @@ def clear_cache(print_note: PrintNote = lambda _: None) -> int:
                 if not is_alone:
                     print_note(f"{area.folder} is being made by another skyline, and stays")
                     continue
-                shutil.rmtree(area.folder)
+                # The lock goes last: another process may wait for it.
+                for path in area.folder.iterdir():
+                    if path.is_dir():
+                        shutil.rmtree(path)
+                    elif path.name != _LOCK:
+                        path.unlink()
                 cleared += 1
-            with suppress(OSError):
-                area.folder.parent.rmdir()
     return cleared
 
 
@@ -226,7 +231,8 @@ def _origin(files: Sequence[str], source: str) -> str:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
         return f"{name}-{_digest(template)}"
-    facts = [(file, Path(file).stat() if Path(file).is_file() else None) for file in files]
+    read = dict.fromkeys(one for file in files for one in (file, *files_of(file)))
+    facts = [(file, Path(file).stat() if Path(file).is_file() else None) for file in read]
     about = [(file, known and (known.st_size, known.st_mtime_ns)) for file, known in facts]
     return f"dem-{_digest(*about)}"
 
@@ -377,19 +383,51 @@ def _explained() -> Iterator[None]:
 
 @contextmanager
 def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold the lock of an area; yields whether it is held.
+    """Hold the lock of an area, whose folder is made for it; yields whether the lock is held.
 
-    The lock is waited for if ``print_note`` is given.
+    The lock is waited for if ``print_note`` is given. A folder that has nothing but the lock in the
+    end is removed.
     """
-    with (folder / "lock").open("w") as file:
-        is_alone = True
+    file, is_alone = _lock(folder, print_note)
+    with file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            is_alone = print_note is not None
-            if print_note is not None:
-                print_note(f"waiting for another skyline, which is making {folder}")
-                fcntl.flock(file, fcntl.LOCK_EX)
-        except OSError:
-            pass  # Some network folders have no locks.
-        yield is_alone
+            yield is_alone
+        finally:
+            if is_alone:
+                _remove_unused(folder)
+
+
+def _lock(folder: Path, print_note: PrintNote | None) -> tuple[TextIO, bool]:
+    """Return the open file of an area's lock, and whether the lock is held."""
+    path = folder / _LOCK
+    for _ in range(_LOCK_TRIES):
+        # Another process may remove the folder at any time: mkdir raises either error then.
+        with suppress(FileNotFoundError, FileExistsError), ExitStack() as opened:
+            folder.mkdir(parents=True, exist_ok=True)
+            file = opened.enter_context(path.open("w"))
+            is_alone = True
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                is_alone = print_note is not None
+                if print_note is not None:
+                    print_note(f"waiting for another skyline, which is making {folder}")
+                    fcntl.flock(file, fcntl.LOCK_EX)
+            except OSError:
+                pass  # Some network folders have no locks.
+            # A file that another process has removed meanwhile locks nothing.
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                opened.pop_all()
+                return file, is_alone
+    raise _unwritable(f"{folder} cannot be made, or is removed at once")
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove an area's folder, of which the lock is held, if it has nothing but the lock."""
+    with suppress(OSError):
+        (folder / "tiles").rmdir()
+    with suppress(OSError):
+        if [path.name for path in folder.iterdir()] == [_LOCK]:
+            (folder / _LOCK).unlink()
+            folder.rmdir()
+            folder.parent.rmdir()

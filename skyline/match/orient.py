@@ -39,7 +39,12 @@ from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_at, stand_where_possible
+from skyline.terrain.viewpoints import (
+    Viewpoints,
+    check_eye_elevation,
+    stand_at,
+    stand_where_possible,
+)
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
@@ -187,9 +192,11 @@ class Orienter:
     Raises
     ------
     OffMapError
-        The place is off the map or on a hole.
+        The place is off the map or on a hole, or the elevation lies more than 200 m below all
+        ground within ``within_m``.
     InputError
-        ``within_m`` is not above 0, or above 500 m, or the DEM cannot be read.
+        ``within_m`` is not above 0, or above 500 m, no place on Earth has the elevation, or the DEM
+        cannot be read.
     """
 
     def __init__(
@@ -212,6 +219,8 @@ class Orienter:
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m = elevation_m
+        if elevation_m is not None:
+            check_eye_elevation(elevation_m, float(self._eyes_around().eye_elevation_m.min()))
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views)
         # Kept, since it holds the terrain's textures, which the scene shares.
@@ -325,12 +334,16 @@ class Orienter:
 
     def _rendered_places(self) -> Places:
         """Return the known place and a ring of places around it, with their skylines."""
-        ring = self._within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
-        place = complex(self._east, self._north) + np.concatenate([[0.0], ring])
-        eyes, _ = stand_where_possible(self.terrain, place.real, place.imag)
+        eyes = self._eyes_around()
         if self._elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
         return Places.of(self._panoramas.render(eyes), self._within_m / 2.0)
+
+    def _eyes_around(self) -> Viewpoints:
+        """Return eyes on the ground at the known place, and at a ring of places around it."""
+        ring = self._within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        place = complex(self._east, self._north) + np.concatenate([[0.0], ring])
+        return stand_where_possible(self.terrain, place.real, place.imag)[0]
 
 
 @contextmanager

@@ -92,8 +92,8 @@ def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
     input. A list is a CSV file with a column ``path``. Paths count from the list's folder; fields
     that a row leaves empty are those of ``common``, whose own path is not used.
 
-    Raises `InputError` for a list with an unknown column or a bad value, and for a folder without
-    pictures.
+    Raises `InputError` for a list with an unknown column or a bad value, and for a list or a folder
+    without pictures.
     """
     for path in _expanded(paths):
         table = None
@@ -104,6 +104,8 @@ def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
             yield replace(common, path=str(path))
             continue
         table.refuse_other("path", *_NUMBERS, "id", "name")
+        if not table.rows:
+            raise InputError(f"{path} is a list without photos; add a row for each")
         for row in table.rows:
             yield _query(table, row, common)
 

@@ -101,12 +101,13 @@ class ResultsFile:
 def _read_csv(path: Path) -> list[tuple[str, str]]:
     """Return the query and the search of each row; cut off a row whose writing was interrupted."""
     held = path.read_bytes() if path.exists() else b""
-    whole = held[: held.rfind(b"\n") + 1] or ",".join(_TYPES).encode() + b"\n"
+    header = ",".join(_TYPES).encode() + b"\n"
+    whole = held[: held.rfind(b"\n") + 1] or header
+    rows = csv.DictReader(io.StringIO(whole.decode()))
+    if rows.fieldnames != list(_TYPES) or not (b"\n" in held or header.startswith(held)):
+        raise InputError(f"--results {path} is no file of results; name another one")
     if whole != held:
         path.write_bytes(whole)
-    rows = csv.DictReader(io.StringIO(whole.decode()))
-    if rows.fieldnames != list(_TYPES):
-        raise InputError(f"--results {path} is no file of results; name another one")
     return [(row["query"], row["search"]) for row in rows]
 
 

@@ -262,7 +262,8 @@ def in_words(picture: Picture) -> str:
 def opened_image(picture: Picture) -> Iterator[Image.Image]:
     """Open a picture; errors of decoding in the ``with`` block raise as in `read_photo`."""
     if isinstance(picture, Image.Image):
-        yield picture
+        with _decoded("the image"):
+            yield picture
         return
     if isinstance(picture, np.ndarray):
         is_image = picture.shape[2:] in {(), (3,), (4,)} and picture.size and picture.ndim > 1
@@ -282,7 +283,7 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
     elif not path.is_file():
         raise InputError(f"{path} is not a file; {_EXPECTED}")
     try:
-        with warnings.catch_warnings(), _unlimited_size():
+        with _decoded(str(path)), warnings.catch_warnings(), _unlimited_size():
             # Pillow warns about large images, which are bounded here, and about odd EXIF.
             warnings.simplefilter("ignore")
             with suppress(ImportError):
@@ -299,11 +300,18 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
                 "pip install pillow-heif"
             )
         raise InputError(f"{path} is {reason}") from error
-    except InputError:
+
+
+@contextmanager
+def _decoded(name: str) -> Iterator[None]:
+    """Turn any error of decoding in the ``with`` block into an `InputError` of one line."""
+    try:
+        yield
+    except (InputError, UnidentifiedImageError):
         raise
     except Exception as error:  # Decoders raise nearly anything on damaged files.
         raise InputError(
-            f"{path} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
+            f"{name} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
             "open and save it as PNG"
         ) from error
 

@@ -24,6 +24,9 @@ _MIN_SHARE = 0.98
 """Least share of a mask's pixels that are nearly black or white; the rest is its border."""
 _SAMPLES = 500
 _MIDDLE = 127.5
+_FLAT_PX, _MOST_FLAT, _MOST_WHITE = 1.0, 0.9, 0.1
+"""A border within so many pixels of its median in more than the share of columns, with more than
+the share of white below it, is the frame of a mask whose ground is white."""
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32
@@ -141,14 +144,25 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     """Return the border above each column's topmost ground; NaN if it has no sky above ground.
 
     A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
+    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, or white
+    ground in a white frame is taken for it.
     """
-    row_px, _ = topmost_border(image[:, :, 1].astype(np.float64), _MIDDLE)
+    sky = image[:, :, 1].astype(np.float64)
+    row_px, first = topmost_border(sky, _MIDDLE)
     drawn = np.isfinite(row_px)
     if not drawn.any():
         raise InputError(
             "no skyline found: the mask has no column with sky (white) above ground (black); "
             "expected white for the sky"
+        )
+    is_flat = np.abs(row_px - np.nanmedian(row_px))[drawn] <= _FLAT_PX
+    white_below = (np.count_nonzero(sky >= _MIDDLE, axis=0) - first)[drawn].sum()
+    share = white_below / (len(sky) - first)[drawn].sum()
+    if is_flat.mean() > _MOST_FLAT and share > _MOST_WHITE:
+        raise InputError(
+            f"the mask has a straight border at row {np.nanmedian(row_px):.0f} and white below it, "
+            "as one with white ground in a white frame; expected white for the sky, black for the "
+            "ground, and no frame"
         )
     return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
 

@@ -217,7 +217,7 @@ def _named_point(feature: Any) -> _Point | None:
         lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
         name = " ".join(str(properties["name"] or "").split())
         ele = properties.get("ele")
-    except (TypeError, KeyError, ValueError, AttributeError):
+    except (TypeError, KeyError, ValueError, OverflowError, AttributeError):
         return None
     if not name or geometry.get("type") != "Point" or not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
         return None

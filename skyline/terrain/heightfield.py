@@ -81,7 +81,7 @@ class HeightField:
     ----------
     heights_m : (rows, cols) float32 or float64, read-only
         Metres above the DEM's datum at the samples; row 0 is the northernmost, column 0 the
-        westernmost; NaN marks a hole.
+        westernmost; NaN marks a hole, as do masked samples of an array that is given.
     west_m, north_m : float
         Easting of column 0 and northing of row 0, at the samples (pixel centres).
     spacing_east_m, spacing_north_m : float
@@ -97,13 +97,16 @@ class HeightField:
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
-        heights = self.heights_m
+        heights = np.asanyarray(self.heights_m)
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(
                 f"heights have shape {heights.shape}; expected a non-empty (rows, cols) grid"
             )
+        if heights.dtype.kind not in "fiub":
+            raise InputError(f"heights are {heights.dtype} numbers; expected real ones, in metres")
         if heights.dtype not in (np.float32, np.float64):
             heights = heights.astype(np.float32)
+        heights = np.ma.filled(heights, np.nan)
         if np.isinf([np.fmin.reduce(heights, axis=None), np.fmax.reduce(heights, axis=None)]).any():
             raise InputError("heights hold infinite values; mark holes with NaN")
         spacing = self.spacing_east_m, self.spacing_north_m
@@ -111,6 +114,11 @@ class HeightField:
             raise InputError(
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
                 "A grid in degrees is read by read_dem, HeightField.from_rasterio or from_xarray"
+            )
+        if not np.isfinite([self.west_m, self.north_m]).all():
+            raise InputError(
+                f"the first sample is at {self.west_m}, {self.north_m}; expected easting and "
+                "northing in metres"
             )
         # A private copy, so that the digest stays true. A frozen array is taken over as it is: a
         # large DEM must not need twice its memory.

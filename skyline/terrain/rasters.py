@@ -133,6 +133,21 @@ def absolute_name(path: str | Path) -> str:
     raise MissingFileError(f"there is no file {text}; check the path of the DEM")
 
 
+def files_of(name: str) -> list[str]:
+    """Return the files that GDAL reads for a local raster, empty if it cannot open it.
+
+    They are its own, those beside it with a georeference or a CRS, and those that a virtual raster
+    names.
+    """
+    if "://" in name or name.startswith("/vsi"):
+        return []
+    with warnings.catch_warnings(), suppress(RasterioError):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(name) as dataset:
+            return list(dataset.files)
+    return []
+
+
 def shown(text: str) -> str:
     """Return text without what may be secret in its addresses: user, password and query."""
     return _SECRET.sub("", text)
@@ -230,8 +245,13 @@ def _heights_of(
 ) -> Float32Array:
     """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared.
 
-    Raises `InputError` for numbers that are not real.
+    Raises `InputError` for numbers that are not real, and for a scale that leaves no heights.
     """
+    if not (np.isfinite([scale, offset]).all() and scale):
+        raise InputError(
+            f"{source} has the scale {scale:g} and the offset {offset:g}, which leave no heights; "
+            "correct them (gdal_edit.py -scale 1 -offset 0)"
+        )
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
     heights: Float32Array = band.astype(np.float32)
@@ -296,7 +316,7 @@ def _grid_of(
 
     Raises `InputError` for a raster without a georeference, or with a rotated grid.
     """
-    if transform.is_identity:
+    if transform.is_identity or not np.isfinite(transform).all():
         raise InputError(
             f"{source} has no georeference, so its place on the map is unknown; give a "
             "georeferenced DEM"

@@ -9,12 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
-from skyline.geodesy import Frame, Rectangle
+from skyline.geodesy import GROUND_M, Frame, Rectangle
 from skyline.tables import read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
+_HIGHEST_EYE_M = 20_000.0
+"""Above all aeroplanes from which people take photos."""
+_MOST_BELOW_M = 200.0
+"""Vertical datums differ by up to 100 m, and models err as much beside cliffs."""
 _MOST_WITHIN_M = 10_000.0
 """Greatest radius in which the highest point around an eye may be searched."""
 
@@ -172,6 +176,27 @@ def at_elevation(
         - stand_on(field, easting_m=easting, northing_m=northing, eye_height_m=0.0).eye_elevation_m
     )
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_elevation)
+
+
+def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
+    """Raise `InputError` for an elevation of an eye that is none on Earth, or far underground.
+
+    ``ground_m`` is the elevation of the lowest ground where the eye may stand. An elevation may be
+    of another vertical datum than the model, and the model may be wrong, so that an eye may lie
+    somewhat below it.
+    """
+    lowest_m = GROUND_M[0]
+    if not lowest_m <= eye_elevation_m <= _HIGHEST_EYE_M:
+        raise InputError(
+            f"the eye's elevation is {eye_elevation_m:g} m; expected metres above the DEM's datum, "
+            f"{lowest_m:g} to {_HIGHEST_EYE_M:g}"
+        )
+    if eye_elevation_m < ground_m - _MOST_BELOW_M:
+        raise OffMapError(
+            f"the eye's elevation is {eye_elevation_m:g} m, and the ground of the DEM lies at "
+            f"{ground_m:.0f} m there; expected metres above the DEM's datum: correct it, or leave "
+            "it out"
+        )
 
 
 def _no_ground(

@@ -134,6 +134,7 @@ def test_bad_input_is_one_line(run, made, cache, tmp_path, arguments, message):
     assert "error" not in notes
     assert_refused(replace(done, err=f"{error}\n"), message)
     assert not list(cache.rglob("*.h5"))
+    assert areas.cached_areas() == []
 
 
 def test_failures_of_a_server_are_one_line_and_the_next_try_continues(run, made, cache, server):
@@ -213,3 +214,32 @@ def test_an_interrupted_build_continues(made, cache, server):
     assert ready.store.exists()
     assert not server.requests
     assert not list(unfinished.folder.rglob("*-of-*.h5"))
+
+
+def test_a_lock_that_is_removed_while_waited_for_is_taken_anew(cache):
+    folder = areas._areas() / "dem-1" / "9.00_46.00_10.00_47.00"
+    waits, holds, ends = threading.Event(), threading.Event(), threading.Event()
+
+    def wait():
+        with areas._locked(folder, lambda _: waits.set()):
+            holds.set()
+            ends.wait(20.0)
+
+    with areas._locked(folder):
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+        assert waits.wait(20.0)
+    assert holds.wait(20.0)
+    with areas._locked(folder) as is_alone:
+        assert not is_alone
+    ends.set()
+    waiting.join(20.0)
+    assert not folder.parent.exists()
+
+
+def test_files_beside_a_dem_tell_areas_apart(made, tmp_path):
+    dem = tmp_path / "dem.tif"
+    shutil.copy(made / "dem.tif", dem)
+    before = areas._origin([str(dem)], "copernicus")
+    (tmp_path / "dem.tif.aux.xml").write_text("<PAMDataset><SRS>EPSG:4258</SRS></PAMDataset>")
+    assert areas._origin([str(dem)], "copernicus") != before

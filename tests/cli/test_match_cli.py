@@ -103,12 +103,21 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
         ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is `wide`; expected a number"),
         ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
         ("path,lowest_m,highest_m", "one.jpg,900,100", "line 2: elevations are 900 to 100 m"),
+        ("path,fov_deg", "", "is a list without photos"),
     ],
 )
 def test_a_bad_list_is_refused_in_one_line(run, store, photo, tmp_path, header, row, said):
     shutil.copy(photo, tmp_path / "one.jpg")
     photos = csv_of(tmp_path / "list.csv", [row], header)
     assert_refused(run("match", store, photos), said)
+
+
+@pytest.mark.parametrize("content", ["my notes", "a,b\n1,2"])
+def test_a_file_that_has_no_results_is_refused_and_stays(run, store, photo, tmp_path, content):
+    (tmp_path / "mine.csv").write_text(content)
+    asked = "match", store, photo, "--matcher", "unrefined", "--results", tmp_path / "mine.csv"
+    assert_refused(run(*asked), "no file of results")
+    assert (tmp_path / "mine.csv").read_text() == content
 
 
 def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):

@@ -83,6 +83,16 @@ def begin(terrain, path, plan):
     return begun
 
 
+def test_a_first_part_that_cannot_be_written_leaves_nothing(terrain, tmp_path, monkeypatch):
+    def write_nothing(*_):
+        raise StoreError("no space left on device")
+
+    monkeypatch.setattr(parts, "write_store", write_nothing)
+    with pytest.raises(StoreError, match="no space"):
+        build_places(terrain, tmp_path / "s.h5", SPACING_M)
+    assert not list(tmp_path.iterdir())
+
+
 def test_places_of_a_grid_are_what_was_rendered(terrain, tmp_path):
     path, grid = tmp_path / "s.h5", uniform_grid(terrain, SPACING_M)
     done = build_places(terrain, path, SPACING_M)

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import rasterio
 from dem_files import write
 from rasterio.transform import Affine, from_origin
 
@@ -49,10 +50,18 @@ MOON = {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100
         (VOIDS, {"nodata": -9999.0}, None, "all samples are nodata"),
         (ONES.astype(np.complex64), {}, None, "expected real heights"),
         (ONES - 32000, {}, None, "beyond 30000 m"),
+        (ONES, {"transform": Affine(np.nan, 0.0, 0.0, 0.0, np.nan, 0.0)}, None, "no georeference"),
     ],
 )
 def test_a_raster_that_is_no_dem(tmp_path, heights, options, given, said):
     assert said in refused(write(tmp_path / "a.tif", heights, **options), DemOptions(crs=given))
+
+
+def test_a_scale_of_zero(tmp_path):
+    path = write(tmp_path / "a.tif", ONES)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales = (0.0,)
+    assert "has the scale 0" in refused(path)
 
 
 def test_not_a_raster(tmp_path):

@@ -173,6 +173,16 @@ def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
     assert capfd.readouterr().err == ""
 
 
+def test_an_opened_picture_that_is_cut_short_is_refused(tmp_path, scene):
+    Image.fromarray(scene.image).save(tmp_path / "a.jpg")
+    content = (tmp_path / "a.jpg").read_bytes()
+    with (
+        Image.open(io.BytesIO(content[: len(content) // 2])) as picture,
+        pytest.raises(InputError, match="the image cannot be decoded"),
+    ):
+        read_query(picture)
+
+
 def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     Image.new("1", (20_000, 10_000)).save(tmp_path / "huge.png")
     refused(tmp_path / "huge.png", "megapixels; expected at most 100")

@@ -121,6 +121,15 @@ def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
 
 
+def test_a_mask_of_white_ground_in_a_white_frame_is_refused(tmp_path):
+    mask = np.zeros((200, 300), np.uint8)
+    mask[80:] = mask[:4] = mask[-4:] = mask[:, :4] = mask[:, -4:] = 255
+    mask[60:80, 100:200] = 255  # a hill
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    with pytest.raises(InputError, match="row 4 and white below it, as one with white ground"):
+        read_query(tmp_path / "mask.png")
+
+
 @pytest.mark.parametrize("mode", ["1", "RGBA", "P", "I;16"])
 def test_mask_in_any_mode(tmp_path, mode):
     grey = np.zeros((30, 20), np.uint8)
