@@ -156,4 +156,4 @@ def test_a_horizon_of_a_file_is_drawn_and_shown_in_a_notebook(tmp_path):
     html = found._repr_html_()
     assert html.count("<svg ") == 5
     assert "and 2 more places" in html
-    assert "7 places" in repr(found)
+    assert repr(found) == "LocalHorizons(places=7, azimuths=48)"
