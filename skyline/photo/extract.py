@@ -64,7 +64,8 @@ _REFINE_REACH = 1.5
 _NETWORK_PIXELS = 230_000
 """Size of the network's input for photos of 3 to 2."""
 _ASPECT_SCALE = (0.7, 2.6)
-"""Least and greatest factor on it for other aspects: a panorama must be seen as tall as a photo."""
+"""Least and greatest factor on it for other aspects: a panorama must be seen as tall as a photo,
+and an upright photo as finely as one that lies."""
 _LEAST_PIXELS = 110_000
 """Smaller photos are enlarged to this size, others never."""
 _MULTIPLE_PX = 32
@@ -409,7 +410,7 @@ def levelled(rgb: UInt8Array) -> Float32Array:
 
 
 def _aspect_scale(height: int, width: int) -> float:
-    return float(np.clip(width / (1.5 * height), *_ASPECT_SCALE))
+    return float(np.clip(max(width / height, height / width) / 1.5, *_ASPECT_SCALE))
 
 
 def _network_odds(photo: UInt8Array) -> Float32Array:
