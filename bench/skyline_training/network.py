@@ -153,13 +153,14 @@ _WIDE = 2.0
 """Aspect of a panorama; half of the photographs in batches of panoramas' shapes are panoramas."""
 _BATCH = {"cuda": 64, "cpu": 8}
 _KEPT = {"cuda": 20480, "cpu": 2048}
-"""Photographs kept to learn from, and four times as many as panoramas; the newest replace the
+"""Photographs to learn from that are kept, beside a quarter as many panoramas. New ones replace the
 oldest."""
 _FIRST = 32
 """Photographs that must be there before training begins."""
 _CALIBRATED_ON, _CALIBRATED_CUTS = 64, 8
 """Photographs on which the log-odds are calibrated, and cuts of each shape from them."""
 _SCALES = np.geomspace(0.6, 2.0, 25).tolist()
+"""Factors on the log-odds that are tried."""
 _LEARNING_RATE = 3e-3
 _ENCODER_SHARE = 0.1
 """Share of the rate at which the encoder learns: it keeps what it knows of real photographs."""
@@ -201,7 +202,10 @@ class _Album:
     def cut(
         self, count: int, shape: tuple[int, int], rng: np.random.Generator
     ) -> tuple[Tensor, ...]:
-        """Return rectangles of photographs at a size, changed at random, as `_batch`."""
+        """Return rectangles of random photographs at a size, their light changed at random.
+
+        Pictures are (N, 3, H, W), levelled; labels (N, H/2, W/2); rows (N, W/2).
+        """
         device = self.image.device
         chosen = torch.from_numpy(rng.integers(0, min(self.added, len(self.image)), count)).to(
             device
@@ -371,7 +375,7 @@ def taught_by_imagenet() -> SkyNet:
 def _calibrate(net: SkyNet, photos: Iterator[TrainingPhoto], rng: np.random.Generator) -> None:
     """Scale the log-odds so that they are likeliest on photographs that were not trained on.
 
-    Averaged weights doubt too much.
+    Averaged weights doubt too much: those of Skyline's first run needed a factor of 1.3.
     """
     albums = list[_Album]()
     for photo in islice(photos, _CALIBRATED_ON):

@@ -42,8 +42,6 @@ from skyline.terrain.viewpoints import check_eye_elevation
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _NAMED = 5
 """Summits that are not seen of which the names are printed."""
-
-
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "

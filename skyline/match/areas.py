@@ -3,8 +3,8 @@
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
 ``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN has
 a digest of the source, or of the DEM's files, and those that GDAL reads beside them, with their
-sizes and times; DIGEST is a digest of all else on which the rows of a store
-depend. A store appears when it is finished, so a search that finds one needs no server.
+sizes and times; DIGEST is a digest of all else on which the rows of a store depend. A store appears
+when it is finished, so a search that finds one needs no server.
 """
 
 import errno

@@ -195,8 +195,8 @@ class Orienter:
         The place is off the map or on a hole, or the elevation lies more than 200 m below all
         ground within ``within_m``.
     InputError
-        ``within_m`` is not above 0, or above 500 m, no place on Earth has the elevation, or the DEM
-        cannot be read.
+        ``within_m`` is not above 0, or above 500 m, the elevation is not from -500 to 20,000 m, or
+        the DEM cannot be read.
     """
 
     def __init__(

@@ -2,11 +2,11 @@
 
 A skyline is one border row per column. A network gives the odds of the border in every pixel: its
 encoder knows real photographs (ImageNet), and it learned from drawn ones how mountains, clouds,
-trees and windows look together (``sky.onnx.gz``, trained by ``python -m skyline_training sky-
-model``). A path is cheap where the network expects the skyline and where there is an edge, and if
-it is not steep; dynamic programming finds the cheapest path exactly, at about 0.4 million pixels
-(up to 1 of a panorama). It is then refined to sub-pixel in a narrow band of the full photo. A
-column is trusted if the network holds it likely that the skyline runs along the path.
+trees and windows look together (``sky.onnx.gz``; ``python -m skyline_training sky-model``). A path
+is cheap where the network expects the skyline and where there is an edge, and if it is not steep;
+dynamic programming finds the cheapest path exactly, at about 0.4 million pixels (up to 1 of a
+panorama). It is then refined to sub-pixel in a narrow band of the full photo. A column is trusted
+if the network holds it likely that the skyline runs along the path.
 """
 
 import gzip
@@ -75,8 +75,9 @@ _WORK_PIXELS = 400_000
 aspect of panoramas as the network's input does."""
 
 _NOISE = 1.5
-"""Deviation, levels, of the noise that a photo gets before the network sees it, which learned from
-photographs with noise: perfectly flat skies, saturated or freed of noise, are strange to it."""
+"""Standard deviation, levels of 0 to 255, of the noise that is added to what the network sees. It
+learned from photographs with noise, so that perfectly flat skies are strange to it: cameras
+saturate them or remove their noise."""
 _LEVELS = (1.0, 99.0)
 """Percentiles of a channel that become its darkest and its brightest value."""
 

@@ -179,11 +179,12 @@ def at_elevation(
 
 
 def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
-    """Raise `InputError` for an elevation of an eye that is none on Earth, or far underground.
+    """Raise an error for an eye's elevation that no eye has, or that is far underground.
 
-    ``ground_m`` is the elevation of the lowest ground where the eye may stand. An elevation may be
-    of another vertical datum than the model, and the model may be wrong, so that an eye may lie
-    somewhat below it.
+    ``ground_m`` is the elevation of the lowest ground where the eye may stand. The eye may lie
+    somewhat below it, since the elevation may be of another vertical datum than the model, and the
+    model may be wrong. Raises `InputError` outside -500 to 20,000 m, and `OffMapError` more than
+    200 m below the ground.
     """
     lowest_m = GROUND_M[0]
     if not lowest_m <= eye_elevation_m <= _HIGHEST_EYE_M:
