@@ -179,8 +179,10 @@ Examples = dict[str, dict[str, list[Example]]]
 """Examples by terrain and stage."""
 
 KINDS = (
-    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3)),
-    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), occluded_share=(0.0, 0.4)),
+    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), distortion_sd=0.02),
+    QueryConfig(
+        fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), distortion_sd=0.02, occluded_share=(0.0, 0.4)
+    ),
 )
 
 
@@ -189,8 +191,9 @@ COARSE_M = 100.0
 _RAISED = replace(KINDS[0], eye_height_m=20.0)
 """Eyes on what a coarse model cuts off."""
 _PHOTO = QueryConfig(
-    fov_deg=(35.0, 75.0), occluded_share=(0.0, 0.3), width_px=900, height_px=600, azimuths=14_400
-)
+    fov_deg=(35.0, 75.0), distortion_sd=0.02, occluded_share=(0.0, 0.3), width_px=900,
+    height_px=600, azimuths=14_400,
+)  # fmt: skip
 _RENDERED_PX = 1440
 """Columns of the depth images of a heading, of 90 degrees."""
 _NOTED_SD_M, _NOTED_WRONG_SHARE = 30.0, 0.3

@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.geodesy import Frame
+from skyline.photo.query import undistorted
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -368,7 +369,20 @@ def draw_photo(
     picture = scene_rgb(renderer, eye, rays, distance, share, scenery, generator)
     for occluder in query.occluders:
         put_before(picture, occluder, generator)
-    return exposed(picture, generator)
+    return _bent(exposed(picture, generator), truth.distortion)
+
+
+def _bent(image: UInt8Array, distortion: float) -> UInt8Array:
+    """Return a photo (H, W, 3) of a pin-hole camera as a lens with a distortion shows it."""
+    height, width = image.shape[:2]
+    across = np.tile((2.0 * np.arange(width) + 1.0) / width - 1.0, (height, 1))
+    above = np.tile(((height - 1.0 - 2.0 * np.arange(height)) / width)[:, np.newaxis], (1, width))
+    across, above = undistorted(across, above, distortion)
+    columns = (across + 1.0) * width / 2.0 - 0.5
+    rows = (height - 1.0 - above * width) / 2.0
+    at = columns.astype(np.float32), rows.astype(np.float32)
+    bent = cv2.remap(image, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(bent, dtype=np.uint8)
 
 
 _CELLS = 400

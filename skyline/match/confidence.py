@@ -173,6 +173,7 @@ def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
+    bent = np.abs(poses.hypotheses.distortion) / (query.distortion_sd or np.inf)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.terrain_share,
@@ -180,6 +181,7 @@ def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
+        "distortion_deviations": np.minimum(bent, _MOST_LENS_DEVIATIONS),
         "roll_deg": np.abs(poses.hypotheses.roll_deg),
     } | _query_figures(query, len(poses))
 

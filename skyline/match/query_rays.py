@@ -26,10 +26,11 @@ USUAL_FOV_DEG = (55.0, 14.0)
 usual zoom lens."""
 PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
+_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.02, 0.05
+"""Standard deviations of a lens's distortion: phones correct most of it and cameras little. A zoom
+lens moves the sides of a photo by 1 to 3 % of half its width, and a wide one by more."""
 _WIDE_DEG = 75.0
-"""Lenses of a wider field of view may distort; phones correct the distortion of others."""
-_DISTORTION_SD = 0.05
-"""Standard deviation of the distortion that remains."""
+"""Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
 _WANDER_FOV_DEG = 240.0
 """Standard deviations of the ways in which the rows of a panorama of this field of view wander.
@@ -62,8 +63,8 @@ class QueryRays:
     distribution over the range."""
     is_panorama: bool = False
     distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about 0; 0 for a lens without any, and for a
-    panorama. A distortion k moves a ray outwards by k times its `reach`; see
+    """Standard deviation of the lens's distortion about 0; 0 for a lens known to have none, and for
+    a panorama. A distortion k moves a ray outwards by k times its `reach`; see
     `skyline.photo.query.undistorted`."""
 
     @classmethod
@@ -74,25 +75,25 @@ class QueryRays:
         of its own. Raises `InputError` for a query of unknown field of view, unless the matcher
         finds it, and for a panorama of unknown field of view.
         """
-        fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
+        is_panorama = query.projection.is_panorama
         weight = query.confidence[query.trusted]
-        if fov_deg is not None:
-            may_bend = fov_deg > _WIDE_DEG and not is_panorama
+        if query.fov_deg is not None:
+            fov_deg, lens = query.fov_deg, query.lens or Lens(query.fov_deg)
+            distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
             rays = cls(
                 *query.image_plane(),
                 weight,
                 fov_deg,
                 is_panorama=is_panorama,
-                distortion_sd=_DISTORTION_SD if may_bend else 0.0,
+                distortion_sd=0.0 if is_panorama else distortion_sd,
             )
-            lens = query.lens or Lens(fov_deg)
             slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_slack
             sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
             return rays.about(sd_deg, lens.most_deg or math.inf)
         if finds_fov and not is_panorama:
             fov_deg, sd_deg = USUAL_FOV_DEG
             u, v = query.with_fov(fov_deg).image_plane()
-            return cls(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg)
+            return cls(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg, distortion_sd=_DISTORTION_SD)
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
@@ -138,8 +139,8 @@ class QueryRays:
     def warp_sd(self) -> Float64Array:
         """Standard deviations (K,) of how an image may be warped.
 
-        One of the distortion of a lens that may distort, one for each column of a panorama's
-        `wander`, and none for other lenses.
+        One of the distortion of a lens that may distort, and one for each column of a panorama's
+        `wander`.
         """
         if self.is_panorama:
             grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)

@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 from scenes import field_of, fractal
 
 from skyline.match.query_rays import level
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import QuerySkyline, undistorted
+from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import at_elevation
+from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
+from skyline_training.photos import draw_photo
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
 
@@ -47,6 +50,41 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
         # Corners between two columns and the sides of cliffs are where widths differ.
         assert np.median(error) < 1e-4
         assert np.quantile(error, 0.95) < 0.02
+
+
+@pytest.mark.parametrize("distortion_sd", [0.0, 0.05])
+def test_a_bent_query_without_its_distortion_is_the_pin_hole_camera_s(terrain, distortion_sd):
+    """The truth's sign of the distortion is the matcher's."""
+    bent = replace(EXACT, distortion_sd=distortion_sd)
+    pairs = zip(
+        make_queries(terrain, AREA, 6, seed=2, config=EXACT),
+        make_queries(terrain, AREA, 6, seed=2, config=bent),
+        strict=True,
+    )
+    for straight, query in pairs:
+        k, half_width = query.truth.distortion, np.tan(np.radians(query.truth.fov_deg / 2.0))
+        across, above = (plane / half_width for plane in query.skyline.image_plane())
+        u, v = (half_width * place for place in undistorted(across, above, k))
+        expected_u, expected_v = straight.skyline.image_plane()
+        error = np.abs(v - np.interp(u, expected_u, expected_v, np.nan, np.nan))
+        assert (k == 0.0) == (distortion_sd == 0.0)
+        assert np.nanquantile(error, 0.9) < 0.5 * half_width / query.skyline.width_px
+        assert np.isfinite(error).mean() > 0.8
+
+
+def test_a_bent_photograph_s_skyline_is_its_query_s(terrain):
+    bright = Scenery(visibility_m=1e6, snow_line_m=np.inf, tree_line_m=-np.inf, clouds=0.0)
+    config = replace(EXACT, distortion_sd=0.05, height_px=240, azimuths=14_400)
+    with DepthRenderer(terrain, 640) as renderer:
+        for query in make_queries(terrain, AREA, 3, seed=2, config=config):
+            photo = draw_photo(renderer, query, 1, bright).astype(np.float64)
+            trusted = query.skyline.trusted
+            row = np.rint(query.skyline.row_px[trusted]).astype(int)
+            inside = (row > 6) & (row < 233)
+            column = np.flatnonzero(trusted)[inside]
+            above, below = (photo[row[inside] + d, column].mean(axis=1) for d in (-3, 3))
+            assert len(column) > 100
+            assert np.mean(above > below) > 0.95
 
 
 def test_a_seed_decides_and_the_count_does_not(terrain):

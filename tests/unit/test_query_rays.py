@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
 from skyline.match.query_rays import QueryRays, level, project
+from skyline.photo.query import Projection, QuerySkyline
 
 
 def test_the_frame_s_edge_stays_the_frame_s_edge():
@@ -30,6 +31,21 @@ def test_a_field_of_view_is_searched_about_the_one_given():
     assert about.with_fov(58.0).fov_sd_deg == np.inf
     wide = replace(rays, fov_deg=170.0).about(85.0)
     assert 0.0 < wide.fov_bounds_deg[0] < 170.0 < wide.fov_bounds_deg[1] < 180.0
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "projection", "sd"),
+    [
+        (60.0, "perspective", 0.02),
+        (90.0, "perspective", 0.05),
+        (None, "perspective", 0.02),
+        (90.0, "cylindrical", 0.0),
+    ],
+)
+def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
+    row_px = np.full(64, 20.0)
+    query = QuerySkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
+    assert QueryRays.of(query, 0.025, finds_fov=True).distortion_sd == sd
 
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():

@@ -39,6 +39,7 @@ KINDS: Mapping[str, QueryConfig] = MappingProxyType(
         "white": QueryConfig(smooth_share=0.0),  # Noise drawn anew in each column
         OTHER_DEM: QueryConfig(),
         "occluded": QueryConfig(occluded_share=(0.3, 0.3)),
+        "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
         "aligned": QueryConfig(
             fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
             noise_deg=(0.03, 0.03), masked_share=0.0,
@@ -52,7 +53,7 @@ KINDS: Mapping[str, QueryConfig] = MappingProxyType(
 """Kinds of queries, and how they are drawn. Query k of the kinds of `OF_ONE_AREA` has one place,
 and one pose unless it is aligned; the kinds of `SAME_PLACE` have the same places and photos."""
 
-OF_ONE_AREA = ("plain", "white", OTHER_DEM, "occluded", "aligned")
+OF_ONE_AREA = ("plain", "white", OTHER_DEM, "occluded", "bent", "aligned")
 SAME_PLACE = ("alone", "together", "with a stranger")
 
 

@@ -18,7 +18,7 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
 from skyline.match.query_rays import QueryRays
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import QuerySkyline, distorted
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
@@ -27,7 +27,7 @@ from skyline_bench.queries.pinhole import Camera
 
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""
-_POSE, _ERRORS, _MASKS, _OCCLUDERS = range(4)
+_POSE, _ERRORS, _MASKS, _OCCLUDERS, _LENS = range(5)
 """Draws, each from a generator of its own."""
 _SMOOTH_DEG = 1.0
 """How far along a skyline the correlation of smooth errors drops to 1/e."""
@@ -65,6 +65,8 @@ class QueryConfig:
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
+    # Standard deviation of the lens's distortion; see `skyline.photo.query.undistorted`.
+    distortion_sd: float = 0.0
     max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
     # Whether cameras look to grid north, east, south or west, as stored views do.
     is_aligned: bool = False
@@ -98,7 +100,8 @@ class Truth:
     heading_deg: float  # Grid azimuth of the optical axis, in [0, 360)
     pitch_deg: float
     roll_deg: float
-    fov_deg: float
+    fov_deg: float  # Of the pin-hole camera, before the distortion
+    distortion: float = 0.0
 
     def off_m(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return how far places are from this one, metres."""
@@ -114,7 +117,8 @@ class SyntheticQuery:
     given_fov_deg: float  # The field of view it is given with
     fov_slack: float  # Standard deviation of the true one about that, as a share
     truth: Truth
-    # (W,); the true skyline, without errors, masks and occluders; NaN where not in the image.
+    # (W,); the true skyline of the pin-hole camera, without errors, distortion, masks and
+    # occluders; NaN where not in the image.
     row_px: Float64Array
     distance_m: float  # Harmonic mean of that skyline's; NaN where none is in the image
     occluders: tuple[Occluder, ...]
@@ -124,10 +128,7 @@ class SyntheticQuery:
 
         It raises `InputError` where no column has a skyline.
         """
-        u, v = self.skyline.image_plane()
-        weight = self.skyline.confidence[self.skyline.trusted]
-        sd_deg = self.fov_slack * self.given_fov_deg
-        return QueryRays(u, v, weight, self.given_fov_deg).about(sd_deg)
+        return QueryRays.of(self.skyline, self.fov_slack, finds_fov=True)
 
 
 def make_queries(
@@ -211,13 +212,14 @@ def _photographed(
     horizons: Horizons, index: int, camera: Camera, entropy: list[int], config: QueryConfig
 ) -> SyntheticQuery:
     """Return what an extraction finds in a photo of one of the horizons."""
-    masks, errors, things = (
-        np.random.default_rng([*entropy, part]) for part in (_MASKS, _ERRORS, _OCCLUDERS)
+    masks, errors, things, lens = (
+        np.random.default_rng([*entropy, part]) for part in (_MASKS, _ERRORS, _OCCLUDERS, _LENS)
     )
     eye = (horizons.easting_m, horizons.northing_m, horizons.eye_elevation_m)
     easting_m, northing_m, eye_m = (float(part[index]) for part in eye)
     held = camera.heading_deg, camera.pitch_deg, camera.roll_deg, camera.fov_deg
-    truth = Truth(easting_m, northing_m, eye_m, *held)
+    distortion = config.distortion_sd * lens.standard_normal()
+    truth = Truth(easting_m, northing_m, eye_m, *held, distortion)
     azimuth_deg = np.degrees(bin_azimuths_rad(horizons.bins))
     elevation_tan = horizons.elevation_tan[index].astype(np.float64)
     row_px, sample = camera.skyline(azimuth_deg, elevation_tan)
@@ -232,6 +234,7 @@ def _photographed(
     found += _errors_px(errors, camera, config)
     for run in random_runs(masks, camera.width_px, config.masked_share, _MASKED_RUNS):
         found[slice(*run)] = np.nan
+    found = _bent(found, camera.height_px, distortion)
     seen_m = np.maximum(horizons.distance_m[index, sample[inside]].astype(np.float64), 1.0)
     given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
@@ -244,6 +247,22 @@ def _photographed(
         1.0 / float(np.mean(1.0 / seen_m)) if len(seen_m) else np.nan,
         occluders,
     )
+
+
+def _bent(row_px: Float64Array, height_px: int, distortion: float) -> Float64Array:
+    """Return a skyline's rows (W,) as a lens with a distortion shows them.
+
+    Columns without a row stay without one.
+    """
+    width_px, known = len(row_px), np.isfinite(row_px)
+    if distortion == 0.0 or not known.any():
+        return row_px
+    across = (2.0 * np.arange(width_px) + 1.0) / width_px - 1.0
+    above = (height_px - 1.0 - 2.0 * _filled(row_px)) / width_px
+    seen, height = distorted(across, above, distortion)
+    bent = np.interp(across, seen, height, left=np.nan, right=np.nan)
+    hidden = np.interp(across, seen, np.where(known, 0.0, 1.0)) > 0.0
+    return np.where(hidden, np.nan, (height_px - 1.0 - bent * width_px) / 2.0)
 
 
 def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConfig) -> Float64Array:
