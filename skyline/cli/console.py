@@ -73,7 +73,7 @@ Workers = Annotated[
 ]
 
 Dems = Annotated[
-    list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+    list[str], Argument(metavar="DEM...", help="Elevation files of one grid, or folders of them.")
 ]
 Surfaces = Annotated[
     list[str] | None,

@@ -40,7 +40,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.peaks import read_peaks
 from skyline.store import is_store
-from skyline.terrain.rasters import absolute_name
+from skyline.terrain.rasters import absolute_name, without_folders
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""
@@ -151,7 +151,7 @@ def match(
     check_outputs([*exports, results], [*stores, *query, *(Path(one.path) for one in queries)])
     for path in exports:
         suffix_of(path, EXPORTS)
-    surfaces = tuple(absolute_name(one) for one in surface or ())
+    surfaces = tuple(map(absolute_name, without_folders(surface or ())))
     file = None
     if results is not None:
         file = ResultsFile(results, _search_of(stores, matcher, common, surfaces))
@@ -170,7 +170,7 @@ def match(
         _match_each(output, queries, refused, iter(()))
         raise typer.Exit(output.exit_code)
     # Workers may have another working directory.
-    tiles = tuple(absolute_name(one) for one in dem or ())
+    tiles = tuple(map(absolute_name, without_folders(dem or ())))
     name = FULL if matcher == _UNREFINED else matcher
     asked = (
         stores,

@@ -53,7 +53,8 @@ _POSE = Option(
     help="The camera's place and direction, as `match --json` and `orient --json` print them.",
 )
 Dem = Annotated[
-    list[str], Option("--dem", metavar="DEM", help="Elevation file; repeat for each tile.")
+    list[str],
+    Option("--dem", metavar="DEM", help="Elevation file, or a folder of them; may be repeated."),
 ]
 CameraPlace = Annotated[
     str | None,

@@ -32,7 +32,7 @@ from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.rasters import absolute_name, files_of
+from skyline.terrain.rasters import absolute_name, files_of, without_folders
 
 SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -50,7 +50,6 @@ _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIS
 _LOCK = "lock"
 _LOCK_TRIES = 1000
 """Times that a lock is sought anew because another process has removed its folder."""
-_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
 
 PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
@@ -147,7 +146,7 @@ def prepare_area(
     `FetchError` where a server fails.
     """
     check_bounds(area.built)
-    files = tuple(_dem_files(dem))
+    files = tuple(map(absolute_name, without_folders(dem)))
     source = source or os.environ.get("SKYLINE_DEM_SOURCE") or DEFAULT_SOURCE
     home = _areas() / _origin(files, source)
     with _explained():
@@ -235,21 +234,6 @@ def _origin(files: Sequence[str], source: str) -> str:
     facts = [(file, Path(file).stat() if Path(file).is_file() else None) for file in read]
     about = [(file, known and (known.st_size, known.st_mtime_ns)) for file, known in facts]
     return f"dem-{_digest(*about)}"
-
-
-def _dem_files(dem: Sequence[str | Path]) -> Iterator[str]:
-    """Yield the absolute names of files, and those of the rasters in folders."""
-    for one in dem:
-        path = Path(one)
-        if not path.is_dir():
-            yield absolute_name(str(one))
-            continue
-        some = sorted(file for file in path.iterdir() if file.name.lower().endswith(_RASTERS))
-        if not some:
-            raise InputError(
-                f"{path} has no elevation files; expected {', '.join(_RASTERS)}, or name files"
-            )
-        yield from (absolute_name(str(file)) for file in some)
 
 
 def _grown(bounds_deg: Bounds, km: float) -> Bounds:

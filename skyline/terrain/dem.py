@@ -29,7 +29,7 @@ from skyline.geodesy import (
 )
 from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
-from skyline.terrain.rasters import open_tile
+from skyline.terrain.rasters import open_tile, without_folders
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
@@ -110,10 +110,10 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     Parameters
     ----------
     paths : path, sequence of paths or HeightField
-        Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
-        the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
-        they overlap the first named gives the height; samples that none covers are holes. A height
-        field is returned as it is, and read as it was from `save_field`.
+        Rasters of one band, virtual rasters and STAC items among them; folders of rasters;
+        ``https://`` addresses of rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share
+        a CRS and a grid; where they overlap the first named gives the height; samples that none
+        covers are holes. A height field is returned as it is, and read as it was from `save_field`.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def read_files(
     if not paths:
         raise InputError("no DEM file was given; name one or more")
     default_crs = options.default_crs
-    return read_mosaic([open_tile(path, default_crs) for path in paths])
+    return read_mosaic([open_tile(path, default_crs) for path in without_folders(paths)])
 
 
 def dem_of(tile: Tile, options: DemOptions) -> HeightField:

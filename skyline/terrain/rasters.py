@@ -9,7 +9,7 @@ import logging
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,8 @@ EVEN = 0.05
 """Greatest distance of an array's coordinate from even steps, in samples: coordinates in float32
 degrees are not exact."""
 
+_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
+"""Endings of the elevation files of a folder."""
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
 _SETTINGS = {
@@ -113,19 +115,35 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     return Tile(source, on_map, grid, north_up, vertical, conventions, read)
 
 
+def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
+    """Yield paths, with the elevation files of a folder, by name, in place of the folder.
+
+    Raises `InputError` for a folder without any.
+    """
+    for path in paths:
+        folder = Path(path)
+        if not folder.is_dir():
+            yield path
+            continue
+        files = sorted(file for file in folder.iterdir() if file.name.lower().endswith(_RASTERS))
+        if not files:
+            raise InputError(
+                f"{folder} has no elevation files; expected {', '.join(_RASTERS)}, or name files"
+            )
+        yield from files
+
+
 def absolute_name(path: str | Path) -> str:
     """Return an absolute path, or a name of GDAL's with the path in it made absolute.
 
     Raises `MissingFileError` where there is no such file and it is no address or name of GDAL's,
-    and `InputError` for a folder or a name that is not UTF-8.
+    and `InputError` for a name that is not UTF-8.
     """
     text = str(path)
     if is_file(text):
         return for_gdal(str(Path(text).absolute()))
     if "://" in text or text.startswith("/vsi"):
         return for_gdal(text)
-    if Path(text).is_dir():
-        raise InputError(f"{text} is a folder; name the DEM files in it")
     if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
         parts = re.split(r"([:\"])", text)
         named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)

@@ -48,7 +48,7 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, tmp_path):
             ("places-300", "unrefined"),
             ("planned-400", "unrefined"),
         )
-        for kind in ("plain", "white", "other-dem", "occluded", "aligned")
+        for kind in ("plain", "white", "other-dem", "occluded", "bent", "aligned")
     ]
     for row in every:
         assert row["n"] == 3

@@ -150,6 +150,18 @@ def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
     np.testing.assert_allclose(warped.height_at(**there), own.height_at(**there), atol=5.0)
 
 
+def test_a_folder_is_the_elevation_files_in_it(tmp_path):
+    heights = plane_grid(8, 16, from_origin(0.0, 0.0, 30.0, 30.0))
+    halves = [
+        write(tmp_path / f"{name}.tif", half, from_origin(west, 5_200_000.0, 30.0, 30.0))
+        for name, half, west in (("b", heights[:, :8], 500_000.0), ("a", heights[:, 8:], 500_240.0))
+    ]
+    (tmp_path / "readme.txt").write_text("two halves")
+    whole = read_dem(tmp_path)
+    assert whole.provenance.files == tuple(str(half) for half in reversed(halves))
+    np.testing.assert_array_equal(whole.heights_m, read_dem(halves).heights_m)
+
+
 def test_a_saved_field_is_read_as_it_was(tmp_path):
     heights = np.random.default_rng(2).uniform(0.0, 900.0, (40, 50)).astype(np.float32)
     heights[20:30, 20:32] = np.nan

@@ -25,7 +25,7 @@ def refused(paths, options=DemOptions()):  # noqa: B008
 def test_missing_files_and_folders(tmp_path):
     with pytest.raises(MissingFileError, match=r"no\.tif"):
         read_dem(tmp_path / "no.tif")
-    assert "folder" in refused(tmp_path)
+    assert "has no elevation files" in refused(tmp_path)
     assert "no DEM file" in refused([])
 
 
