@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -28,7 +27,7 @@ from skyline.cli.console import (
     print_line,
     print_note,
 )
-from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
+from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
 from skyline.errors import InputError, SkylineError, named, printable, suffix_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
@@ -39,7 +38,6 @@ from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.peaks import read_peaks
-from skyline.store import is_store
 from skyline.terrain.rasters import absolute_name, without_folders
 
 _UNREFINED = "unrefined"
@@ -122,9 +120,10 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
-    stores, query = _stores_and_queries(store, query)
+    stores, photos = split_stores(store, query)
     named("matcher", matcher, dict.fromkeys(_CHOICES))
     for is_wrong, error in (
+        (not photos, f"{', '.join(map(str, stores))} are stores; name photos to find in them"),
         (
             report is not None and report.exists() and not report.is_dir(),
             f"{report} is a file; name a folder for the report",
@@ -147,8 +146,8 @@ def match(
         if is_wrong:
             raise InputError(error)
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
-    queries = list(listed(query, common))
-    check_outputs([*exports, results], [*stores, *query, *(Path(one.path) for one in queries)])
+    queries = list(listed(photos, common))
+    check_outputs([*exports, results], [*stores, *photos, *(Path(one.path) for one in queries)])
     for path in exports:
         suffix_of(path, EXPORTS)
     surfaces = tuple(map(absolute_name, without_folders(surface or ())))
@@ -205,15 +204,6 @@ def match(
         (print_note if as_json else output.line)(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
-
-
-def _stores_and_queries(store: Path, others: list[Path]) -> tuple[tuple[Path, ...], list[Path]]:
-    """Return the first store with the stores named after it, and the queries named after those."""
-    stores = (store, *takewhile(is_store, others))
-    queries = others[len(stores) - 1 :]
-    if not queries:
-        raise InputError(f"{', '.join(map(str, stores))} are stores; name photos to find in them")
-    return stores, queries
 
 
 def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:

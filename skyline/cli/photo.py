@@ -1,6 +1,7 @@
 """``skyline extract`` and ``skyline serve``: a photo's skyline, and the page in the browser."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from skyline.errors import InputError, MissingFileError
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
+from skyline.store import is_store
 
 FieldOfView = Annotated[
     float | None,
@@ -55,7 +57,11 @@ def serve(
     store: StoreFile,
     photos: Annotated[
         list[Path] | None,
-        Argument(metavar="[PHOTO...]", help="Photos that are open on the page at first."),
+        Argument(
+            metavar="[PHOTO...]",
+            help="Photos that are open on the page at first. Stores named before them are searched "
+            "together with STORE; all must be of one DEM.",
+        ),
     ] = None,
     dem: StoreDem = None,
     peaks: Annotated[Path | None, PEAKS] = None,
@@ -72,7 +78,8 @@ def serve(
     ] = "127.0.0.1",
 ) -> None:
     """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""
-    for photo in photos or ():
+    stores, given = split_stores(store, photos or [])
+    for photo in given:
         if not photo.is_file():
             raise MissingFileError(f"{photo} does not exist; expected a photo")
     try:
@@ -83,8 +90,14 @@ def serve(
             f"the page needs packages that are not installed ({error.name}); "
             "pip install starlette uvicorn websockets XStatic-Leaflet"
         ) from error
-    first = [path.absolute() for path in photos or ()]
-    serve_page(lambda: Engine(store, dem, first, peaks), host, port)
+    first = [path.absolute() for path in given]
+    serve_page(lambda: Engine(stores, dem, first, peaks), host, port)
+
+
+def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
+    """Return the first store with the stores named after it, and the files named after those."""
+    stores = (store, *takewhile(is_store, others))
+    return stores, others[len(stores) - 1 :]
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

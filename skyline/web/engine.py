@@ -1,4 +1,4 @@
-"""The engine that all sessions share: the store, its renderer and the worker threads."""
+"""The engine that all sessions share: the stores, their renderer and the worker threads."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -27,15 +27,16 @@ _NAME_LENGTH = 100
 
 
 class Engine:
-    """A store opened for many sessions at a time.
+    """Stores opened for many sessions at a time.
 
-    Raises `SkylineError` if the store, its DEM or the gazetteer cannot be used.
+    Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
 
     Parameters
     ----------
-    store : Path
+    stores : sequence of Path
+        Stores of one DEM, searched as one.
     dem : list of str, optional
-        Files of the store's DEM, if they have moved since the store was built.
+        Files of that DEM, if they have moved since the stores were built.
     photos : sequence of Path
         Photos at the start of every session's list.
     peaks : Path, optional
@@ -43,12 +44,16 @@ class Engine:
     """
 
     def __init__(
-        self, store: Path, dem: list[str] | None, photos: Sequence[Path], peaks: Path | None
+        self,
+        stores: Sequence[Path],
+        dem: list[str] | None,
+        photos: Sequence[Path],
+        peaks: Path | None,
     ) -> None:
-        self.store, self.photos = store, photos
+        self.stores, self.photos = stores, photos
         self.thread = RenderThread()
         try:
-            self.matcher = Matcher(store, dem, render_thread=self.thread)
+            self.matcher = Matcher(stores, dem, render_thread=self.thread)
             named = None if peaks is None else read_peaks(peaks, self.matcher.frame)
             terrain = self.matcher.terrain
             self.viewer = None
@@ -70,10 +75,10 @@ class Engine:
         return await loop.run_in_executor(self._pools[kind], task, *arguments)
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the store that the page shows."""
+        """Return the facts about the stores that the page shows."""
         eyes = self.matcher.viewpoints
         return {
-            "store": shown_name(self.store.name),
+            "store": ", ".join(shown_name(path.name) for path in self.stores),
             "places": self.matcher.rows,
             "area": list(
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)

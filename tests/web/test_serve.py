@@ -45,6 +45,26 @@ def test_ctrl_c_ends_it_without_a_word(store):
         assert server.process.stderr.read() == ""
 
 
+def test_two_stores_are_searched_as_one(run, dem, photo, tmp_path):
+    stores = [tmp_path / "west.h5", tmp_path / "east.h5"]
+    whole = Matcher(built(run, dem, tmp_path / "whole.h5", "10.32,46.74,10.34,46.755"))
+    for store, bounds in zip(
+        stores, ("10.32,46.74,10.33,46.755", "10.33,46.74,10.34,46.755"), strict=True
+    ):
+        built(run, dem, store, bounds)
+    with serving(*stores, photo) as server:
+        about = server.ask("GET", "/state")[1]
+    assert about["store"] == "west.h5, east.h5"
+    assert about["given"] == ["photo.jpg"]
+    assert about["places"] == pytest.approx(whole.rows, rel=0.2)
+
+
+def built(run, dem, store, bounds):
+    """Build a store of a box; return its path."""
+    assert run("build", dem, "-o", store, "--spacing", "150", "--bounds", bounds).code == 0
+    return store
+
+
 def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, photo, tmp_path):
     moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
     moved.write_bytes(dem.read_bytes())
