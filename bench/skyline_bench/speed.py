@@ -21,7 +21,7 @@ from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import DEFAULT_TOLERANCE_DEG, HorizonRenderer, PanoramaRenderer
 from skyline.skylines import Horizons, Views
-from skyline.solar.local_horizons import DEFAULT_STEP_DEG
+from skyline.solar import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField

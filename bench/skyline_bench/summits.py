@@ -23,7 +23,7 @@ from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
 from skyline.render.horizon import PanoramaRenderer
-from skyline.solar.local_horizons import horizon, horizons_of
+from skyline.solar import horizon, horizons_of
 from skyline.store.places import BINS
 from skyline.terrain.cleaning import clean
 from skyline.terrain.dem import DemOptions, read_dem, read_files

@@ -11,7 +11,7 @@ from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
 from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher, Shortlist
-from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.skylines import NO_KEYPOINT, polyline_vertices
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 

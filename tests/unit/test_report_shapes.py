@@ -9,11 +9,11 @@ from pyproj import Geod
 from scenes import at_m, candidate_at
 from shapely import MultiPolygon, Polygon
 
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.answer import MatchResult
+from skyline.match.candidate import Ellipse, view_wedge_m
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import VIEW_REACH_M, export_matches
-from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
 UTM = Frame.from_crs("EPSG:32632")
 PLACE = UTM.from_lonlat(10.78277, 46.79586)
