@@ -20,7 +20,7 @@ from skyline.geodesy import Curvature, Frame, in_turn
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, at_elevation, stand_on
-from skyline_bench.measuring.geotiff import write_geotiff
+from skyline_bench.geotiff import write_geotiff
 from skyline_bench.truth.agreement import (
     Agreement,
     RenderPath,
