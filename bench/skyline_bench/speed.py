@@ -34,8 +34,6 @@ from skyline_bench.truth.closed_forms import fractal
 
 _log = logging.getLogger(__name__)
 
-_Render = Callable[[Viewpoints], Views | Horizons]
-
 _SPACING_M = 100.0
 _SLOW = 2
 """Viewpoints that are timed together for the depth path and the oracle, which take them one by one:
@@ -54,7 +52,7 @@ class _Way:
     setting: str
     viewpoints: Viewpoints  # Timed together
     compared: Viewpoints
-    render: _Render
+    render: Callable[[Viewpoints], Views | Horizons]
     details: Row = field(default_factory=dict)
 
 

@@ -43,9 +43,9 @@ class SkylineScene:
     width: int = DEFAULT_WIDTH
     curvature: Curvature = dataclasses.field(default_factory=Curvature)
 
-    def first(self, count: int) -> "SkylineScene":
-        """Return the scene with its first viewpoints only."""
-        return replace(self, viewpoints=self.viewpoints[:count])
+    def quick(self) -> "SkylineScene":
+        """Return the scene with its first two viewpoints only."""
+        return replace(self, viewpoints=self.viewpoints[:2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

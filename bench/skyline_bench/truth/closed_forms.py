@@ -37,8 +37,6 @@ SPACING_M = 32.0
 HORIZON_ONLY = ("horizon",)
 """For cases in which a depth image shows too little to promise anything."""
 
-_QUICK_VIEWPOINTS = 2
-
 
 @dataclass(frozen=True, slots=True)
 class ClosedForm:
@@ -81,9 +79,7 @@ class SceneCase:
 @lru_cache(maxsize=1)
 def _posed(case: SceneCase, quick: bool) -> tuple[SkylineScene, SkylineTruth]:
     """Return a case's scene and truth; kept, since several paths look at one case in turn."""
-    scene = case.scene()
-    if quick:
-        scene = scene.first(_QUICK_VIEWPOINTS)
+    scene = case.scene().quick() if quick else case.scene()
     return scene, case.truth(scene)
 
 

@@ -80,7 +80,7 @@ def _turned(
     A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
     not, so these take terrain whose cells are flat (height = a(row) + b(col)).
     """
-    scene = stood().first(2) if quick else stood()
+    scene = stood().quick() if quick else stood()
     turned = turned_scene(scene, turn)
     expected = turned_views(path.render(scene), turn)
     agreement = path.agreement(turned, path.render(turned), SkylineTruth(expected))
