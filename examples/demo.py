@@ -29,7 +29,7 @@ from skyline.report.plan_pictures import save_depth_pictures
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_on
-from skyline_bench.measuring.geotiff import write_sample_dem
+from skyline_bench.geotiff import write_sample_dem
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 

@@ -55,9 +55,9 @@ from .report.viewer import SeenPeak as SeenPeak
 from .report.viewer import Sight as Sight
 from .report.viewer import Viewer as Viewer
 from .skylines import Views as Views
-from .solar.local_horizons import LocalHorizons as LocalHorizons
-from .solar.local_horizons import horizon as horizon
-from .solar.local_horizons import sky_view_factor as sky_view_factor
+from .solar import LocalHorizons as LocalHorizons
+from .solar import horizon as horizon
+from .solar import sky_view_factor as sky_view_factor
 from .store import PlaceMap as PlaceMap
 from .store import Store as Store
 from .store import StoreHeader as StoreHeader

@@ -1,16 +1,38 @@
-"""Files on disk: reading them, writing them whole or not at all, locks, and names for GDAL."""
+"""Files: reading them, writing them whole or not at all, CSV tables, locks, and names for GDAL.
 
+Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
+separated by commas, semicolons or tabs, whichever the header has most of; where commas do not
+separate, they may be decimal commas. Lines before the header that begin with # are notes.
+"""
+
+import csv
 import fcntl
+import io
+import math
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeGuard
 
 from skyline.errors import InputError, MissingFileError
 
 STANDARD = "-"
 """The name of standard input and output among paths."""
+
+_SEPARATORS = ",;\t"
+_LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
+_OTHER_NAMES = {
+    **dict.fromkeys(("longitude", "long", "lng", "@lon"), "lon"),
+    **dict.fromkeys(("latitude", "@lat"), "lat"),
+    "easting_m": "easting",
+    "northing_m": "northing",
+    "fid": "id",
+}
+_SHOWN = 80
+"""Characters of a header that an error shows."""
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
@@ -93,3 +115,130 @@ def is_file(path: str | Path) -> bool:
         return Path(path).is_file()
     except OSError:
         return False
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of a table: its line in the file, and its cells without spaces around them."""
+
+    where: str
+    cells: Mapping[str, str]
+    has_decimal_commas: bool = False
+
+    def __getitem__(self, column: str) -> str:
+        return self.cells.get(column, "")
+
+    @property
+    def label(self) -> str:
+        """The row's ``id``, else its ``name``; empty if it has neither."""
+        return self["id"] or self["name"]
+
+    def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
+        """Return a finite number within limits, which for ``lon`` and ``lat`` are those of degrees.
+
+        Raises `InputError` for anything else.
+        """
+        low, high = _LIMITS.get(column, (low, high))
+        text = self[column]
+        try:
+            value = float(text.replace(",", ".") if self.has_decimal_commas else text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and low <= value <= high):
+            above = f" from {low:g}" if low > -math.inf else ""
+            below = f" to {high:g}" if high < math.inf else ""
+            raise InputError(f"{self.where}: {column} is `{text}`; expected a number{above}{below}")
+        return value
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The rows of a CSV file, its header and the notes before it."""
+
+    path: str | Path
+    header: tuple[str, ...]
+    """Names in lower case; other usual names of coordinates are replaced by Skyline's."""
+    rows: list[Row]
+    notes: list[str]
+
+    def refuse_other(self, *known: str) -> None:
+        """Raise `InputError` where a column is none of the known ones."""
+        other = [name for name in self.header if name not in known]
+        if other:
+            raise InputError(
+                f"{self.path} has the column `{other[0][:_SHOWN]}`; expected some of "
+                f"{', '.join(known)}"
+            )
+
+    def first_in(self, *choices: tuple[str, ...], expected: str) -> tuple[str, ...]:
+        """Return the first of several sets of columns that is there; `InputError` for none."""
+        for names in choices:
+            if set(names) <= set(self.header):
+                return names
+        shown = ",".join(self.header)[:_SHOWN]
+        raise InputError(f"{self.path} has the columns `{shown}`; {expected}")
+
+
+def is_table(path: object) -> TypeGuard[str | Path]:
+    """Return whether a query is a CSV file, by its suffix, or by its text on standard input."""
+    if not isinstance(path, str | Path):
+        return False
+    if str(path) != STANDARD:
+        return Path(path).suffix.lower() == ".csv"
+    content = read_bytes(path, "expected CSV or a picture")
+    with suppress(UnicodeDecodeError):
+        return "\0" not in content.decode()
+    return False
+
+
+def read_table(
+    path: str | Path, expected: str, other_names: Mapping[str, str] | None = None
+) -> Table:
+    """Read a CSV file, or standard input for ``-``.
+
+    ``expected`` is the content that was expected, in errors: ``expected a header ...``.
+    ``other_names`` are more names of columns that are read as others.
+
+    Raises `MissingFileError` where there is no such file, and `InputError` where it cannot be read,
+    a column is there twice, or a row has more cells than the header.
+    """
+    content = read_bytes(path, expected)
+    if b"\0" in content:
+        raise InputError(f"{path} cannot be read as CSV (it is not UTF-8 text); {expected}")
+    # Names of files are bytes, which need not be UTF-8.
+    text = content.decode("utf-8-sig", errors="surrogateescape")
+    lines = list(io.StringIO(text, newline=""))
+    before = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    heading = next((line for line in lines[before:] if line.strip()), "")
+    separator = max(_SEPARATORS, key=heading.count)
+    reader = csv.reader(lines[before:], delimiter=separator, skipinitialspace=True)
+    header: tuple[str, ...] = ()
+    rows = []
+    try:
+        for record in reader:
+            cells = [cell.strip() for cell in record]
+            where = f"{path}, line {before + reader.line_num}"
+            if not any(cells):
+                continue
+            if not header:
+                header = tuple(_column(name, other_names or {}) for name in cells)
+                continue
+            if any(cells[len(header) :]):
+                raise InputError(
+                    f"{where} has {len(cells)} cells; expected {len(header)} for "
+                    f"`{','.join(header)[:_SHOWN]}`: put text with a separator in quotes"
+                )
+            named = dict(zip(header, cells, strict=False))
+            rows.append(Row(where, named, separator != ","))
+    except csv.Error as error:
+        raise InputError(f"{path} cannot be read as CSV ({error}); {expected}") from None
+    if not header:
+        raise InputError(f"{path} is empty; {expected}")
+    if twice := {name for name in header if name and header.count(name) > 1}:
+        raise InputError(f"{path} has the column `{twice.pop()[:_SHOWN]}` twice; {expected}")
+    return Table(path, header, rows, lines[:before])
+
+
+def _column(name: str, other_names: Mapping[str, str]) -> str:
+    name = name.lower()
+    return other_names.get(name) or _OTHER_NAMES.get(name, name)

@@ -2,6 +2,6 @@
 
 ``search/`` compares stores, matchers and kinds of queries, which ``queries/`` makes. ``truth/``
 compares skylines with the oracle and with closed forms; ``speed`` compares time and error with
-``peers/``. ``summits``, ``paper``, ``photos``, ``page`` and ``durability`` measure their subjects,
+``peers``. ``summits``, ``paper``, ``photos``, ``page`` and ``durability`` measure their subjects,
 and ``figures`` draws the README's pictures from the records.
 """

@@ -35,8 +35,8 @@ from skyline.store.read import parts_folder
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
-from skyline_bench.measuring.geotiff import write_geotiff
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.geotiff import write_geotiff
+from skyline_bench.measuring import Row, write_record
 from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0

@@ -22,12 +22,11 @@ from skyline.errors import MissingFileError
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_report import report_matches
 from skyline_bench import options
-from skyline_bench.measuring.geotiff import write_sample_dem
-from skyline_bench.measuring.record import Row, shown
+from skyline_bench.geotiff import write_sample_dem
+from skyline_bench.measuring import Row, shown
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.search.stores import UNIFORM
-from skyline_bench.search.trials import ALL, interpolated
+from skyline_bench.search.trials import by_planner, interpolated
 
 _WAYS = {
     "horizon": ("Skyline, four views", "crimson", "o"),
@@ -145,7 +144,7 @@ def adaptive_table(stores: _Compared) -> list[Row]:
     """
     table = list[Row]()
     for terrain, planner, rows in stores:
-        grids, plans = _by_planner(rows)
+        grids, plans = by_planner(rows)
         for row in plans:
             x, y = ([one[key] for one in grids] for key in ("renderings", "within_200m"))
             uniform = interpolated(x, y, row["renderings"])
@@ -166,13 +165,6 @@ def adaptive_table(stores: _Compared) -> list[Row]:
     return table
 
 
-def _by_planner(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """Return the uniform and the adaptive stores of a record, by their number of renderings."""
-    every = sorted((row for row in rows if row["group"] == ALL), key=lambda row: row["renderings"])
-    uniform = [row for row in every if row["planner"] == UNIFORM]
-    return uniform, [row for row in every if row["planner"] != UNIFORM]
-
-
 def _draw_adaptive(stores: _Compared) -> Figure:
     terrains = list(dict.fromkeys(terrain for terrain, _, _ in stores))
     figure = Figure(figsize=(8.4, 3.8), layout="constrained")
@@ -181,7 +173,7 @@ def _draw_adaptive(stores: _Compared) -> Figure:
         axis = axes[terrains.index(terrain)]
         colour = "#0072B2" if planner == "ours" else "#D55E00"
         kinds = ("uniform", "o--"), ("adaptive", "D-")
-        for some, (kind, style) in zip(_by_planner(rows), kinds, strict=True):
+        for some, (kind, style) in zip(by_planner(rows), kinds, strict=True):
             share, *ends = np.array([[row[key] for row in some] for key in _SHARES])
             x, off = [row["renderings"] for row in some], np.abs(np.array(ends) - share)
             label = f"{planner}, {kind}"

@@ -14,7 +14,7 @@ from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
 from skyline.errors import InputError
-from skyline_bench.measuring.record import Row, shown, write_record
+from skyline_bench.measuring import Row, shown, write_record
 
 _PIPED_WIDTH = 300
 

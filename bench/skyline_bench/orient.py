@@ -27,11 +27,10 @@ from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring import Row, write_record
 from skyline_bench.queries.kinds import STRANGERS, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
 from skyline_bench.search.stores import middle_deg
 from skyline_bench.search.trials import ALL, groups
@@ -235,7 +234,7 @@ def webcam_row(
     contrast is left at half the distance of the nearest skyline, or nearer.
     """
     truth = query.truth
-    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg)
+    camera = truth.camera()
     eyes = at_elevation(seen, truth.easting_m, truth.northing_m, truth.eye_elevation_m)
     lonlat = terrain.frame.to_lonlat(truth.easting_m + BESIDE_M, truth.northing_m)
     rng, found = np.random.default_rng(seed), list[Orientation]()

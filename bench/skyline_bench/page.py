@@ -25,8 +25,8 @@ from skyline.errors import BuildError, InputError
 from skyline.render.depth import DepthRenderer
 from skyline_bench import options
 from skyline_bench.figures import SAMPLE_BOUNDS_DEG
-from skyline_bench.measuring.geotiff import write_sample_dem
-from skyline_bench.measuring.record import Row
+from skyline_bench.geotiff import write_sample_dem
+from skyline_bench.measuring import Row
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 

@@ -26,7 +26,7 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring import Row
 
 _RESAMPLES = 1000
 

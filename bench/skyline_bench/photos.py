@@ -35,7 +35,7 @@ from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.terrain.dem import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring.record import Row, shown, write_record
+from skyline_bench.measuring import Row, shown, write_record
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
 from skyline_bench.search.stores import StoreSpec
 

@@ -16,7 +16,6 @@ from skyline import Candidate, HeightField, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Curvature
 from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 Posed = tuple[SyntheticQuery, Candidate | None]
@@ -126,11 +125,6 @@ def _true_pose(viewer: Viewer, truth: Truth) -> Candidate:
     return replace(pose, eye_elevation_m=truth.eye_elevation_m)
 
 
-def _camera(query: SyntheticQuery) -> Camera:
-    truth, size = query.truth, (query.skyline.width_px, query.skyline.height_px)
-    return Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
-
-
 def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing of the samples that are the highest around."""
     spacing_m = terrain.spacing_north_m, terrain.spacing_east_m
@@ -154,7 +148,8 @@ def _in_picture(
     azimuth_rad = np.arctan2(east_m - truth.easting_m, north_m - truth.northing_m)
     ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
     tan = (ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)) / away_m
-    column, row, ahead = _camera(query).project(azimuth_rad - np.radians(truth.heading_deg), tan)
+    camera = truth.camera(size.width_px, size.height_px)
+    column, row, ahead = camera.project(azimuth_rad - np.radians(truth.heading_deg), tan)
     inside = ahead & (column >= 0.0) & (column < size.width_px)
     inside &= (row >= 0.0) & (row < size.height_px)
     drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:SUMMITS]
@@ -181,7 +176,8 @@ def _ground_above_m(
 
 def _rays(query: SyntheticQuery) -> tuple[Float64Array, Float64Array]:
     """Return grid azimuths and elevations (N,) of the pixels that are compared."""
-    east, up, north = np.moveaxis(_camera(query).rays()[::_EACH_PX, ::_EACH_PX], -1, 0)
+    camera = query.truth.camera(query.skyline.width_px, query.skyline.height_px)
+    east, up, north = np.moveaxis(camera.rays()[::_EACH_PX, ::_EACH_PX], -1, 0)
     return np.arctan2(east, north).ravel(), (up / np.hypot(east, north)).ravel()
 
 

@@ -21,22 +21,18 @@ from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import DEFAULT_TOLERANCE_DEG, HorizonRenderer, PanoramaRenderer
 from skyline.skylines import Horizons, Views
-from skyline.solar.local_horizons import DEFAULT_STEP_DEG
+from skyline.solar import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline_bench import options
-from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
-from skyline_bench.peers import embree, grass
+from skyline_bench import options, peers
+from skyline_bench.measuring import Row, central_viewpoints, in_turns, over_cores, peak_bytes
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import PIXEL_TAN, compare
 from skyline_bench.truth.closed_forms import fractal
 
 _log = logging.getLogger(__name__)
-
-_Render = Callable[[Viewpoints], Views | Horizons]
 
 _SPACING_M = 100.0
 _SLOW = 2
@@ -56,7 +52,7 @@ class _Way:
     setting: str
     viewpoints: Viewpoints  # Timed together
     compared: Viewpoints
-    render: _Render
+    render: Callable[[Viewpoints], Views | Horizons]
     details: Row = field(default_factory=dict)
 
 
@@ -124,7 +120,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
         }
         for way, error, batch_time in zip(ways, errors, batches, strict=True)
     ]
-    if grass.is_installed():
+    if peers.has_grass():
         rows.append(_grass(terrain, compared))
     return rows
 
@@ -146,10 +142,11 @@ def _ways(
     for azimuths, off_deg in ((_STEPS, 0.0), (_STEPS, usual_deg), (BINS, usual_deg)):
         panorama = held.enter_context(PanoramaRenderer(terrain, azimuths, tolerance_deg=off_deg))
         name = f"{azimuths} azimuths, {off_deg:g} degrees"
-        from_north = partial(_from_north, panorama)
+        # Their azimuths count from grid north on.
+        from_north = partial(panorama.render, first_azimuth_rad=0.0)
         yield _Way("all round", azimuths, name, batch, compared, from_north)
-    if embree.is_installed():
-        peer = embree.EmbreePeer(terrain, width)
+    if peers.has_embree():
+        peer = peers.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
             render = partial(peer.render, depth=bisections)
             name, details = f"{bisections} bisections", {"bisections": bisections}
@@ -157,11 +154,6 @@ def _ways(
     else:
         _log.warning("Embree is left out: pip install 'skyline-bench[peers]' to measure it")
     yield _Way("oracle", width, "exact", few, some, partial(_oracle, terrain, width))
-
-
-def _from_north(renderer: PanoramaRenderer, viewpoints: Viewpoints) -> Horizons:
-    """Render horizons whose azimuths count from grid north on."""
-    return renderer.render(viewpoints, np.zeros(len(viewpoints)))
 
 
 def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
@@ -175,7 +167,7 @@ def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
     )
     easting_m, northing_m = terrain.to_map(row, col)
     stand = stand_on(terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=0.0)
-    found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
+    found_deg, seconds = peers.grass_horizons(terrain, stand, DEFAULT_STEP_DEG)
     north_deg = terrain.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
     true_deg = _true_deg(terrain, stand, -north_deg, Curvature(enabled=False))
     each_s = float(np.median(seconds))

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import typer
 from numpy.typing import ArrayLike
-from pyproj import CRS, Transformer
+from pyproj import Transformer
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
 from skyline.render.horizon import PanoramaRenderer
-from skyline.solar.local_horizons import horizon, horizons_of
+from skyline.solar import horizon, horizons_of
 from skyline.store.places import BINS
 from skyline.terrain.cleaning import clean
 from skyline.terrain.dem import DemOptions, read_dem, read_files
@@ -32,8 +32,7 @@ from skyline.terrain.tiles import Grid
 from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import ground_spacing_m, local_frame
 from skyline_bench import options
-from skyline_bench.measuring.record import Row, write_record
-from skyline_bench.measuring.timing import central_viewpoints, in_turns
+from skyline_bench.measuring import Row, central_viewpoints, in_turns, write_record
 
 EXACT_M = 1.0
 """How far a summit may be off."""
@@ -79,7 +78,6 @@ class _File:
 
     heights_m: Float32Array
     grid: Grid
-    crs: CRS
     spacing_m: tuple[float, float]
     to_frame: Transformer
     from_frame: Transformer
@@ -97,7 +95,6 @@ class _File:
         return cls(
             heights_m,
             grid,
-            crs,
             spacing_m,
             Transformer.from_crs(crs, field.frame.crs, always_xy=True),
             Transformer.from_crs(field.frame.crs, crs, always_xy=True),

@@ -36,7 +36,7 @@ from skyline.photo.extract import extract_skyline
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries

@@ -19,7 +19,7 @@ from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.orient import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_training.confidence import (

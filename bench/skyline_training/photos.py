@@ -26,7 +26,6 @@ from skyline_bench.queries.made_photos import (
     mixed,
     scene_rgb,
 )
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import Occluder, QueryConfig, SyntheticQuery, make_queries
 from skyline_training.covers import dark, put_in_front
 from skyline_training.landscapes import (
@@ -352,8 +351,7 @@ def draw_photo(
     query was made from.
     """
     generator, truth = np.random.default_rng(seed), query.truth
-    size = query.skyline.width_px, query.skyline.height_px
-    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
+    camera = truth.camera(query.skyline.width_px, query.skyline.height_px)
     viewpoint = Viewpoints(
         easting_m=np.array([truth.easting_m]),
         northing_m=np.array([truth.northing_m]),

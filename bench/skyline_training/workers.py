@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import cv2
 
-from skyline_bench.measuring.timing import core_count
+from skyline_bench.measuring import core_count
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -19,10 +19,9 @@ from skyline.render.horizon import (
     RenderConfig,
 )
 from skyline.render.march import ColumnRenderer
-from skyline.skylines import Views
+from skyline.skylines import Views, polyline_vertices
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns
-from skyline.store.keypoints import polyline_vertices
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible

@@ -23,7 +23,7 @@ COMMANDS = {
         "fit by hand.",
     },
     "Stores": {
-        "build.build": "Build the store that `match` searches. After Ctrl-C, the same command "
+        "store.build": "Build the store that `match` searches. After Ctrl-C, the same command "
         "continues.",
         "render.render": "Render views to grid north, east, south and west into a store, for the "
         "paper's matcher.",
@@ -39,10 +39,10 @@ COMMANDS = {
     "Data": {
         "fetch.peaks": "Fetch the named peaks of a box from OpenStreetMap, for `--peaks`.",
         "info.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "explain.explain": "Show which terrain a skyline depends on, which is left out, and the "
+        "info.explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
         "fetch.dem": "Fetch the elevation of an area: `dem fetch`.",
-        "cache.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "fetch.cache": "List what `locate` keeps: elevation tiles and stores of areas.",
     },
 }
 """Commands by subject: module and name of each, and the first line of its own help."""

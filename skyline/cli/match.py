@@ -34,9 +34,8 @@ from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.queries import Query, listed, match_here, match_many, written_ns
-from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
-from skyline.report.exports import EXPORTS, export_matches
+from skyline.report.exports import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.peaks import read_peaks
 from skyline.terrain.rasters import absolute_name, without_folders
 

@@ -9,7 +9,6 @@ from typer import Option
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
 from skyline.build.plans import RenderingPlan
-from skyline.cli.build import Bounds, Output, keeps_parts, print_built
 from skyline.cli.console import (
     Crs,
     Dems,
@@ -23,6 +22,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
+from skyline.cli.store import Bounds, Output, keeps_parts, print_built
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.paper.plan import PlanConfig, build_planned

@@ -30,7 +30,7 @@ from skyline.geodesy import Curvature
 from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.solar.local_horizons import (
+from skyline.solar import (
     DEFAULT_STEP_DEG,
     SUFFIXES,
     LocalHorizons,

@@ -1,4 +1,4 @@
-"""Poses of a camera: hypotheses of a search, refined poses, candidates of an answer."""
+"""Poses of a camera: hypotheses, refined poses, and candidates with their shapes on the map."""
 
 import math
 from dataclasses import asdict, dataclass, fields
@@ -24,6 +24,11 @@ COLUMNS = {
     "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
 }  # fmt: skip
 """Columns of a table of candidates: the field of `Candidate`, and its format."""
+
+_CHI_SQUARE_95 = 5.991464547107979
+"""95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""
+_ARC_STEP_DEG = 2.0
+_ELLIPSE_POINTS = 72
 
 _JSON = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
@@ -164,6 +169,50 @@ class Candidate:
             "" if value is None or not math.isfinite(value) else format(value, form)
             for value, form in values
         ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipse:
+    """The ellipse that contains the true position with 95 % probability if errors are normal."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    outline_m: Float64Array
+    """(P, 2) float64. Easting and northing, counter-clockwise and closed, from one end of the major
+    axis on."""
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> "Ellipse | None":
+        """Return a candidate's ellipse, None if its covariance is unknown."""
+        if candidate.covariance_m2 is None:
+            return None
+        variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
+        minor_m, major_m = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)).tolist()
+        azimuth = np.arctan2(axes[0, 1], axes[1, 1]) % np.pi
+        sine, cosine = np.sin(azimuth), np.cos(azimuth)
+        turn = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS + 1)
+        along, across = major_m * np.cos(turn), minor_m * np.sin(turn)
+        east, north = along * sine - across * cosine, along * cosine + across * sine
+        outline = np.stack([candidate.easting_m + east, candidate.northing_m + north], axis=1)
+        outline[-1] = outline[0]
+        return cls(major_m, minor_m, outline)
+
+
+def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
+    """Return a candidate's field of view on the map, out to ``reach_m``.
+
+    The outline (P, 2), easting and northing, is counter-clockwise and closed. It begins at the
+    camera, unless the view is a full turn.
+    """
+    steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
+    half = candidate.fov_deg / 2.0
+    # Azimuths fall along the arc, since they count clockwise.
+    azimuth = np.radians(candidate.grid_heading_deg + np.linspace(half, -half, steps))
+    camera = np.array([[candidate.easting_m, candidate.northing_m]])
+    arc = camera + reach_m * np.stack([np.sin(azimuth), np.cos(azimuth)], axis=1)
+    if candidate.fov_deg >= 360.0:
+        return np.concatenate([arc[:-1], arc[:1]])
+    return np.concatenate([camera, arc, camera])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

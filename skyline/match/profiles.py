@@ -37,9 +37,8 @@ from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.match.scene import quadrant_bins, quadrants
-from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
+from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
 from skyline.store import Store
-from skyline.store.keypoints import NO_KEYPOINT
 from skyline.terrain.viewpoints import Viewpoints
 
 DEFAULT_BINS = 2048
@@ -116,7 +115,7 @@ class Profiles:
         """Join views by location; a location may have views in any of the four headings.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
-        `skyline.store.keypoints.polyline_vertices`). The views of one location may lie in
+        `skyline.skylines.polyline_vertices`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
         eyes, curves, keypoints, bins = [], [], [], DEFAULT_BINS

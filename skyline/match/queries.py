@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import STANDARD
+from skyline.files import STANDARD, Row, Table, is_table, read_table
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
@@ -24,7 +24,6 @@ from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.photo.read import check_fov, read_query
 from skyline.store import open_store
 from skyline.store.format import PLACES, PLACES_A_CHUNK
-from skyline.tables import Row, Table, is_table, read_table
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",

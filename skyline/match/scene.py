@@ -15,8 +15,8 @@ from skyline.render.context import RenderThread
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.store import StoreHeader
-from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.sightlines import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")

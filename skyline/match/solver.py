@@ -31,7 +31,7 @@ from skyline.match.noise import (
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.query_rays import QueryRays, level_with_changes, thinned
-from skyline.terrain.edge import DataEdge
+from skyline.terrain.sightlines import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
 """Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,

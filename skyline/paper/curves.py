@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.match.query_rays import QueryCurves
-from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 _TOLERANCE_PX = 1.0
 """Tolerance of the polyline whose vertices are the query's keypoints; the store's have the same."""

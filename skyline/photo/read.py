@@ -23,14 +23,13 @@ from PIL.ExifTags import IFD
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files import STANDARD, read_bytes, write_whole
+from skyline.files import STANDARD, is_table, read_bytes, write_whole
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
 from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
 from skyline.photo.trace import read_trace
-from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.files import write_whole
+from skyline.files import Row, Table, read_table, write_whole
 from skyline.photo.query import Lens, Projection, QuerySkyline
-from skyline.tables import Row, Table, read_table
 
 MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""

@@ -26,7 +26,7 @@ from skyline.report.peaks import (
     visible_peaks,
     warn_if_off_map,
 )
-from skyline.solar.local_horizons import horizons_of
+from skyline.solar import horizons_of
 from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
 from skyline.terrain.summits import PROMINENCE_REACH
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, place_on, stand_on

@@ -24,10 +24,9 @@ from scipy import ndimage
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
-from skyline.match.candidate import Candidate
+from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
 from skyline.report.figures import unnamed_in_words
 from skyline.report.peaks import Sighting
-from skyline.report.shapes import Ellipse, view_wedge_m
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -9,7 +9,7 @@ from skyline.arrays import UInt8Array
 from skyline.errors import OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
-from skyline.match.candidate import COLUMNS, Candidate
+from skyline.match.candidate import COLUMNS, Candidate, Ellipse
 from skyline.match.matcher import Matcher
 from skyline.match.scene import terrain_at_hand
 from skyline.photo.query import QuerySkyline
@@ -20,7 +20,6 @@ from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks, Sighting
-from skyline.report.shapes import Ellipse
 from skyline.report.viewer import Sight, Viewer, peaks_in_picture
 from skyline.store.format import PACKAGE_VERSION
 

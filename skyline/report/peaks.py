@@ -22,9 +22,8 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
-from skyline.files import read_bytes
+from skyline.files import Row, read_bytes, read_table
 from skyline.geodesy import GROUND_M, Curvature, Frame, Rectangle
-from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sightlines import edge_crossings_m
 from skyline.terrain.summits import prominence_m

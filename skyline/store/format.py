@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from skyline.camera import check_width
 from skyline.errors import StoreMismatchError
 from skyline.geodesy import Bounds, Curvature, Frame
-from skyline.skylines import Views
-from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS
+from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views
 from skyline.store.places import (
     ALIKE_DEG,
     BINS,

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
+from skyline.files import read_table
 from skyline.geodesy import GROUND_M, Frame, Rectangle
-from skyline.tables import read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 

@@ -13,7 +13,7 @@ from scenes import field_of, fractal
 from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import cli, page, paper
-from skyline_bench.measuring.record import write_record
+from skyline_bench.measuring import write_record
 from skyline_bench.truth import stability
 
 
@@ -68,8 +68,8 @@ def test_stability_says_what_holds(run_bench, tmp_path, monkeypatch, fails):
     monkeypatch.setattr(stability, "HARD_CASES", three_cases)
 
     def spoiled(*arguments):
-        rows = measured(*arguments)
-        return [{**row, "ok": row["path"] == "depth", "error_px": float("inf")} for row in rows]
+        row = measured(*arguments)
+        return {**row, "ok": row["path"] == "depth", "error_px": float("inf")}
 
     if fails:
         monkeypatch.setattr(stability, "measure", spoiled)

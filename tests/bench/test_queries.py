@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from query_scenes import hills
 from scenes import field_of, fractal
 
 from skyline.match.query_rays import level
@@ -118,12 +119,6 @@ def test_occluders_are_masked_or_left_in(terrain):
 AZIMUTH_DEG = np.arange(0.0, 360.0, 0.02)
 
 
-def hills(azimuth_deg):
-    """Tangent of the elevation angle of rolling hills."""
-    azimuth = np.radians(azimuth_deg)
-    return 0.1 + 0.06 * np.sin(5.0 * azimuth) + 0.03 * np.cos(17.0 * azimuth)
-
-
 @given(
     heading_deg=st.floats(0.0, 360.0),
     pitch_deg=st.floats(-15.0, 15.0),
@@ -132,12 +127,12 @@ def hills(azimuth_deg):
 )
 def test_levelling_the_image_gives_the_skyline_back(heading_deg, pitch_deg, roll_deg, fov_deg):
     camera = Camera(heading_deg, pitch_deg, roll_deg, fov_deg, 200, 300)
-    row_px, sample = camera.skyline(AZIMUTH_DEG, hills(AZIMUTH_DEG))
+    row_px, sample = camera.skyline(AZIMUTH_DEG, hills(np.radians(AZIMUTH_DEG)))
     assert np.isfinite(row_px).all()
     query = QuerySkyline(row_px, np.ones(200), 200, 300, fov_deg)
     azimuth, y = level(*query.image_plane(), pitch_deg, roll_deg)
     azimuth_deg = np.degrees(azimuth) + heading_deg
-    np.testing.assert_allclose(y, hills(azimuth_deg), atol=1e-5)
+    np.testing.assert_allclose(y, hills(np.radians(azimuth_deg)), atol=1e-5)
     apart = (AZIMUTH_DEG[sample] - azimuth_deg + 180.0) % 360.0 - 180.0
     assert np.abs(apart).max() < 0.021
 

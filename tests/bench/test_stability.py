@@ -58,7 +58,7 @@ def test_hard_case(case, path):
     if path is CLOSED_FORM:
         assert case.agreement(path, quick=False).holds
     else:
-        (row,) = measure(path, cases=[case])
+        row = measure(path, case)
         assert row["ok"], row
 
 
@@ -92,8 +92,6 @@ def test_a_wrong_view_fails(columns, off_px, flag, ok):
             flags[3, 17] ^= flag
             return replace(views, elevation_tan=tan, flags=flags)
 
-    (row,) = measure(
-        agreement.RenderPath("horizon", Altered, agreement.exact_agreement), cases=[case]
-    )
+    row = measure(agreement.RenderPath("horizon", Altered, agreement.exact_agreement), case)
     assert row["ok"] is ok
     assert (row["error_px"] <= row["bound_px"] and row["flags_agree"]) is ok

@@ -12,7 +12,7 @@ import pytest
 from skyline.cli.console import run_app
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
-from skyline.photo.extract import extract_skyline, levelled
+from skyline.photo.extract import extract_skyline
 from skyline_training import confidence as training
 from skyline_training.__main__ import app
 from skyline_training.landscapes import GROUND, SKY
@@ -96,11 +96,16 @@ def network():
     return importlib.import_module("skyline_training.network")
 
 
+def read_model(path):
+    """Return a network as `skyline.photo` reads it."""
+    return cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(path.read_bytes()), np.uint8))
+
+
 def test_a_trained_network_is_written_and_read_at_any_size(network, train, tmp_path):
     path = tmp_path / "sky.onnx.gz"
     assert train("sky-model", "-o", path, "--quick").code == 0
     assert path.stat().st_size < 8_000_000
-    read = cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(path.read_bytes()), np.uint8))
+    read = read_model(path)
     read.setInput(np.zeros((1, network.INPUTS, 64, 96), np.float32))
     assert read.forward().shape == (1, 4, 32, 48)
 
@@ -112,36 +117,10 @@ def test_a_written_network_computes_what_the_trained_one_did(network, tmp_path):
     with network.torch.no_grad():
         scores = net(network.torch.from_numpy(picture)).numpy()
     network.write_model(net, tmp_path / "sky.onnx.gz")
-    packed = (tmp_path / "sky.onnx.gz").read_bytes()
-    read = cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(packed), np.uint8))
+    read = read_model(tmp_path / "sky.onnx.gz")
     read.setInput(picture)
     # Half precision keeps 11 bits of each weight.
     assert np.abs(read.forward() - scores).max() < 0.01 * np.abs(scores).max()
-
-
-def test_cuts_for_training_keep_the_skyline_between_sky_and_ground(network):
-    photo = draw_training_photo((4, 2), 200, 152)
-    album = network._Album(photo, 4, "cpu")
-    album.add(photo)
-    picture, label, row = album.cut(64, (96, 128), np.random.default_rng(2))
-    assert picture.shape == (64, 3, 96, 128)
-    row, label = row.numpy(), label.numpy()
-    seen = np.isfinite(row) & (row > 6.0) & (row < 90.0)
-    assert seen.mean() > 0.3
-    cut, column = np.nonzero(seen)
-    # Labels have half the rows; a cut moves a border by a pixel of the photograph at most.
-    above, below = (np.floor((row[seen] + off) / 2.0).astype(int) for off in (-4.0, 4.0))
-    assert (label[cut, above, column] == SKY).mean() > 0.98
-    assert (label[cut, below, column] == GROUND).mean() > 0.98
-
-
-def test_pictures_are_levelled_in_training_as_in_use(network):
-    image = np.random.default_rng(5).integers(30, 220, (128, 160, 3)).astype(np.uint8)
-    image[:, :, 0] //= 2
-    light = network.torch.from_numpy(image.transpose(2, 0, 1)[np.newaxis] / np.float32(255.0))
-    # Training takes the percentiles of one pixel in sixteen.
-    found = network._levelled(light)[0].numpy().transpose(1, 2, 0)
-    np.testing.assert_allclose(found, levelled(image), atol=0.06)
 
 
 def examples(count: int, seed: int) -> list[training.Example]:

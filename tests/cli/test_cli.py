@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -113,9 +112,10 @@ def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monke
         if done == 2:
             raise KeyboardInterrupt
 
-    module = import_module(f"skyline.cli.{command}")
+    module = "store" if command == "build" else "render"
+    stopped = f"skyline.cli.{module}.build_store"
     with monkeypatch.context() as patch:
-        patch.setattr(module, "build_store", lambda *given: build_store(*given[:-1], stop))
+        patch.setattr(stopped, lambda *given: build_store(*given[:-1], stop))
         done = run(command, dem, "-o", out, *options)
     assert done.code == 130
     assert "the same command continues" in done.err

@@ -20,7 +20,7 @@ IN_DEM, BOX = ("--dem", "{dem}"), ("--bbox", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
 COMMANDS = {
     "info": (("{dem}",), "info.read_terrain"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "explain.read_terrain"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_terrain"),
     "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
@@ -29,9 +29,9 @@ COMMANDS = {
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "orient.read_terrain"),
     "orient": (("{trace}", *PLACED, "--csv", "{out}.csv"), "orient.read_terrain"),
     "locate": (("{photo}", "--near", "{at},1", *IN_DEM, "-o", "{out}"), "locate.prepare_area"),
-    "cache": ((), "cache.cached_areas"),
+    "cache": ((), "fetch.cached_areas"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
-    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
+    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "store.read_terrain"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_terrain"),
     "store check": (("{store}",), "store.check_store"),
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),

@@ -7,10 +7,9 @@ import h5py
 import numpy as np
 
 from skyline.geodesy import Frame
-from skyline.skylines import Views
+from skyline.skylines import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT, Views
 from skyline.store import StoreHeader, columns_of, write_store
 from skyline.store.format import PLACES, RENDERINGS
-from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
 
 WIDTH = 24

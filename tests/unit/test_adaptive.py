@@ -63,21 +63,6 @@ def positions(places):
     return set(zip(places.easting_m.tolist(), places.northing_m.tolist(), strict=True))
 
 
-def test_a_loss_is_the_mean_over_the_directions_of_a_photo():
-    generator = np.random.default_rng(3)
-    distance = np.exp(generator.normal(7.0, 2.0, (3, BINS))).astype(np.float32)
-    distance[:, 40:43] = np.nan
-    plain = np.zeros((3, 2))
-    for place, skyline in enumerate(np.nan_to_num(distance, nan=1e6)):
-        for start in range(0, BINS, 10):
-            window = np.take(skyline, np.arange(start, start + 60), mode="wrap")
-            ratio = np.array([50.0, 300.0]) * np.mean(1.0 / window.astype(float))
-            odds = (ratio / 0.72) ** 1.55
-            plain[place] += odds / (1.0 + odds) / 36
-    lost = lost_shares(distance, np.array([50.0, 300.0]))
-    np.testing.assert_allclose(lost, plain, rtol=1e-9)
-
-
 def near_in_the_west(easting_m):
     return np.where(easting_m < BLOCK_M, 300.0, 3e4)
 

@@ -1,4 +1,4 @@
-"""Distinct poses among hypotheses, and candidates in degrees and from true north."""
+"""Distinct poses among hypotheses; candidates in degrees, from true north, and on the map."""
 
 import dataclasses
 
@@ -6,10 +6,13 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
+from pyproj import Geod
 from query_scenes import poses
 from scenes import candidate_at
+from shapely import MultiPolygon, Polygon
 
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, lonlat_rings
+from skyline.match.candidate import Ellipse, view_wedge_m
 
 MIDDLES = {
     "EPSG:32632": (11.8, 46.8),
@@ -72,3 +75,60 @@ def test_a_pose_has_rivals_at_other_places_and_in_other_directions():
     assert some.rival_margin(200.0).tolist() == [8.0, 5.0, -8.0]
     assert some.rival_margin(200.0, turn_deg=30.0).tolist() == [3.0, -3.0, -8.0]
     assert np.isinf(some[:1].rival_margin(200.0)).all()
+
+
+def signed_area(ring):
+    """Positive for a counter-clockwise ring of (x, y)."""
+    x, y = np.array(ring).T
+    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def test_an_ellipse_has_the_covariance_s_axes():
+    along, across, azimuth_deg = 30.0, 10.0, 25.0
+    major = np.array([np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))])
+    minor = np.array([major[1], -major[0]])
+    covariance = along**2 * np.outer(major, major) + across**2 * np.outer(minor, minor)
+    ellipse = Ellipse.of(candidate_at(5.0, 7.0, covariance_m2=covariance))
+    quantile = np.sqrt(-2.0 * np.log(0.05))
+    assert ellipse.semi_major_m == pytest.approx(along * quantile)
+    assert ellipse.semi_minor_m == pytest.approx(across * quantile)
+    outline = ellipse.outline_m
+    away = outline - [5.0, 7.0]
+    assert np.degrees(np.arctan2(*away[0])) % 180.0 == pytest.approx(azimuth_deg)
+    off = np.einsum("pi,ij,pj->p", away, np.linalg.inv(covariance), away)
+    np.testing.assert_allclose(off, quantile**2)
+    np.testing.assert_array_equal(outline[0], outline[-1])
+    assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
+
+
+def test_a_wedge_spans_the_field_of_view_about_the_heading():
+    looking = candidate_at(500.0, 70.0, 350.0)
+    wedge = view_wedge_m(looking, 1000.0)
+    np.testing.assert_array_equal(wedge[[0, -1]], [[looking.easting_m, looking.northing_m]] * 2)
+    away = wedge[1:-1] - wedge[0]
+    np.testing.assert_allclose(np.hypot(*away.T), 1000.0)
+    azimuth = np.degrees(np.arctan2(*away.T)) % 360.0
+    np.testing.assert_allclose(azimuth[[-1, 0]], [320.0, 20.0])
+    assert signed_area(wedge) > 0.0
+
+
+GEOD = Geod(ellps="WGS84")
+FIJI = Frame.local(lon=180.0, lat=-17.0)
+
+
+@pytest.mark.parametrize("fov_deg", [1.0, 200.0, 360.0])
+@pytest.mark.parametrize("east_m", [-3000.0, -1999.0, 0.0, 1e-4, 300.0])
+def test_a_view_is_cut_at_the_antimeridian(east_m, fov_deg):
+    for heading_deg in range(0, 360, 15):
+        held = candidate_at(east_m, 0.0, heading_deg, fov_deg=fov_deg, frame=FIJI)
+        wedge = view_wedge_m(held, 2000.0)
+        rings = lonlat_rings(wedge, FIJI)
+        polygons = [Polygon(ring) for ring in rings]
+        assert MultiPolygon(polygons).is_valid
+        assert all(one.exterior.is_ccw for one in polygons)
+        assert np.abs(np.concatenate(rings)[:, 0]).max() <= 180.0
+        assert max(np.ptp(ring[:, 0]) for ring in rings) < 0.05
+        area_m2 = sum(GEOD.geometry_area_perimeter(one)[0] for one in polygons)
+        assert area_m2 == pytest.approx(Polygon(wedge).area, rel=1e-3)
+        sides = {bool(np.mean(ring[:, 0]) > 0.0) for ring in rings}
+        assert sides == {bool(side) for side in wedge[np.abs(wedge[:, 0]) > 0.05, 0] < 0.0}

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 
 def curves_of(seed, rows=3, width=97, gaps=False):

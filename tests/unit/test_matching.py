@@ -9,9 +9,9 @@ from skyline.build.plans import uniform_grid
 from skyline.match.profiles import TANGENT_PER_PX, CorrelationMatcher, Profiles
 from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
-from skyline.paper.curves import QueryCurve, chamfer_px, plausible, ransac_maps
-from skyline.paper.matcher import PaperMatcher, Shortlist
-from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
+from skyline.paper.curves import chamfer_px, plausible, ransac_maps
+from skyline.paper.matcher import PaperMatcher
+from skyline.skylines import NO_KEYPOINT, polyline_vertices
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
@@ -112,7 +112,6 @@ def test_degenerate_queries_have_an_answer(profiles):
 
 
 BINS = 1024
-OFFSETS = np.arange(-10, 11) * 2
 
 
 def profiles_of(y):
@@ -142,66 +141,6 @@ def query_of(profiles, location, axis_bin, seed=0):
     heading_deg = np.degrees(axis_bin * turn)
     u, v = photographed(turn * np.arange(BINS), y, heading_deg, 0.0, 0.0, 60.0)
     return equally_trusted(u, v, 60.0)
-
-
-def assumed(query, pitches_deg):
-    curves = QueryCurves.of(query, BINS, pitches_deg)
-    return [QueryCurve.of(curves, row) for row in range(len(curves.y))]
-
-
-def voted_turn(shifts):
-    """Return the mean of the shifts in the fullest of 128 windows of 8 + 8 bins."""
-    width, best, turn = BINS // 128, 0, 0.0
-    for left in range(128):
-        inside = [(s - left * width) % BINS for s in shifts]
-        inside = [s for s in inside if s < 2 * width]
-        if len(inside) > best:
-            best, turn = len(inside), left * width + np.mean(inside)
-    return round(turn)
-
-
-def plain_distance_px(profiles, location, query):
-    """Return `Shortlist.distances_px` of one location at one pitch, step by step."""
-    y = profiles.y[location].astype(np.float64) / TANGENT_PER_PX
-    begin, end = profiles.keypoint_start[location : location + 2]
-    stored_bins = profiles.keypoint_bin[begin:end]
-    shifts = []
-    for patch, bin_ in zip(query.patches, query.bins, strict=True):
-        known = np.isfinite(patch)
-        if known.sum() < 15:
-            continue
-        compared = known & (np.arange(len(patch)) % 2 == 0)
-        off = [np.sum((y[(k + OFFSETS) % BINS] - y[k] - patch)[compared] ** 2) for k in stored_bins]
-        shifts.append(stored_bins[int(np.argmin(off))] - bin_)
-    turn = voted_turn(shifts)
-    run = query.point_bins // 4
-    weight = np.array([query.weight[run == r].sum() for r in range(BINS // 4)])
-    seen = np.flatnonzero(weight)
-    x, q = (
-        np.array([np.average(v[run == r], weights=query.weight[run == r]) for r in seen])
-        for v in query.points_px.T
-    )
-    filled = np.pad(np.interp(np.arange(seen[0], seen[-1] + 1), seen, q), 1, "edge")
-    slope = (filled[2:] - filled[:-2])[seen - seen[0]]
-    azimuth = x * TANGENT_PER_PX
-    curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope], axis=1)
-    root = np.sqrt(weight[seen])
-    thin = y.reshape(-1, 4).mean(axis=1)
-    least = np.inf
-    for step in range(-4, 5):
-        off = thin[(seen + (turn + 2) // 4 + step) % (BINS // 4)] - q
-        fitted = curves @ np.linalg.lstsq(curves * root[:, np.newaxis], off * root)[0]
-        least = min(least, np.sqrt(np.average((off - fitted) ** 2, weights=weight[seen])))
-    return least
-
-
-def test_shortlist_equals_a_plain_loop():
-    profiles = random_profiles(1, 10)
-    queries = assumed(query_of(profiles, 6, 300), (-4.0, 0.0))
-    found = Shortlist(profiles).distances_px(queries)
-    expected = np.array([[plain_distance_px(profiles, k, q) for q in queries] for k in range(10)])
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.02)
-    assert found.argmin() // 2 == 6
 
 
 @pytest.mark.parametrize("seed", range(2))

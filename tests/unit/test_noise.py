@@ -30,27 +30,6 @@ def test_without_height_errors_the_cost_is_the_mixture_s():
     np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-9)
 
 
-def test_a_column_under_a_known_rise_has_a_uniform_density_up_to_it():
-    errors, _, _ = _setting()
-    sigma, stray = np.radians(0.1), 0.02 / np.radians(15.0)
-    rise = np.radians(np.tile([0.0, 0.1, 1.0, 40.0, np.nan], 8))[np.newaxis]
-    none = replace(errors, factor=0.0 * errors.factor, rough=0.0 * errors.rough, rise_rad=rise)
-    residual = np.random.default_rng(1).normal(0.005, 0.01, (1, 40))
-    found = likelihood(residual, np.ones(40), none, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
-    # The density of an even one up to the rise, blurred, by summing up.
-    limit = np.clip(rise, 0.1 * sigma, np.radians(15.0))[..., np.newaxis]
-    at = limit * (np.arange(20_000) + 0.5) / 20_000
-    even = np.exp(-0.5 * ((residual[..., np.newaxis] - at) / sigma) ** 2).mean(axis=-1)
-    covered = limit[..., 0] / (limit[..., 0] + 2.0 * sigma) * 0.96
-    terrain = (0.96 - covered) * np.exp(-0.5 * (residual / sigma) ** 2)
-    scale = np.sqrt(2.0 * np.pi) * sigma
-    limited, plain = np.isfinite(rise), np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
-    other = np.where(limited, covered * even / scale + stray, plain)
-    terrain = np.where(limited, terrain, 0.83 * np.exp(-0.5 * (residual / sigma) ** 2)) / scale
-    np.testing.assert_allclose(found.cost[0], -np.log(terrain + other).sum(), rtol=1e-5)
-    np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-5)
-
-
 def test_height_errors_have_the_stated_covariance_at_their_nodes():
     errors, azimuth, distance = _setting(nodes=40)
     point = (distance * np.exp(1j * azimuth))[0]

@@ -18,9 +18,19 @@ import numpy as np
 import pytest
 from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
-from scenes import FRAME, candidate_at
+from scenes import FRAME, at_m, candidate_at
+from shapely import Polygon
 
-from skyline import InputError, MatchResult, QuerySkyline, export_matches, read_photo, write_located
+from skyline import (
+    Frame,
+    InputError,
+    MatchResult,
+    QuerySkyline,
+    export_matches,
+    read_photo,
+    write_located,
+)
+from skyline.report.exports import VIEW_REACH_M
 
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
@@ -107,6 +117,62 @@ def test_gdal_reads_the_gpx(tmp_path):
     assert points.ele.tolist() == [1234.5, 1000.0]
     assert points.name.tolist()[1].endswith("candidate 2")
     assert "confidence 0.93" in points.desc[0]
+
+
+def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
+    frame = Frame.from_crs("EPSG:32632")
+    place = frame.from_lonlat(10.78277, 46.79586)
+    best = candidate_at(
+        *place, 275.0, -8.5, 1.0, 78.7, confidence=0.9, frame=frame,
+        covariance_m2=((400.0, 100.0), (100.0, 900.0)),
+    )  # fmt: skip
+    other = candidate_at(best.easting_m + 500.0, best.northing_m, 350.0, frame=frame, rank=2)
+    path = tmp_path / "new" / "matches.geojson"
+    found = {"<b>.jpg": [best, other], "none.csv": []}
+    export_matches(
+        path, [MatchResult(None, some, 0.0, name=name) for name, some in found.items()], frame
+    )
+    collection = json.loads(path.read_text())
+    assert collection["type"] == "FeatureCollection"
+    noted = [feature["properties"] for feature in collection["features"]]
+    assert {one["query"] for one in noted} == {"<b>.jpg"}
+    assert [(one["rank"], one["shape"]) for one in noted] == [
+        (1, "candidate"), (1, "view"), (1, "ellipse95"), (2, "candidate"), (2, "view"),
+    ]  # fmt: skip
+    point, view, ellipse, *_ = collection["features"]
+    np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
+    convergence_deg = float(frame.convergence_deg(**at_m(place)))
+    assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
+    names = "lon lat easting_m northing_m pitch_deg roll_deg fov_deg score confidence refined"
+    assert set(names.split()) <= point["properties"].keys()
+    assert ellipse["properties"]["semi_major_m"] > ellipse["properties"]["semi_minor_m"] > 0.0
+    for polygon in (view, ellipse):
+        (ring,) = polygon["geometry"]["coordinates"]
+        assert polygon["geometry"]["type"] == "Polygon"
+        assert ring[0] == ring[-1]
+        assert Polygon(ring).exterior.is_ccw
+    back = frame.from_lonlat(*np.array(view["geometry"]["coordinates"][0][1:-1]).T)
+    away = np.hypot(back[0] - best.easting_m, back[1] - best.northing_m)
+    np.testing.assert_allclose(away, VIEW_REACH_M, atol=0.05)
+
+
+def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
+    fiji = Frame.local(lon=180.0, lat=-17.0)
+    covariance_m2 = ((400.0, 100.0), (100.0, 900.0))
+    held = candidate_at(-5.0, 0.0, 90.0, covariance_m2=covariance_m2, frame=fiji)
+    query = QuerySkyline(np.full(9, 4.0), np.ones(9), 9, 6)
+    matches = [MatchResult(query, (held,), 0.0, name="q.jpg")]
+    export_matches(tmp_path / "a.geojson", matches, fiji)
+    point, *shapes = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert point["geometry"]["coordinates"][0] == pytest.approx(179.99995, abs=1e-5)
+    for one in shapes:
+        assert one["geometry"]["type"] == "MultiPolygon"
+        sides = [np.array(ring)[:, 0] for (ring,) in one["geometry"]["coordinates"]]
+        west, east = sorted((side.min(), side.max()) for side in sides)
+        assert west == (-180.0, pytest.approx(-179.99, abs=0.02))
+        assert east == (pytest.approx(179.9999, abs=1e-3), 180.0)
+    export_matches(tmp_path / "a.kml", matches, fiji)
+    assert len(Xml.parse(tmp_path / "a.kml").findall(".//{*}Polygon")) == 2
 
 
 GPS_OF_ANOTHER_POSE = {

@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FRAME, at_m, candidate_at, field_from, field_of, fractal
-from scipy import ndimage
+from scenes import FRAME, candidate_at, field_from
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
-from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks, read_peaks, visible_peaks
+from skyline.report.peaks import Peaks, read_peaks, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
-from skyline_bench.queries.pinhole import Camera
 
 FLAT = Curvature(enabled=False)
 
@@ -166,51 +164,3 @@ def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
     path.write_text(text, errors="surrogateescape")
     with pytest.raises(InputError, match=message):
         read_peaks(path, FRAME)
-
-
-def truly_over_deg(terrain, eye_m, summit_m):
-    """Return by how many degrees terrain before a summit stands above it, in steps of 3 m."""
-    east_m, north_m, up_m = summit_m - eye_m
-    away_m = np.hypot(east_m, north_m)
-    share = np.arange(12.0, away_m - SUMMIT_RADIUS_M, 3.0) / away_m
-    place = eye_m[0] + share * east_m, eye_m[1] + share * north_m
-    ground_m = terrain.height_at(**at_m(place))
-    drop_m = Curvature().drop_m(share * away_m)
-    between = np.arctan2(ground_m - drop_m - eye_m[2], share * away_m).max()
-    return np.degrees(between - np.arctan2(up_m - Curvature().drop_m(away_m), away_m))
-
-
-@pytest.mark.parametrize("heading_deg", [20.0, 115.0, 340.0])
-def test_of_thirty_summits_the_visible_are_named_where_a_camera_shows_them(heading_deg):
-    terrain = field_of(1000.0 + fractal(220, 220, 900.0, seed=8, exponent=1.6), 30.0)
-    heights = terrain.heights_m
-    # No higher sample is near enough to be taken for the summit.
-    is_top = (ndimage.maximum_filter(heights, 15) == heights)[8:-8, 8:-8]
-    rows, cols = (8 + at for at in np.nonzero(is_top))
-    highest = np.argsort(-heights[rows, cols])[:30]
-    summits_m = np.stack([*terrain.to_map(rows, cols), heights[rows, cols]], axis=1)[highest]
-    beside = np.random.default_rng(2).uniform(-40.0, 40.0, (30, 2))
-    peaks = named(**{f"P{n}": tuple(summits_m[n, :2] + beside[n]) for n in range(30)})
-    eye_m = float(terrain.height_at(easting_m=3300.0, northing_m=-3300.0)) + 400.0
-    pose = candidate_at(3300.0, -3300.0, heading_deg, 3.0, -4.0, 75.0, eye_elevation_m=eye_m)
-    camera = Camera(heading_deg, 3.0, -4.0, 75.0, 900, 600)
-    photo = QuerySkyline(np.full(900, np.nan), np.zeros(900), 900, 600)
-    found = {one.name: one for one in Viewer(terrain, peaks).summits(pose, photo)}
-    eye_m = np.array([pose.easting_m, pose.northing_m, pose.eye_elevation_m])
-    rays = camera.rays().reshape(-1, 3)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    pixel_rad, visible = 2.0 * np.tan(np.radians(75.0) / 2.0) / 900.0, 0
-    for name, summit_m in zip(peaks.names, summits_m, strict=True):
-        east_m, north_m, up_m = summit_m - eye_m
-        up_m -= Curvature().drop_m(np.hypot(east_m, north_m))
-        towards = np.array([east_m, up_m, north_m]) / np.hypot(np.hypot(east_m, north_m), up_m)
-        nearest = np.argmax(rays @ towards)
-        is_inside = np.arccos(min(1.0, rays[nearest] @ towards)) < pixel_rad
-        over_deg = truly_over_deg(terrain, eye_m, summit_m)
-        if not is_inside or over_deg > 0.0:
-            assert name not in found
-        elif over_deg <= -0.05:  # Between its steps a crest may be higher.
-            row, column = divmod(nearest, 900)
-            assert np.hypot(found[name].column_px - column, found[name].row_px - row) < 1.0
-            visible += 1
-    assert visible >= 2

@@ -13,8 +13,8 @@ from scenes import candidate_at
 
 from skyline.errors import InputError
 from skyline.match.answer import MatchResult
-from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
+from skyline.report.exports import RESULTS, ResultsFile
 
 QUERY = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 PLACE = candidate_at(

@@ -1,18 +1,15 @@
-"""Screening: the products of matrices against plain loops, in blocks and in parts."""
+"""Screening: the right place whatever the roll, in blocks and in parts, and what narrows it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
 from skyline.match import screening
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
-from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN
 
 FRAME = Frame.local(lon=10.0, lat=46.0)
 
@@ -32,39 +29,6 @@ def places():
 
 def wide(seed, heading):
     return replace(rays(seed, heading), fov_range_deg=(55.0, 66.0))
-
-
-@given(seed=st.integers(0, 1000), heading=st.floats(0.0, 360.0))
-@settings(max_examples=15)
-def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
-    generator = np.random.default_rng(seed)
-    y = np.stack([curve(seed + k, AZIMUTH_DEG) for k in range(3)])
-    y[generator.random(y.shape) < 0.05] = np.nan
-    held = places_of(y)
-    query = rays(seed, heading)
-    raw = screening.Screen(query, np.array([60.0]), held)
-    fast = raw._every_turn(held.phase)[:, 0]
-    waves = screening.query_waves(query)
-    weight, angle, grows = np.abs(waves), np.angle(waves), screening.roll_to_turn()
-    tangent = held.elevation_tan().astype(np.float64)
-    means = tangent.reshape(3, PHASE_BINS, -1).mean(axis=2)
-    rise = np.roll(means, -1, axis=1) - means
-    level, rolled = np.zeros((2, *fast.shape))
-    for place in range(3):
-        for turn in range(PHASE_BINS):
-            for bin_ in np.flatnonzero(weight):
-                there = rise[place, (bin_ + turn) % PHASE_BINS]
-                if np.isfinite(there):
-                    difference = RISE_TO_TURN * there - angle[bin_]
-                    level[place, turn] += weight[bin_] * np.cos(difference)
-                    rolled[place, turn] += weight[bin_] * grows[bin_] * np.sin(difference)
-    stiff = weight @ grows**2
-    plain = level + rolled**2 / (2.0 * stiff)
-    # A phase is within half a step of its code, and no cosine or sine changes faster than that.
-    off = np.pi / PHASES + 1e-3
-    off_rolled = off * (weight @ np.abs(grows))
-    bound = off * weight.sum() + off_rolled * (2.0 * np.abs(rolled) + off_rolled) / (2.0 * stiff)
-    assert (np.abs(fast - plain) <= bound).all()
 
 
 @pytest.mark.parametrize("roll_deg", [-5.0, 0.0, 3.0])
@@ -96,22 +60,6 @@ def test_parts_joined_are_the_whole_to_the_bit(places):
     joined = screening.Alike.joined(parts).best(10)
     assert joined.row.tobytes() == whole.row.tobytes()
     assert joined.score.tobytes() == whole.score.tobytes()
-
-
-def test_other_turns_are_the_best_ones_apart_from_better_ones(places):
-    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
-    heading_deg, fov, peak = screen.best_turns(places.phase, 3)
-    scores = (screen._every_turn(places.phase) - screen.mean[:, None]) * screen.scale[:, None]
-    headings_deg = screening.turn_heading_deg(np.arange(PHASE_BINS))
-    for row, score in enumerate(scores):
-        left = np.ones(PHASE_BINS, dtype=bool)
-        for k in range(3):
-            best = np.where(left, score.max(axis=0), -np.inf).argmax()
-            assert heading_deg[row, k] == headings_deg[best]
-            assert fov[row, k] == score[:, best].argmax()
-            assert peak[row, k] == score[:, best].max()
-            off_deg = np.abs((headings_deg - headings_deg[best] + 180.0) % 360.0 - 180.0)
-            left &= off_deg > 11.0
 
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):

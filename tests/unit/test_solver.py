@@ -11,7 +11,7 @@ from skyline.match.prior import EyeHeightPrior
 from skyline.match.query_rays import QueryRays, level, level_with_changes
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
 from skyline.photo.query import distorted, wander_of
-from skyline.terrain.edge import DataEdge
+from skyline.terrain.sightlines import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
 SWEPT = 200.0, 4.0, 230.0

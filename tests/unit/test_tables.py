@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from skyline.errors import InputError
-from skyline.tables import is_table, read_table
+from skyline.files import is_table, read_table
 
 
 def places(path, text):

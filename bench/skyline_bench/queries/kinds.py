@@ -6,7 +6,6 @@ A query is one photo, or several photos of one place that are matched together.
 import itertools
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy import ndimage
@@ -28,28 +27,28 @@ PHOTOS = 3
 """Photos of one place, where there are several."""
 _HALF_SIDE_M = 4_000.0
 """Half the side of the square in strange terrain that queries come from."""
+_CORRELATION_M = 300.0
+"""Distance at which the correlation of errors of a model, exp(-(d / L)^2), has dropped to 1/e."""
 
 
 OTHER_DEM, STRANGERS = "other-dem", "strangers"
 """Queries that see another model of the terrain, and queries of terrain outside the store."""
 
-KINDS: Mapping[str, QueryConfig] = MappingProxyType(
-    {
-        "plain": QueryConfig(),
-        "white": QueryConfig(smooth_share=0.0),  # Noise drawn anew in each column
-        OTHER_DEM: QueryConfig(),
-        "occluded": QueryConfig(occluded_share=(0.3, 0.3)),
-        "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
-        "aligned": QueryConfig(
-            fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
-            noise_deg=(0.03, 0.03), masked_share=0.0,
-        ),
-        "alone": QueryConfig(),  # Photos of each place, one by one
-        "together": QueryConfig(),  # The same photos matched together
-        "with a stranger": QueryConfig(),  # Together, the last photo of another place
-        STRANGERS: QueryConfig(),
-    }
-)  # fmt: skip
+KINDS: Mapping[str, QueryConfig] = {
+    "plain": QueryConfig(),
+    "white": QueryConfig(smooth_share=0.0),  # Noise drawn anew in each column
+    OTHER_DEM: QueryConfig(),
+    "occluded": QueryConfig(occluded_share=(0.3, 0.3)),
+    "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
+    "aligned": QueryConfig(
+        fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
+        noise_deg=(0.03, 0.03), masked_share=0.0,
+    ),
+    "alone": QueryConfig(),  # Photos of each place, one by one
+    "together": QueryConfig(),  # The same photos matched together
+    "with a stranger": QueryConfig(),  # Together, the last photo of another place
+    STRANGERS: QueryConfig(),
+}  # fmt: skip
 """Kinds of queries, and how they are drawn. Query k of the kinds of `OF_ONE_AREA` has one place,
 and one pose unless it is aligned; the kinds of `SAME_PLACE` have the same places and photos."""
 
@@ -96,21 +95,16 @@ def distance_m(query: Query) -> float:
     return float(np.mean(np.nan_to_num([photo.distance_m for photo in query])))
 
 
-def perturbed(
-    terrain: HeightField, height_rms_m: float = 10.0, correlation_m: float = 300.0, seed: int = 0
-) -> HeightField:
-    """Add smooth random errors to the heights, of a root mean square over the whole field.
-
-    ``correlation_m`` is where their correlation, exp(-(d / L)^2), has dropped to 1/e.
-    """
+def perturbed(terrain: HeightField, height_rms_m: float = 10.0, seed: int = 0) -> HeightField:
+    """Add smooth random errors to the heights, of a root mean square over the whole field."""
     noise = np.random.default_rng(seed).standard_normal(terrain.heights_m.shape)
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
-    deviation_m = correlation_m / 2.0
+    deviation_m = _CORRELATION_M / 2.0
     deviation = deviation_m / terrain.spacing_north_m, deviation_m / terrain.spacing_east_m
     smooth = ndimage.gaussian_filter(noise, deviation, mode="wrap")
     error_m = smooth * (height_rms_m / np.sqrt(np.mean(smooth**2)))
     heights = (terrain.heights_m + error_m).astype(terrain.heights_m.dtype)
-    made = f"errors of {height_rms_m:g} m rms over {correlation_m:g} m added, seed {seed}"
+    made = f"errors of {height_rms_m:g} m rms over {_CORRELATION_M:g} m added, seed {seed}"
     return replace(terrain, heights_m=heights, provenance=Provenance(resampling=made))
 
 

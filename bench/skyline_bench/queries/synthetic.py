@@ -108,6 +108,10 @@ class Truth:
         east_m, north_m = np.asarray(easting_m), np.asarray(northing_m)
         return np.asarray(np.hypot(east_m - self.easting_m, north_m - self.northing_m))
 
+    def camera(self, *size_px: int) -> Camera:
+        """Return the camera as it was held, for a photo of a width and a height."""
+        return Camera(self.heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg, *size_px)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticQuery:

@@ -25,7 +25,7 @@ from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring import Row, write_record
 from skyline_bench.options import Floats, Names
 from skyline_bench.queries import kinds
 from skyline_bench.queries.synthetic import Truth

@@ -21,7 +21,7 @@ from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery
 from skyline_bench.search.stores import UNIFORM
@@ -201,7 +201,14 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     }
 
 
-def against_uniform(rows: Iterable[Row]) -> list[Row]:
+def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
+    """Return the uniform and the adaptive stores of a record, by their number of renderings."""
+    every = sorted((row for row in rows if row["group"] == ALL), key=lambda row: row["renderings"])
+    uniform = [row for row in every if row["planner"] == UNIFORM]
+    return uniform, [row for row in every if row["planner"] != UNIFORM]
+
+
+def against_uniform(rows: Sequence[Row]) -> list[Row]:
     """Hold each adaptive store to the uniform ones that the same matcher searches.
 
     ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
@@ -209,10 +216,9 @@ def against_uniform(rows: Iterable[Row]) -> list[Row]:
     store would take to be as accurate, and ``share`` the store's own over those. They are
     interpolated between the uniform stores on logarithmic axes, and None outside their range.
     """
-    stores = sorted((row for row in rows if row["group"] == ALL), key=lambda r: r["renderings"])
-    uniform = [row for row in stores if row["planner"] == UNIFORM]
+    uniform, adaptive = by_planner(rows)
     held: list[Row] = []
-    for store in (row for row in rows if row in stores and row not in uniform):
+    for store in (row for row in rows if row in adaptive):
         key = store["matcher"], store["queries"]
         grids = [row for row in uniform if (row["matcher"], row["queries"]) == key]
         renderings = [float(row["renderings"]) for row in grids]

@@ -21,7 +21,7 @@ from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring import Row
 from skyline_bench.truth import oracle
 
 EPSILON = 2.0**-24
@@ -43,9 +43,9 @@ class SkylineScene:
     width: int = DEFAULT_WIDTH
     curvature: Curvature = dataclasses.field(default_factory=Curvature)
 
-    def first(self, count: int) -> "SkylineScene":
-        """Return the scene with its first viewpoints only."""
-        return replace(self, viewpoints=self.viewpoints[:count])
+    def quick(self) -> "SkylineScene":
+        """Return the scene with its first two viewpoints only."""
+        return replace(self, viewpoints=self.viewpoints[:2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ from skyline.geodesy import Curvature, Frame, in_turn
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, at_elevation, stand_on
-from skyline_bench.measuring.geotiff import write_geotiff
+from skyline_bench.geotiff import write_geotiff
 from skyline_bench.truth.agreement import (
     Agreement,
     RenderPath,
@@ -36,8 +36,6 @@ SPACING_M = 32.0
 
 HORIZON_ONLY = ("horizon",)
 """For cases in which a depth image shows too little to promise anything."""
-
-_QUICK_VIEWPOINTS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +79,7 @@ class SceneCase:
 @lru_cache(maxsize=1)
 def _posed(case: SceneCase, quick: bool) -> tuple[SkylineScene, SkylineTruth]:
     """Return a case's scene and truth; kept, since several paths look at one case in turn."""
-    scene = case.scene()
-    if quick:
-        scene = scene.first(_QUICK_VIEWPOINTS)
+    scene = case.scene().quick() if quick else case.scene()
     return scene, case.truth(scene)
 
 

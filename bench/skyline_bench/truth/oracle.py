@@ -21,7 +21,7 @@ from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""
@@ -69,11 +69,12 @@ def skyline_at(
     most 1. Of the 4 N views, the four headings of a viewpoint follow one another.
     """
     kinds = (np.float64, np.float64, np.uint8)
+    eyes, heading = in_four_views(viewpoints)
     return Views(
-        np.repeat(viewpoints.easting_m, 4),
-        np.repeat(viewpoints.northing_m, 4),
-        np.repeat(viewpoints.eye_elevation_m, 4),
-        np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
+        eyes.easting_m,
+        eyes.northing_m,
+        eyes.eye_elevation_m,
+        heading,
         *_seen(field, viewpoints, u, curvature, _Scene.skyline, kinds),
     )
 

@@ -13,7 +13,7 @@ from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench import options
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring import Row, write_record
 from skyline_bench.truth import closed_forms as forms
 from skyline_bench.truth.agreement import (
     DEPTH,
@@ -80,7 +80,7 @@ def _turned(
     A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
     not, so these take terrain whose cells are flat (height = a(row) + b(col)).
     """
-    scene = stood().first(2) if quick else stood()
+    scene = stood().quick() if quick else stood()
     turned = turned_scene(scene, turn)
     expected = turned_views(path.render(scene), turn)
     agreement = path.agreement(turned, path.render(turned), SkylineTruth(expected))
@@ -189,35 +189,27 @@ HARD_CASES: tuple[HardCase, ...] = (
 )  # fmt: skip
 
 
-def measure(
-    path: RenderPath, quick: bool = False, cases: Sequence[HardCase] = HARD_CASES
-) -> list[Row]:
-    """Return a row for each hard case that a path promises something for.
+def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
+    """Return the row of a hard case, along a path that promises something for it.
 
     ``error_px`` is the greatest error and ``bound_px`` what is allowed in that column; where a
     column is over its bound, they are those of the column that is furthest over. ``quick`` takes
     the first two viewpoints of each scene only.
     """
-    rows: list[Row] = []
-    for case in cases:
-        if path.name in case.paths:
-            agreement = case.agreement(path, quick)
-            error, bound = agreement.error_px, agreement.bound_px
-            over = error > bound
-            score = np.where(over, error - bound, -np.inf) if over.any() else error
-            worst = np.unravel_index(np.argmax(score), score.shape)
-            rows.append(
-                {
-                    "case": case.name,
-                    "path": path.name,
-                    "error_px": float(error[worst]),
-                    "bound_px": float(bound[worst]),
-                    "flags_agree": bool(agreement.flags_agree.all()),
-                    "ok": agreement.holds,
-                    "what": case.breaks,
-                }
-            )
-    return rows
+    agreement = case.agreement(path, quick)
+    error, bound = agreement.error_px, agreement.bound_px
+    over = error > bound
+    score = np.where(over, error - bound, -np.inf) if over.any() else error
+    worst = np.unravel_index(np.argmax(score), score.shape)
+    return {
+        "case": case.name,
+        "path": path.name,
+        "error_px": float(error[worst]),
+        "bound_px": float(bound[worst]),
+        "flags_agree": bool(agreement.flags_agree.all()),
+        "ok": agreement.holds,
+        "what": case.breaks,
+    }
 
 
 def stability(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
@@ -229,7 +221,7 @@ def stability(json_file: options.JsonFile = None, quick: options.Quick = False) 
     with progress_bar("cases") as progress:
         for path, case in asked:
             progress(len(rows), len(asked))
-            rows += measure(path, quick, [case])
+            rows.append(measure(path, case, quick))
     verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
     options.print_rows(verdicts, "case path error_px bound_px verdict")
     write_record(json_file, "stability", rows)

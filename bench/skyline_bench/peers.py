@@ -1,32 +1,44 @@
-"""A peer to be measured against: skylines from Embree's rays, a bisection in every column.
+"""Peers to be measured against: Embree's rays, and GRASS' r.horizon.
 
-The scene is the exact surface, so that all renderers share one physics.
-Curvature depends on the eye and a ray tracer's scene does not, so the samples are dropped around
-the DEM's middle c instead. That drop and the one around an eye e differ at p by a constant and
-2 k (p - e).(e - c), k being the drop per square metre: a shear. It keeps straight edges straight
-and moves the ordinate of a column with ground direction g (metres over the ground per metre of
-depth) by 2 k g.(e - c) at any depth. The rays are tilted by that much; nothing is approximated.
+Embree's scene is the exact surface, so that all renderers share one physics. Curvature depends on
+the eye and a ray tracer's scene does not, so the samples are dropped around the DEM's middle c
+instead. That drop and the one around an eye e differ at p by a constant and 2 k (p - e).(e - c), k
+being the drop per square metre: a shear. It keeps straight edges straight and moves the ordinate of
+a column with ground direction g (metres over the ground per metre of depth) by 2 k g.(e - c) at any
+depth. The rays are tilted by that much; nothing is approximated. Embree needs ``embreex``, the
+optional extra ``peers``. One call to it runs on one thread and lets others run, so the viewpoints
+are shared out among as many threads as there are cores.
 
-Needs ``embreex``, the optional extra ``peers``. One call to it runs on one thread and lets others
-run, so the viewpoints are shared out among as many threads as there are cores.
+r.horizon (`grass` on the path) goes place by place. It puts the eye on the ground of the nearest
+sample, knows no curvature in metric frames, counts its azimuths from true north and has no angle
+below zero. So its map is the height field, and it is compared with skylines from that sample, on a
+flat Earth, cut off at zero.
 """
 
+import re
+import shutil
+import subprocess
+import tempfile
+import time
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
+from skyline.camera import HEADINGS, ground_directions
+from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
-from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.measuring.timing import core_count, over_cores
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
+from skyline_bench.geotiff import write_geotiff
+from skyline_bench.measuring import core_count, over_cores
 
 _STEEPEST_TAN = 1e4
 """A column without a hit below this dip meets no data."""
@@ -37,29 +49,42 @@ _FIRST_STEP = 1.0 / 64.0
 
 _VIEWPOINTS_A_CALL = 8
 
+_SCRIPT = """set -e
+r.in.gdal input={dem} output=dem --quiet
+g.region raster=dem
+for place in {places}; do
+  r.horizon -dc elevation=dem step={step} coordinates=$place
+  date +"took %s.%N"
+done
+"""
 
-def is_installed() -> bool:
+
+def has_embree() -> bool:
     """Whether ``embreex`` is there to be imported."""
     return find_spec("embreex") is not None
 
 
+def has_grass() -> bool:
+    """Whether ``grass`` is there to be run."""
+    return shutil.which("grass") is not None
+
+
 class EmbreePeer:
-    """Skylines of one height field by Embree's rays, ``width`` columns W a view.
+    """Skylines of one height field by Embree's rays, ``width`` columns W a view."""
 
-    The curvature is by default the Earth's with k = 0.13.
-    """
-
-    def __init__(
-        self, field: HeightField, width: int = DEFAULT_WIDTH, curvature: Curvature | None = None
-    ) -> None:
-        self.field = field
-        self.width = check_width(width)
-        self.curvature = curvature or Curvature()
+    def __init__(self, field: HeightField, width: int) -> None:
+        self.field, self.width, self.curvature = field, width, Curvature()
         # On a sample, so that the samples' own offsets are short numbers in float32.
         easting, northing = field.to_map(field.rows // 2, field.cols // 2)
         self._middle_m = np.array([float(easting), float(northing)])
         self._datum_m = float(np.mean(field.height_range_m))
-        self._scene = _scene(self._vertices(), _triangles(field))
+        # East, up, north of the middle, curved.
+        easting, northing = field.to_map(*np.indices((field.rows, field.cols)))
+        east, north = easting - self._middle_m[0], northing - self._middle_m[1]
+        heights = np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
+        up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
+        vertices = np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
+        self._scene = _scene(vertices, _triangles(field))
         self._directions = np.stack([ground_directions(turn, width) for turn in HEADINGS])
 
     def render(self, viewpoints: Viewpoints, depth: int) -> Views:
@@ -75,24 +100,10 @@ class EmbreePeer:
         find = partial(self._skylines, bracket=2.0 / 2.0**depth)
         parts = over_cores(find, viewpoints, min(share, _VIEWPOINTS_A_CALL))
         tan = np.concatenate([np.zeros((0, self.width)), *parts])
-        return Views(
-            np.repeat(viewpoints.easting_m, len(HEADINGS)),
-            np.repeat(viewpoints.northing_m, len(HEADINGS)),
-            np.repeat(viewpoints.eye_elevation_m, len(HEADINGS)),
-            np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
-            tan,
-            np.full_like(tan, np.nan),
-            np.where(np.isnan(tan), FLAG_NO_DATA, 0).astype(np.uint8),
-        )
-
-    def _vertices(self) -> Float32Array:
-        """Return the samples as (rows * cols, 3) east, up, north of the middle, curved."""
-        field = self.field
-        easting, northing = field.to_map(*np.indices((field.rows, field.cols)))
-        east, north = easting - self._middle_m[0], northing - self._middle_m[1]
-        heights = np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
-        up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
-        return np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
+        eyes, heading = in_four_views(viewpoints)
+        place = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
+        flags = np.where(np.isnan(tan), FLAG_NO_DATA, 0).astype(np.uint8)
+        return Views(*place, heading, tan, np.full_like(tan, np.nan), flags)
 
     def _skylines(self, viewpoints: Viewpoints, bracket: float) -> Float64Array:
         """Return elevation_tan of every column of a few viewpoints' four views, (4 N, W)."""
@@ -211,3 +222,39 @@ def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
     # The first call commits the scene, which must not happen in two threads at once.
     scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="OCCLUDED")
     return scene
+
+
+def grass_horizons(
+    field: HeightField, eyes: Viewpoints, step_deg: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return r.horizon's elevation angles (N, A) from true north, and seconds (N - 1,).
+
+    The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
+    place but the first.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")
+        # The samples are the centres of the raster's cells.
+        step = field.spacing_east_m, field.spacing_north_m
+        corner = field.west_m - 0.5 * step[0], field.north_m + 0.5 * step[1]
+        write_geotiff(dem, field.heights_m.astype(np.float32), field.frame.wkt, corner, step)
+        places = [f"{e},{n}" for e, n in zip(eyes.easting_m, eyes.northing_m, strict=True)]
+        text = _SCRIPT.format(dem=dem, step=step_deg, places=" ".join(places))
+        script.write_text(text, encoding="utf-8")
+        begun = time.perf_counter()
+        done = subprocess.run(
+            ["grass", "--tmp-location", str(dem), "--exec", "sh", str(script)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        taken = time.perf_counter() - begun
+    angles = re.findall(r"^([\d.]+),(-?[\d.]+)$", done.stdout, re.MULTILINE)
+    ends = np.array(re.findall(r"^took ([\d.]+)$", done.stdout, re.MULTILINE), dtype=np.float64)
+    steps = round(360.0 / step_deg)
+    if done.returncode or len(ends) != len(eyes) or len(angles) < len(eyes) * steps:
+        stderr = " ".join(done.stderr.split())[-200:]
+        raise SkylineError(f"r.horizon gave {len(angles)} angles in {taken:.0f} s: {stderr}")
+    table = np.array(angles, dtype=np.float64).reshape(len(eyes), -1, 2)
+    order = np.argsort(np.round(table[0, :, 0] % 360.0, 6), kind="stable")
+    return table[:, order, 1][:, -steps:], np.diff(ends)

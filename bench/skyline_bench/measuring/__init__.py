@@ -1,1 +1,0 @@
-"""Measuring: the machine, times, memory, processes and records."""

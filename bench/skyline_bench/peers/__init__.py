@@ -1,1 +1,0 @@
-"""Other programs that Skyline is compared with."""

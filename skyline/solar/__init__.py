@@ -1,1 +1,0 @@
-"""Local horizons of places, hours of sun above them, and sky view factors."""
