@@ -27,8 +27,8 @@ usual zoom lens."""
 PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
 _DISTORTION_SD, _WIDE_DISTORTION_SD = 0.02, 0.05
-"""Standard deviations of a lens's distortion: phones correct most of it and cameras little. A zoom
-lens moves the sides of a photo by 1 to 3 % of half its width, and a wide one by more."""
+"""Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
+6 % of half the width, rms; phones and many cameras correct their photos."""
 _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
