@@ -177,7 +177,7 @@ class RenderingPlan:
 
     def opened(self, terrain: HeightField) -> PartRenderer:
         """Return a renderer of the parts."""
-        renderer = HorizonRenderer.of(terrain, self.config)
+        renderer = HorizonRenderer(terrain, self.config)
         header = replace(self.header(terrain), renderer=renderer.description)
         return PartRenderer(
             renderer, header, lambda eyes: rendering_columns(header, renderer.render(eyes))

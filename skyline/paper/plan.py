@@ -158,7 +158,7 @@ def build_planned(
                 "two with `skyline store merge`"
             )
         return None
-    with HorizonRenderer.of(terrain, config) as renderer:
+    with HorizonRenderer(terrain, config) as renderer:
         area = map_bounds(terrain, bounds_deg)
         done = plan(terrain, renderer.render, planned, area, progress)
         header = replace(header, renderer=renderer.description)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, columns_u, ground_directions
+from skyline.camera import HEADINGS, columns_u, directions_at
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms
@@ -158,7 +158,8 @@ def _slope_skyline(scene: SkylineScene) -> forms.ClosedForm:
     """Return the eye's own slope: uphill to the crest a millimetre away, downhill for ever."""
     field = scene.field
     slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
-    tan = [slope * ground_directions(heading, scene.width)[:, 1] for heading in HEADINGS]
+    u = columns_u(scene.width)
+    tan = [slope * directions_at(heading, u)[:, 1] for heading in HEADINGS]
     return forms.ClosedForm(np.tile(np.stack(tan), (len(scene.viewpoints), 1)))
 
 
