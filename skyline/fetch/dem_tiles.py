@@ -24,7 +24,7 @@ from rasterio.windows import transform as transform_of
 
 from skyline.arrays import BoolArray, Progress
 from skyline.errors import InputError
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, with_remote
+from skyline.fetch.remote import AbsentError, with_remote
 from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.rasters import shown
@@ -77,9 +77,7 @@ class _Cut:
 def fetch_dem(
     bounds_deg: Bounds,
     source: str,
-    folder: str | Path,
-    retries: int = RETRIES,
-    timeout_s: int = TIMEOUT_S,
+    folder: Path,
     progress: Progress | None = None,
     earlier: Sequence[Path] = (),
 ) -> FetchResult:
@@ -92,7 +90,7 @@ def fetch_dem(
     for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
     hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
     it does not exist. Files are named by their tile: ``N46E009.tif``. A request that fails, or has
-    no answer in ``timeout_s`` seconds, is repeated up to ``retries`` times. Samples that folders of
+    no answer in `TIMEOUT_S` seconds, is repeated up to `RETRIES` times. Samples that folders of
     earlier fetches have from the same source are copied.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large, there
@@ -102,7 +100,6 @@ def fetch_dem(
     template = SOURCES.get(source, source)
     _check_template(template)
     corners = tile_corners(bounds_deg)
-    folder = Path(folder)
     for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name a folder to write the tiles to")
@@ -114,7 +111,7 @@ def fetch_dem(
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
         path = folder / f"{name}.tif"
         try:
-            cut = _plan(address(template, *corner), path, bounds_deg, retries, timeout_s)
+            cut = _plan(address(template, *corner), path, bounds_deg)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -132,7 +129,7 @@ def fetch_dem(
     for done, cut in enumerate(cuts):
         if progress:
             progress(done, len(cuts))
-        _fetch(cut, earlier, retries, timeout_s)
+        _fetch(cut, earlier)
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
@@ -181,7 +178,7 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
-def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int) -> _Cut | None:
+def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
     """Return the part of a remote tile to read; None where the file is there already."""
     tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
     if path.exists():
@@ -199,7 +196,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
         _check_usable(url, file)
         return _Cut(url, path, tag, _window(url, file, bounds_deg), file.dtypes[0])
 
-    return with_remote(url, look, retries, timeout_s)
+    return with_remote(url, look)
 
 
 def _check_usable(url: str, file: Any) -> None:
@@ -240,7 +237,7 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     return Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
 
-def _fetch(cut: _Cut, earlier: Sequence[Path], retries: int, timeout_s: int) -> None:
+def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
     samples, known = np.empty((height, width), cut.dtype), np.zeros((height, width), bool)
@@ -263,7 +260,7 @@ def _fetch(cut: _Cut, earlier: Sequence[Path], retries: int, timeout_s: int) -> 
             start = stop
         return _geotiff(samples, cut, file)
 
-    write_whole(cut.path, with_remote(cut.url, read, retries, timeout_s))
+    write_whole(cut.path, with_remote(cut.url, read))
 
 
 def _copy_held(

@@ -13,7 +13,7 @@ from skyline.errors import FetchError
 from skyline.terrain.rasters import shown
 
 RETRIES = 4
-"""Default number of repetitions of a failed request."""
+"""Number of repetitions of a failed request."""
 TIMEOUT_S = 30
 """Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
 
@@ -46,16 +46,16 @@ class RequestError(Exception):
     """Whether the server was found."""
 
 
-def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
+def repeated(url: str, request: Callable[[], _T]) -> _T:
     """Return the result of a request, repeated where it raises a `RequestError` that may pass.
 
     Raises `FetchError` where the last repetition fails too, or repetition cannot help.
     """
-    for attempt in range(retries + 1):
+    for attempt in range(RETRIES + 1):
         try:
             return request()
         except RequestError as error:
-            last = retries if error.is_reached else min(retries, _UNREACHABLE_RETRIES)
+            last = RETRIES if error.is_reached else min(RETRIES, _UNREACHABLE_RETRIES)
             if not error.may_pass or attempt >= last:
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise FetchError(
@@ -65,7 +65,7 @@ def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
     raise AssertionError("the last attempt returns or raises")
 
 
-def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: int) -> _T:
+def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
     """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
     After a failure that may pass ``work`` is called again with the file opened anew. Raises
@@ -74,8 +74,8 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
     """
     settings = {
         "GDAL_HTTP_MAX_RETRY": 0,
-        "GDAL_HTTP_CONNECTTIMEOUT": timeout_s,
-        "GDAL_HTTP_LOW_SPEED_TIME": timeout_s,
+        "GDAL_HTTP_CONNECTTIMEOUT": TIMEOUT_S,
+        "GDAL_HTTP_LOW_SPEED_TIME": TIMEOUT_S,
         "GDAL_HTTP_LOW_SPEED_LIMIT": 1000,
         # No requests for the folder or for side-car files.
         "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
@@ -95,7 +95,7 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
         except RasterioError as error:
             raise _failure(url, error) from error
 
-    return repeated(url, read, retries)
+    return repeated(url, read)
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
