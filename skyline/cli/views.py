@@ -32,7 +32,7 @@ from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar import (
     DEFAULT_STEP_DEG,
-    SUFFIXES,
+    KINDS,
     LocalHorizons,
     horizon_csv,
     horizons_of,
@@ -83,7 +83,7 @@ def horizon(
     output: Annotated[
         Path | None,
         output_option(
-            f"The file to write: {', '.join(SUFFIXES)} (PVGIS' horizon file). "
+            f"The file to write: {', '.join(KINDS)} (PVGIS' horizon file). "
             "By default CSV is printed."
         ),
     ] = None,
@@ -96,7 +96,7 @@ def horizon(
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
     if output not in {None, Path(STANDARD)}:
-        suffix_of(output, SUFFIXES)
+        suffix_of(output, KINDS)
     terrain = read_terrain(dem, crs, reproject)
     ids: tuple[str, ...] = ()
     if points is not None:

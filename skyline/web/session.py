@@ -94,7 +94,6 @@ class PagePhoto:
                 "height": query.height_px,
                 # A field of view that is a guess from a cropped photo is not shown.
                 "fov": None if query.lens and query.lens.most_deg is not None else query.fov_deg,
-                "projection": str(query.projection),
                 "lonlat": query.noted.lonlat_deg,
                 "accuracy": query.noted.accuracy_m,
                 "elevation": query.noted.elevation_m,
