@@ -248,7 +248,7 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
     path, work = item
     if build not in _open_renderer:
         while _open_renderer:
-            _open_renderer.popitem()[1].__exit__()
+            _open_renderer.popitem()[1].release()
         try:
             terrain = header.read_dem()
         except StoreMismatchError as error:

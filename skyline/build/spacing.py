@@ -71,7 +71,7 @@ _FINDS_SAMPLE = 20_000
 """Greatest number of places from which a plan's finds are estimated. All 2.7 million of a store
 take 14.5 GB, and change no share by a point."""
 
-CLASSES_M = (0.0, 150.0, 400.0)
+_CLASSES_M = (0.0, 150.0, 400.0)
 """Least distances of the classes of skylines of which a plan's finds are reported."""
 
 _EVEN_ODDS = 0.72
@@ -310,7 +310,7 @@ def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     kept = 1.0 - _lost(nearness, spacing_m[:, np.newaxis])
     kept /= 1.0 + (_TOO_NEAR_M * nearness) ** _TOO_NEAR_POWER
     found = []
-    for least_m, most_m in pairwise((*CLASSES_M, np.inf)):
+    for least_m, most_m in pairwise((*_CLASSES_M, np.inf)):
         mine = (nearness <= 1.0 / max(least_m, _NEAREST_M)) & (nearness > 1.0 / most_m)
         total = weight[mine].sum()
         if total:

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
 from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
-from skyline.render.context import RenderThread
+from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import (
     Peaks,
@@ -237,7 +236,7 @@ class PixelPlaces:
             write_whole(path, memory.read())
 
 
-class Viewer:
+class Viewer(Releasable):
     """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
 
     Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
@@ -275,12 +274,6 @@ class Viewer:
         """Free the textures and buffers on the GPU."""
         if self._scene is not None:
             self._scene.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def pose(
         self,
