@@ -157,8 +157,7 @@ def oriented_figures(
     The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
     known place.
     """
-    others = np.where(np.eye(len(poses), dtype=bool), np.inf, poses.hypotheses.score)
-    margin = others.min(axis=1, initial=np.inf) - poses.hypotheses.score
+    margin = poses.hypotheses.rival_margin(0.0, 0.0)
     figures = pose_figures(poses, query)
     del figures["log_position_sd"]  # The place is known.
     return figures | {

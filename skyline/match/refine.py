@@ -303,8 +303,8 @@ class Refinement:
         # the temperature.
         covariance = TEMPERATURE * solver.covariance(linear, found)
         trust = solver.query.weight
-        squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
-        shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
+        squares = (found.trusted_odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
+        shown = np.maximum(found.trusted_odds.sum(axis=1), 1e-9)
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         hypotheses = self.hypotheses(particles)
         return RefinedPoses(

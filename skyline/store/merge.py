@@ -192,7 +192,8 @@ def _joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
 def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
     """Return the rows to write, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
-    ties = [np.asarray(columns[name]) for name in header.preferred_by]
+    # Of two rows with these keys the one with the lesser tolerance is kept.
+    ties = [columns[name] for field, name in header.fields.items() if field == "tolerance_m"]
     order = np.lexsort([*ties, *keys[::-1]])
     again = np.ones(len(order), dtype=bool)
     again[:1] = False
