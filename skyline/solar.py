@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows
 from skyline.camera import MAX_WIDTH
-from skyline.errors import InputError, library, named
+from skyline.errors import InputError, entry_named, library
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
@@ -416,7 +416,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     Raises `InputError` where the suffix is unknown, the file cannot be written, or a ``.txt`` would
     hold several places, a surface, or an unknown value.
     """
-    write_whole(path, named("the suffix", path.suffix.lower(), KINDS)(horizons))
+    write_whole(path, entry_named("the suffix", path.suffix.lower(), KINDS)(horizons))
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:

@@ -27,7 +27,7 @@ from skyline.errors import InputError
 from skyline.fetch.remote import AbsentError, with_remote
 from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 MAX_TILES = 64
 """Greatest number of tiles of a fetch: 8 x 8 degrees."""
@@ -122,8 +122,8 @@ def fetch_dem(
     if not files:
         raise InputError(
             f"the source has none of {', '.join(missing)}, which is usual in the sea "
-            f"({shown(address(template, *corners[0]))}, for one, is not there); check the place, "
-            "or the source's template"
+            f"({without_secrets(address(template, *corners[0]))}, for one, is not there); check "
+            "the place, or the source's template"
         )
     folder.mkdir(parents=True, exist_ok=True)
     for done, cut in enumerate(cuts):
@@ -180,7 +180,7 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
 
 def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
     """Return the part of a remote tile to read; None where the file is there already."""
-    tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
+    tag = json.dumps({"source": without_secrets(url), "bounds_deg": bounds_deg})
     if path.exists():
         held = None
         with suppress(RasterioError), rasterio.open(path, driver="GTiff") as file:
@@ -201,7 +201,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
 
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
-    where, transform = shown(url), file.transform
+    where, transform = without_secrets(url), file.transform
     if file.count != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
     if file.crs is None or not file.crs.is_geographic:
@@ -230,7 +230,7 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     last_row = min(math.ceil((top - south) / step_north - _SLACK), file.height)
     if first_col >= last_col or first_row >= last_row:
         raise InputError(
-            f"{shown(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
+            f"{without_secrets(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
             f"{left + file.width * step_east:.4f},{top:.4f}, no part of the bounds; check the "
             "source's template: {lat} and {lon} are a tile's south-west corner"
         )
@@ -269,7 +269,8 @@ def _copy_held(
     """Copy the samples of a cut that a file has which was fetched from the same tile."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
-        if tag.get("source") != shown(cut.url) or file.dtypes[0] != np.dtype(cut.dtype).name:
+        fetched = tag.get("source"), file.dtypes[0]
+        if fetched != (without_secrets(cut.url), np.dtype(cut.dtype).name):
             return
         col = round((file.transform.c - transform.c) / transform.a)
         row = round((file.transform.f - transform.f) / transform.e)

@@ -14,7 +14,7 @@ from skyline.errors import FetchError, InputError, printable
 from skyline.fetch.remote import PASSING, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 
 def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
@@ -44,7 +44,9 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
     answer = repeated(server, lambda: _ask(server, body))
     features = [_feature(server, one, (south, north), spans) for one in _elements(server, answer)]
     if not features:
-        raise FetchError(f"{shown(server)} knows no named peak in the bounds; choose larger bounds")
+        raise FetchError(
+            f"{without_secrets(server)} knows no named peak in the bounds; choose larger bounds"
+        )
     collection = {
         "type": "FeatureCollection",
         "attribution": "OpenStreetMap contributors, ODbL",
@@ -89,13 +91,13 @@ def _elements(server: str, answer: bytes) -> list[Any]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         begins = " ".join(answer[:60].decode("utf-8", "replace").split())
         raise FetchError(
-            f"{shown(server)}: the answer is not one of Overpass (it begins `{begins}`); "
+            f"{without_secrets(server)}: the answer is not one of Overpass (it begins `{begins}`); "
             "check the address"
         ) from None
     if "error" in str(note):
         raise FetchError(
-            f"{shown(server)}: the server gave up ({' '.join(str(note).split())[:120]}); choose "
-            "smaller bounds, or try again later"
+            f"{without_secrets(server)}: the server gave up ({' '.join(str(note).split())[:120]}); "
+            "choose smaller bounds, or try again later"
         )
     return elements
 
@@ -113,8 +115,8 @@ def _feature(
     inside = lats[0] <= lat <= lats[1] and any(west <= lon <= east for west, east in spans)
     if not inside or not isinstance(name, str):
         raise FetchError(
-            f"{shown(server)}: the answer has {str(element)[:80]!r}, which is no named peak in the "
-            "bounds; nothing was written"
+            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is no named "
+            "peak in the bounds; nothing was written"
         )
     properties = {"name": printable(name)}
     if height is not None:

@@ -10,7 +10,7 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from skyline.errors import FetchError
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 RETRIES = 4
 """Number of repetitions of a failed request."""
@@ -59,7 +59,7 @@ def repeated(url: str, request: Callable[[], _T]) -> _T:
             if not error.may_pass or attempt >= last:
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise FetchError(
-                    f"{shown(url)}: {error.reason}, {times}; {error.advice}"
+                    f"{without_secrets(url)}: {error.reason}, {times}; {error.advice}"
                 ) from error
         time.sleep(_FIRST_DELAY_S * 2.0**attempt)
     raise AssertionError("the last attempt returns or raises")
@@ -105,13 +105,13 @@ def _failure(url: str, error: RasterioError) -> Exception:
     while cause is not None:
         messages.append(" ".join(str(cause).split()))
         cause = cause.__cause__
-    text = "; ".join(messages).replace(f"/vsicurl/{url}", shown(url))
+    text = "; ".join(messages).replace(f"/vsicurl/{url}", without_secrets(url))
     again = "give the same command again: fetched tiles are kept"
     check = "check the address and the source's template"
     if status := re.search(r"HTTP response code: (\d+)", text):
         code = int(status[1])
         if code == 404:
-            return AbsentError(f"{shown(url)}: there is no such file (HTTP 404)")
+            return AbsentError(f"{without_secrets(url)}: there is no such file (HTTP 404)")
         if code in (401, 403):
             check = "check that the source is open to you (or the file is absent)"
         passes = code in PASSING

@@ -18,7 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Pr
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, StoreMismatchError, named
+from skyline.errors import InputError, StoreMismatchError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import (
     displacements_m,
@@ -68,7 +68,7 @@ class PlanConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        named("strategy", self.strategy, STRATEGIES)
+        entry_named("strategy", self.strategy, STRATEGIES)
         for name, value, unit, most in (
             ("coverage", self.coverage, "", 1.0),
             ("threshold", self.threshold_px, " px", np.inf),

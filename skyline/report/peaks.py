@@ -362,11 +362,11 @@ def highest_between_deg(
     of the surface, which is a plane between two edges.
     """
     away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
-    up_deg = elevation_deg(terrain, eye, curvature, grid_rad, away_m)
+    up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
     return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
 
 
-def elevation_deg(
+def ground_elevation_deg(
     terrain: HeightField,
     eye: Viewpoints,
     curvature: Curvature,
