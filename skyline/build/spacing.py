@@ -97,10 +97,11 @@ def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
 
 
 class Prices:
-    """Prices of plans of an area: the area that each place of a plan must save, square metres.
+    """Prices of plans for an area.
 
-    They are computed from skylines at viewpoints spread over the area. Raises `InputError` for an
-    area of holes.
+    A price is the area, in square metres, whose views each place of a plan must save. Prices are
+    computed from skylines at viewpoints spread over the area. Raises `InputError` for an area of
+    holes.
     """
 
     def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:
@@ -108,7 +109,10 @@ class Prices:
         self._lost = lost_shares(look(eyes).distance_m, _SPACING_M)
 
     def of_loss(self, loss: float) -> float:
-        """Return the price of a plan that loses at most a share of the views, if one can."""
+        """Return the highest price at which a plan loses at most a given share of the views.
+
+        The lowest price is returned if no plan can.
+        """
         rows = np.arange(len(self._lost))
         return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
 
@@ -299,8 +303,8 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
 def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     """Return how many views round places are expected to be found, by the skyline's distance.
 
-    Each class is the least distance of its skylines, harmonic means in metres, the share that its
-    views are of all, and the share of them that is found. Of very many places every n-th is read.
+    Each class has its least skyline distance (harmonic mean, metres), its share of all views, and
+    the share of its views that is expected to be found. Of very many places every n-th is read.
     """
     every = len(source) // _FINDS_SAMPLE + 1
     places = source.take(np.arange(0, len(source), every, dtype=np.intp))

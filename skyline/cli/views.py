@@ -184,7 +184,7 @@ def panorama(
 def _eyes(
     terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
 ) -> Viewpoints:
-    """Stand eyes at places, and print where they stand if that is not the surface there."""
+    """Place eyes, and print a note for each that does not stand on the surface at its place."""
     lon, lat = np.transpose([parse_place(text) for text in at])
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
@@ -201,7 +201,7 @@ def _print_where(
     eye_height_m: float,
     summit_within_m: float | None,
 ) -> None:
-    """Print the point that was taken for a place, if it is a summit near it."""
+    """Print a note if the eye stands on a summit near its place."""
     asked_m = np.array(terrain.frame.from_lonlat(*asked))
     stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
     place = f"{asked[0]:.5f},{asked[1]:.5f}"

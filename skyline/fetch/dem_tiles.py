@@ -90,8 +90,8 @@ def fetch_dem(
     for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
     hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
     it does not exist. Files are named by their tile: ``N46E009.tif``. A request that fails, or has
-    no answer in `TIMEOUT_S` seconds, is repeated up to `RETRIES` times. Samples that folders of
-    earlier fetches have from the same source are copied.
+    no answer in `TIMEOUT_S` seconds, is repeated up to `RETRIES` times. Samples of the same
+    source are copied from the folders of earlier fetches.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large, there
     is no tile, or a file is in the way or cannot be written, and `FetchError` where a server still
@@ -266,7 +266,7 @@ def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
 def _copy_held(
     path: Path, cut: _Cut, transform: Any, samples: NDArray[Any], known: BoolArray
 ) -> None:
-    """Copy the samples of a cut that a file has which was fetched from the same tile."""
+    """Copy a cut's samples from a file that was fetched earlier from the same tile."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
         fetched = tag.get("source"), file.dtypes[0]

@@ -21,7 +21,8 @@ PASSING = (429, 500, 502, 503, 504)
 """Codes of HTTP for failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
-"""Failures, in curl's words, to find a server: without a network every one of them is the same."""
+"""Words of curl for a server that cannot be found. Without a network every attempt fails alike, so
+few are made."""
 _UNREACHABLE_RETRIES = 2
 
 _FIRST_DELAY_S = 1.0

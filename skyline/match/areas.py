@@ -1,10 +1,11 @@
 """The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
-``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN has
-a digest of the source, or of the DEM's files, and those that GDAL reads beside them, with their
-sizes and times; DIGEST is a digest of all else on which the rows of a store depend. A store appears
-when it is finished, so a search that finds one needs no server.
+``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN
+contains a digest of the source. If the user gave the DEM, it contains a digest of the names, sizes
+and times of its files and of the files that GDAL reads beside them. DIGEST covers everything else
+on which a store's rows depend. A store appears when it is finished, so a search that finds one
+needs no server.
 """
 
 import errno
@@ -59,7 +60,10 @@ Bar = Callable[[str], AbstractContextManager[Progress | None]]
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """A box to search. A cached store serves if it contains ``needed``; else ``built`` is built."""
+    """A box to search.
+
+    A cached store that contains ``needed`` is used; otherwise a store of ``built`` is made.
+    """
 
     needed: Bounds
     built: Bounds
@@ -365,10 +369,11 @@ def _explained() -> Iterator[None]:
 
 @contextmanager
 def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold the lock of an area, whose folder is made for it; yields whether the lock is held.
+    """Hold an area's lock for the block, and yield whether it was obtained.
 
-    The lock is waited for if ``print_note`` is given. A folder that has nothing but the lock in the
-    end is removed.
+    The folder is made if it is missing. With ``print_note`` the function waits for another process;
+    without it, the function gives up at once. A folder that contains only the lock at the end is
+    removed.
     """
     file, is_alone = _lock(folder, print_note)
     with file:

@@ -243,10 +243,11 @@ def likelihood(
 def _raised(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probability that something stands above the terrain, and its density, (M, R).
+    """Return the probability (M, R) that an object stands above the terrain, and a density.
 
-    It lies uniformly up to a rise, blurred by the errors. The smaller the rise against the errors,
-    the less likely it is; for a large one its probability is ``share``.
+    The density is that probability times the density of the column's residual. The object's height
+    is uniform up to the rise, blurred by the errors. The probability is ``share`` for a rise far
+    above the errors, and falls as the rise shrinks.
     """
     from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
 

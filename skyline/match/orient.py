@@ -335,10 +335,11 @@ class Orienter(Releasable):
 
 @contextmanager
 def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns the orienter of a place, the same while the place is.
+    """Yield a function that returns a place's orienter.
 
-    A fixed camera's frames share one. Each stays until the next is made, so that they share the
-    terrain's textures; the last is released at the end of the block.
+    The orienter is reused as long as the place stays the same, as for the frames of a fixed camera.
+    It is released only after the next one is made, so that both share the terrain's textures; the
+    last is released at the end of the block.
     """
     made: dict[Place, Orienter] = {}
 

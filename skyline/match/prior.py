@@ -234,7 +234,7 @@ class Prior:
     frame: Frame | None = None
     """None only for a prior without a narrowing."""
     circles_m: tuple[tuple[float, float, float], ...] = ()
-    """Easting, northing and radius of circles that all contain the searched places."""
+    """Circles, each as easting, northing and radius. A searched place lies within all of them."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
     noted: PlacePrior | None = None

@@ -33,9 +33,9 @@ _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
 _WANDER_FOV_DEG = 240.0
-"""Standard deviations of the ways in which the rows of a panorama of this field of view wander.
-They drop as a random walk's do, with the inverse of the degree, and grow with the root of the
-angle."""
+"""Standard deviations of a panorama's row shifts, one for each polynomial degree, at this field of
+view. As in a random walk, they fall with the inverse of the degree. They grow with the square root
+of the field of view."""
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
 

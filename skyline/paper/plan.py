@@ -245,7 +245,7 @@ class _Heading:
         self.coverage.add(viewpoints, self._areas(points, views))
 
     def projected_areas(self, candidates: Int64Array) -> BoolArray:
-        """Return tolerance areas (N, K, K) of candidates (N), which are not rendered.
+        """Return the tolerance areas (N, K, K) of N candidates that have not been rendered.
 
         Each has the skyline points of the nearest rendered view, moved by Equation 1.
         """

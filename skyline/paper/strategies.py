@@ -49,7 +49,7 @@ class Candidates:
     def nearest(
         self, candidates: Int64Array, others: Int64Array, number: int
     ) -> tuple[Int64Array, Float64Array]:
-        """Return the nearest of others (M) to candidates (N), as indices, and their distances.
+        """Return the indices and the distances of the ``others`` (M) nearest to each candidate (N).
 
         Both are (N, min(number, M)), nearest first; distances are in candidates.
         """
@@ -209,7 +209,7 @@ def sov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
 
 
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
-    """Mark the candidates that viewpoints after the first ``known`` put on their minor axes."""
+    """Mark the candidates on the minor axes of the viewpoints after the first ``known``."""
     coverage = problem.coverage
     row, col = coverage.candidates.row_col(coverage.viewpoints[known:])
     axis = minor_axes(coverage.areas[known:])
@@ -253,7 +253,7 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Arra
 
 
 def _locate(problem: Problem, known: int, located: BoolArray) -> None:
-    """Mark the candidates on the lines from viewpoints after the first ``known`` to all."""
+    """Mark candidates on the lines from viewpoints after the first ``known`` to all viewpoints."""
     coverage = problem.coverage
     row, col = coverage.candidates.row_col(coverage.viewpoints)
     size = np.sqrt(np.count_nonzero(coverage.areas, axis=(1, 2)))

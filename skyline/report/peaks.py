@@ -143,7 +143,10 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Return printable names of points, their (3, N) coordinates and heights, and if in degrees."""
+    """Return the points' printable names, their coordinates and heights (3, N), and a flag.
+
+    The flag says whether the coordinates are degrees.
+    """
     is_lonlat = True
     if Path(path).suffix.lower() in _GEOJSON:
         points = _of_geojson(path)

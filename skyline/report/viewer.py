@@ -347,7 +347,7 @@ class Viewer(Releasable):
         query : QuerySkyline
             Its size and projection count; a skyline is not needed.
         step : int
-            Of ``step`` rows and of ``step`` columns one is computed, from the first on.
+            Every ``step``-th row and column is computed, beginning with the first.
         progress : callable, optional
             Called with the number of pixels that are done, and of all.
 
@@ -412,7 +412,7 @@ class Viewer(Releasable):
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
-        """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""
+        """Return the eye of a pose, lifted to the ground if it is below; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=0.0)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)

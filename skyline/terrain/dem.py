@@ -182,7 +182,10 @@ def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
 
 
 def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their files' own grid, to be warped to the frame centred on it."""
+    """Clean heights on their files' own grid, and prepare their warp to a frame.
+
+    Returns the warp, the frame, which is centred on the grid, and the provenance.
+    """
     crs, grid, conventions = mosaic.crs, mosaic.grid, _placed(mosaic)
     if crs.is_projected and not is_upright(crs):
         _log.warning(

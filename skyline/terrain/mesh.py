@@ -140,7 +140,7 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
 
 
 def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
-    """Join SLABS slabs to one, and columns to spans of so many cells as are wanted.
+    """Join SLABS slabs into one, and columns into spans of ``wanted`` cells.
 
     Columns are single samples (step 0) or spans of ``step`` cells, a power of two.
     """
