@@ -225,9 +225,6 @@ def _oracle(terrain: HeightField, width: int, viewpoints: Viewpoints) -> Views:
     return Views.concatenate(over_cores(render, viewpoints, 1))
 
 
-# --- very large DEMs ------------------------------------------------------------------------
-
-
 def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     samples, viewpoints = (1000, 4) if quick else (20_000, 256)

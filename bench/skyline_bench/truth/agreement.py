@@ -64,10 +64,6 @@ def oracle_truth(scene: SkylineScene) -> SkylineTruth:
     return SkylineTruth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
 
 
-Renderers = Callable[[HeightField, int, Curvature], AbstractContextManager[Any]]
-"""Makes a renderer of one field; its ``render`` gives four views a viewpoint."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
     """Rendered skylines against the truth, both (N, W)."""
@@ -88,7 +84,8 @@ class RenderPath:
     """A way to render skylines, and its promise."""
 
     name: str
-    factory: Renderers
+    # Makes a renderer of a field, whose ``render`` gives four views a viewpoint.
+    factory: Callable[[HeightField, int, Curvature], AbstractContextManager[Any]]
     # Compares rendered views of a scene with the truth.
     agreement: Callable[[SkylineScene, Views, SkylineTruth], Agreement]
 

@@ -16,7 +16,6 @@ from skyline_bench.truth.agreement import SkylineScene
 MAX_DEPTH_WIDTH = 641
 """A depth image of W x W pixels takes long above this."""
 
-# --- the eye and the grid -------------------------------------------------------------------
 
 _SHARE = np.arange(1.0, 10.0) * 7.0 / 64.0
 _LOW_AND_HIGH_M = np.tile([0.0, 2.0, 50.0], 3)
@@ -100,9 +99,6 @@ GRID_CASES = (
         "one strip of cells is crossed by a ray through twenty cells", _long_cells),
     *(_of_width(width) for width in (2, 3, 7, 64, 161, 640, 1023, 2048, 8191, 8192)),
 )  # fmt: skip
-
-
-# --- steep, near and high -------------------------------------------------------------------
 
 
 def _pyramid() -> SkylineScene:
@@ -240,7 +236,6 @@ STEEP_CASES = (
 
 MARS_RADIUS_M = 3_389_500.0
 
-# --- plains ---------------------------------------------------------------------------------
 
 _PLAIN_SPACING_M, _PLAIN_HALF = 100.0, 128
 
@@ -300,8 +295,6 @@ PLAIN_CASES = (
         lambda: _constant(0.0), _constant_skyline, forms.HORIZON_ONLY),
 )  # fmt: skip
 
-# --- planets --------------------------------------------------------------------------------
-
 
 def _planet(curvature: Curvature) -> SkylineScene:
     field = forms.field_of(forms.rough_heights(400, 400, 1500.0, seed=11), 128.0)
@@ -317,8 +310,6 @@ PLANET_CASES = tuple(
         ("no curvature", "a drop of 0 is divided by", forms.FLAT),
     )
 )
-
-# --- holes ----------------------------------------------------------------------------------
 
 
 def _holed_heights() -> Float64Array:
@@ -359,8 +350,6 @@ HOLE_CASES = (
         "no edge is crossed: what is read back is a fill value, not NaN and no data", _void_ahead),
 )  # fmt: skip
 
-# --- tiny grids -----------------------------------------------------------------------------
-
 
 def _tiny(rows: int, cols: int) -> SkylineScene:
     field = forms.field_of(
@@ -381,8 +370,6 @@ TINY_CASES = tuple(
         (1, 1, "one sample, likewise"),
     )
 )
-
-# --- large coordinates ----------------------------------------------------------------------
 
 
 def _far_from_origin() -> SkylineScene:
