@@ -43,21 +43,11 @@ def rotation(heading: int) -> Float64Array:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-def ground_directions(heading: int, width: int) -> Float64Array:
-    """Return (width, 2): east and north covered per metre of forward depth in each column."""
-    return directions_at(heading, columns_u(width))
-
-
 def directions_at(heading: int, u: Float64Array) -> Float64Array:
     """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
     turn = rotation(heading)
     right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
     return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
-
-
-def column_azimuths_deg(heading: int, width: int) -> Float64Array:
-    """Return the grid azimuth of each column, degrees clockwise from north, shape (width,)."""
-    return 90.0 * heading + np.degrees(np.arctan(columns_u(width)))
 
 
 def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:

@@ -86,7 +86,7 @@ class BuildError(SkylineError, RuntimeError):
     """A build in which some jobs failed; the parts of the others are kept."""
 
 
-def named(what: str, name: str, known: Mapping[str, T]) -> T:
+def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
     """Return the entry of a name; for an unknown name of ``what`` raises `InputError`."""
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
@@ -96,7 +96,7 @@ def named(what: str, name: str, known: Mapping[str, T]) -> T:
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:
     """Return a path's suffix in small letters; raises `InputError` for one that is not known."""
     suffix = Path(path).suffix.lower()
-    named(f"the suffix of {path}", suffix, dict.fromkeys(known))
+    entry_named(f"the suffix of {path}", suffix, dict.fromkeys(known))
     return suffix
 
 

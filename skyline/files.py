@@ -162,7 +162,7 @@ class Table:
     notes: list[str]
 
     def refuse_other(self, *known: str) -> None:
-        """Raise `InputError` where a column is none of the known ones."""
+        """Raise `InputError` if the table has an unknown column."""
         other = [name for name in self.header if name not in known]
         if other:
             raise InputError(
@@ -171,7 +171,7 @@ class Table:
             )
 
     def first_in(self, *choices: tuple[str, ...], expected: str) -> tuple[str, ...]:
-        """Return the first of several sets of columns that is there; `InputError` for none."""
+        """Return the first set of columns that the table has; raises `InputError` for none."""
         for names in choices:
             if set(names) <= set(self.header):
                 return names
@@ -197,7 +197,7 @@ def read_table(
     """Read a CSV file, or standard input for ``-``.
 
     ``expected`` is the content that was expected, in errors: ``expected a header ...``.
-    ``other_names`` are more names of columns that are read as others.
+    ``other_names`` maps further column names to the names that rows use.
 
     Raises `MissingFileError` where there is no such file, and `InputError` where it cannot be read,
     a column is there twice, or a row has more cells than the header.

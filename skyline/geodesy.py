@@ -141,7 +141,7 @@ def is_metric(crs: CRS) -> bool:
     return bool(crs.is_projected and metres and is_upright(crs))
 
 
-def horizontal(crs: CRS) -> CRS:
+def without_vertical(crs: CRS) -> CRS:
     """Return a CRS without its vertical axis, the CRS itself if it has none."""
     return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
@@ -211,7 +211,7 @@ class Frame:
 
         The vertical axis of a compound or three-dimensional CRS is left out.
         """
-        parsed = horizontal(parse_crs(crs))
+        parsed = without_vertical(parse_crs(crs))
         if not is_metric(parsed):
             raise InputError(
                 f"frame {parsed.name!r} is not metric; expected a projected CRS in metres whose "
@@ -232,7 +232,7 @@ class Frame:
     @cached_property
     def crs(self) -> CRS:
         """The frame as a pyproj CRS."""
-        return horizontal(CRS.from_wkt(self.wkt))
+        return without_vertical(CRS.from_wkt(self.wkt))
 
     @property
     def name(self) -> str:

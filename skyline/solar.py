@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows
 from skyline.camera import MAX_WIDTH
-from skyline.errors import InputError, library, named
+from skyline.errors import InputError, entry_named, library
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
@@ -416,7 +416,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     Raises `InputError` where the suffix is unknown, the file cannot be written, or a ``.txt`` would
     hold several places, a surface, or an unknown value.
     """
-    write_whole(path, named("the suffix", path.suffix.lower(), _KINDS)(horizons))
+    write_whole(path, entry_named("the suffix", path.suffix.lower(), KINDS)(horizons))
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:
@@ -486,10 +486,9 @@ def _pvgis(horizons: LocalHorizons) -> str:
     return "".join(f"{value:.2f}\n" for value in elevation_deg)
 
 
-_KINDS: dict[str, Callable[[LocalHorizons], str]] = {
+KINDS: dict[str, Callable[[LocalHorizons], str]] = {
     ".csv": horizon_csv,
     ".json": _json,
     ".txt": _pvgis,
 }
-SUFFIXES = tuple(_KINDS)
-"""Suffixes of the files that `write_horizons` writes."""
+"""The formats of `write_horizons`, by their suffixes."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline_bench.queries.pinhole import Camera
 
 BINS = 1440
@@ -24,7 +24,7 @@ def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
 
 def photographed_from(field, eye, **camera):
     """Return rays (u, v) of a camera at one eye on a field, columns as fine as a photo's."""
-    with HorizonRenderer(field, 1280) as renderer:
+    with HorizonRenderer(field, RenderConfig(1280, 0.0)) as renderer:
         views = renderer.render(eye)
     tangent = np.tan(np.radians(views.elevation_deg()))
     return photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)

@@ -92,9 +92,6 @@ def _markdown(rows: Sequence[Row]) -> str:
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 
-# --- speed against error --------------------------------------------------------------------
-
-
 def speed_table(rows: Sequence[Row]) -> list[Row]:
     """Return a row for each way to a skyline; errors are in degrees, at the middle of a view."""
     found = {(row["path"], row["setting"]): row for row in rows}
@@ -129,8 +126,6 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
     axis.legend(fontsize=8, loc="lower right")
     return figure
 
-
-# --- uniform against adaptive ---------------------------------------------------------------
 
 _Compared = Sequence[tuple[str, str, list[Row]]]
 _SHARES = "within_200m", "within_200m_low", "within_200m_high"
@@ -184,9 +179,6 @@ def _draw_adaptive(stores: _Compared) -> Figure:
     axes[0].set_ylabel("queries found within 200 m")
     axes[0].legend(fontsize=8)
     return figure
-
-
-# --- the picture of a match -----------------------------------------------------------------
 
 
 def readme_picture(

@@ -50,8 +50,6 @@ _STROKES = "return performance.getEntriesByName('stroke').map((one) => one.durat
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
 
 
-# --- the page in a process of its own, and a browser ----------------------------------------
-
 # A process that a shell starts in the background has children that ignore Ctrl-C.
 _SERVE = """
 import signal
@@ -102,9 +100,6 @@ def headless() -> tuple[Any, Any]:
     ):
         options.add_argument(flag)
     return options, Service(driver)
-
-
-# --- waiting times -----------------------------------------------------------------
 
 
 def page(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:

@@ -21,7 +21,7 @@ from skyline.errors import InputError
 from skyline.paper import reprojection
 from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, Strategy
 from skyline.paper.verify import true_errors_px
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -281,7 +281,7 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     with a finite predicted error.
     """
     eyes, others = _choose_eyes(field, viewpoints, seed)
-    with HorizonRenderer(field) as renderer:
+    with HorizonRenderer(field, RenderConfig(tolerance_px=0.0)) as renderer:
         views, rendered = renderer.render(eyes), renderer.render(others)
     shape = len(views), _DISPLACEMENTS
     # Rows of `rendered` run over eyes, moves, headings; pairs over eyes, headings, moves.

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import HEADINGS, ground_directions
+from skyline.camera import HEADINGS, columns_u, directions_at
 from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, Views
@@ -85,7 +85,7 @@ class EmbreePeer:
         up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
         vertices = np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
         self._scene = _scene(vertices, _triangles(field))
-        self._directions = np.stack([ground_directions(turn, width) for turn in HEADINGS])
+        self._directions = np.stack([directions_at(turn, columns_u(width)) for turn in HEADINGS])
 
     def render(self, viewpoints: Viewpoints, depth: int) -> Views:
         """Find the skylines of N viewpoints in all four headings.

@@ -366,9 +366,6 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
     return west, south, east, north
 
 
-# --- masks drawn by people ------------------------------------------------------------------
-
-
 def sky_masks(
     folder: Annotated[
         Path, Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain.")

@@ -19,7 +19,12 @@ from skyline.camera import DEFAULT_WIDTH, elevation_deg
 from skyline.cli.console import progress_bar
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import DEFAULT_TOLERANCE_DEG, HorizonRenderer, PanoramaRenderer
+from skyline.render.horizon import (
+    DEFAULT_TOLERANCE_DEG,
+    HorizonRenderer,
+    PanoramaRenderer,
+    RenderConfig,
+)
 from skyline.skylines import Horizons, Views
 from skyline.solar import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
@@ -135,7 +140,8 @@ def _ways(
         depth = held.enter_context(DepthRenderer(terrain, columns))
         yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
     for tolerance_px in (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.25, 0.5, 1.0):
-        exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
+        config = RenderConfig(width, tolerance_px)
+        exact = held.enter_context(HorizonRenderer(terrain, config))
         name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
         yield _Way("horizon", width, name, batch, compared, exact.render, details)
     usual_deg = DEFAULT_TOLERANCE_DEG
@@ -219,9 +225,6 @@ def _oracle(terrain: HeightField, width: int, viewpoints: Viewpoints) -> Views:
     return Views.concatenate(over_cores(render, viewpoints, 1))
 
 
-# --- very large DEMs ------------------------------------------------------------------------
-
-
 def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     samples, viewpoints = (1000, 4) if quick else (20_000, 256)
@@ -235,7 +238,7 @@ def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) 
     middle = samples * spacing_m / 2.0
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
     eyes = stand_on(terrain, easting_m=middle + place[0], northing_m=-middle + place[1])
-    with HorizonRenderer(terrain) as renderer:
+    with HorizonRenderer(terrain, RenderConfig(tolerance_px=0.0)) as renderer:
         started = time.perf_counter()
         views = renderer.render(eyes)
         seconds = time.perf_counter() - started

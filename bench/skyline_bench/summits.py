@@ -368,9 +368,6 @@ def _place_cpu_ms(surface: HeightField, count: int) -> float:
     return 1e3 * timing.cpu_seconds / len(eyes)
 
 
-# --- prominence -----------------------------------------------------------------------------
-
-
 def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Array]:
     """Return row, column and prominence (S,) of all summits, the most prominent first.
 

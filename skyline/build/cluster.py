@@ -68,7 +68,9 @@ class Runner:
 
 @contextmanager
 def runner_of(workers: str | None) -> Iterator[Runner | None]:
-    """Yield a `Runner` on so many new processes, or on the cluster at an address; None for None.
+    """Yield a `Runner` on the given number of new processes, or on the cluster at an address.
+
+    The runner is None if ``workers`` is None.
 
     What dask sends is pickled, both ways: connect only to a scheduler that you trust.
 

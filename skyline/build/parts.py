@@ -85,8 +85,9 @@ def build_places(
     progress : callable, optional
         Called with the number of parts that are done, and the number of all parts.
     places : int, optional
-        About how many places to plan. Without this and a spacing there are 100,000: fewer where
-        fewer miss only 5 % of the views, 60 degrees wide, and more where 100,000 miss over 20 %.
+        About how many places to plan if there is no spacing. By default 100,000; fewer if fewer
+        lose only 5 % of the views, which are 60 degrees wide, and more if 100,000 would lose over
+        20 %.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 
@@ -248,7 +249,7 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
     path, work = item
     if build not in _open_renderer:
         while _open_renderer:
-            _open_renderer.popitem()[1].__exit__()
+            _open_renderer.popitem()[1].release()
         try:
             terrain = header.read_dem()
         except StoreMismatchError as error:

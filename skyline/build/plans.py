@@ -12,6 +12,7 @@ from skyline.build.spacing import AdaptivePlanner, Prices, blocks_of
 from skyline.camera import pixel_size
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
+from skyline.render.context import Releasable
 from skyline.render.horizon import (
     DEFAULT_TOLERANCE_DEG,
     HorizonRenderer,
@@ -40,8 +41,8 @@ _KEYPOINT_TOLERANCE_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class PartRenderer:
-    """Renders parts of one plan; a context manager that releases the renderer."""
+class PartRenderer(Releasable):
+    """Renders parts of one plan."""
 
     renderer: ColumnRenderer
     header: StoreHeader
@@ -49,10 +50,8 @@ class PartRenderer:
     columns: Callable[[Any], Columns]
     """Returns the rows of a part."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def release(self) -> None:
+        """Free the renderer's memory on the GPU."""
         self.renderer.release()
 
 
@@ -177,7 +176,7 @@ class RenderingPlan:
 
     def opened(self, terrain: HeightField) -> PartRenderer:
         """Return a renderer of the parts."""
-        renderer = HorizonRenderer.of(terrain, self.config)
+        renderer = HorizonRenderer(terrain, self.config)
         header = replace(self.header(terrain), renderer=renderer.description)
         return PartRenderer(
             renderer, header, lambda eyes: rendering_columns(header, renderer.render(eyes))

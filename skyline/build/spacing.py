@@ -71,7 +71,7 @@ _FINDS_SAMPLE = 20_000
 """Greatest number of places from which a plan's finds are estimated. All 2.7 million of a store
 take 14.5 GB, and change no share by a point."""
 
-CLASSES_M = (0.0, 150.0, 400.0)
+_CLASSES_M = (0.0, 150.0, 400.0)
 """Least distances of the classes of skylines of which a plan's finds are reported."""
 
 _EVEN_ODDS = 0.72
@@ -97,10 +97,11 @@ def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
 
 
 class Prices:
-    """Prices of plans of an area: the area that each place of a plan must save, square metres.
+    """Prices of plans for an area.
 
-    They are computed from skylines at viewpoints spread over the area. Raises `InputError` for an
-    area of holes.
+    A price is the area, in square metres, whose views each place of a plan must save. Prices are
+    computed from skylines at viewpoints spread over the area. Raises `InputError` for an area of
+    holes.
     """
 
     def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:
@@ -108,7 +109,10 @@ class Prices:
         self._lost = lost_shares(look(eyes).distance_m, _SPACING_M)
 
     def of_loss(self, loss: float) -> float:
-        """Return the price of a plan that loses at most a share of the views, if one can."""
+        """Return the highest price at which a plan loses at most a given share of the views.
+
+        The lowest price is returned if no plan can.
+        """
         rows = np.arange(len(self._lost))
         return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
 
@@ -299,8 +303,8 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
 def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     """Return how many views round places are expected to be found, by the skyline's distance.
 
-    Each class is the least distance of its skylines, harmonic means in metres, the share that its
-    views are of all, and the share of them that is found. Of very many places every n-th is read.
+    Each class has its least skyline distance (harmonic mean, metres), its share of all views, and
+    the share of its views that is expected to be found. Of very many places every n-th is read.
     """
     every = len(source) // _FINDS_SAMPLE + 1
     places = source.take(np.arange(0, len(source), every, dtype=np.intp))
@@ -310,7 +314,7 @@ def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     kept = 1.0 - _lost(nearness, spacing_m[:, np.newaxis])
     kept /= 1.0 + (_TOO_NEAR_M * nearness) ** _TOO_NEAR_POWER
     found = []
-    for least_m, most_m in pairwise((*CLASSES_M, np.inf)):
+    for least_m, most_m in pairwise((*_CLASSES_M, np.inf)):
         mine = (nearness <= 1.0 / max(least_m, _NEAREST_M)) & (nearness > 1.0 / most_m)
         total = weight[mine].sum()
         if total:

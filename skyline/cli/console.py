@@ -164,11 +164,11 @@ def _with_option(
         ),
     ] = False,
 ) -> None:
-    """Have the option that every command has."""
+    """Do nothing: Typer takes the option of every command from this signature."""
 
 
 def on_interrupt(message: str, is_kept: Callable[[], bool] = lambda: True) -> None:
-    """Set the advice of the error after Ctrl-C, for when some work of this command is kept."""
+    """Set the advice that the error after Ctrl-C gives if work of this command was kept."""
     _on_interrupt.set((message, is_kept))
 
 
@@ -313,7 +313,7 @@ def print_note(message: str) -> None:
 
 
 def print_written(output: Path, text: str) -> None:
-    """Print a line on a file that was written; a note where standard output is that file."""
+    """Print a line about a written file, or a note if the file is standard output."""
     (print_note if str(output) == STANDARD else print_line)(f"{output}: {text}")
 
 

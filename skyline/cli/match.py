@@ -28,7 +28,7 @@ from skyline.cli.console import (
     print_note,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
-from skyline.errors import InputError, SkylineError, named, printable, suffix_of
+from skyline.errors import InputError, SkylineError, entry_named, printable, suffix_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
@@ -120,7 +120,7 @@ def match(
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
     stores, photos = split_stores(store, query)
-    named("matcher", matcher, dict.fromkeys(_CHOICES))
+    entry_named("matcher", matcher, dict.fromkeys(_CHOICES))
     for is_wrong, error in (
         (not photos, f"{', '.join(map(str, stores))} are stores; name photos to find in them"),
         (

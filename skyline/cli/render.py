@@ -22,7 +22,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.store import Bounds, Output, keeps_parts, print_built
+from skyline.cli.store import Bounds, Output, advise_to_continue, print_built
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.paper.plan import PlanConfig, build_planned
@@ -141,7 +141,7 @@ def render(
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]
         _build_planned(read_terrain(dem, crs, reproject), output, planned, corners, config, drawn)
         return
-    keeps_parts(output)
+    advise_to_continue(output)
     _refuse_given(of_planners, "give --planner too")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")

@@ -73,7 +73,7 @@ def build(
     reproject: Reproject = False,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
-    keeps_parts(output)
+    advise_to_continue(output)
     if spacing is not None and places is not None:
         raise InputError("give one of --spacing (a uniform grid) and --places (planned places)")
     plan = PlacePlan(
@@ -160,7 +160,7 @@ def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
     print_line(f"photos expected to be found: {', '.join(shares)}")
 
 
-def keeps_parts(store: Path) -> None:
+def advise_to_continue(store: Path) -> None:
     """Have the error after Ctrl-C say that a build continues, if parts of its store are there."""
     on_interrupt(
         "what was built is kept, and the same command continues from there",

@@ -32,7 +32,7 @@ from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.solar import (
     DEFAULT_STEP_DEG,
-    SUFFIXES,
+    KINDS,
     LocalHorizons,
     horizon_csv,
     horizons_of,
@@ -83,7 +83,7 @@ def horizon(
     output: Annotated[
         Path | None,
         output_option(
-            f"The file to write: {', '.join(SUFFIXES)} (PVGIS' horizon file). "
+            f"The file to write: {', '.join(KINDS)} (PVGIS' horizon file). "
             "By default CSV is printed."
         ),
     ] = None,
@@ -96,7 +96,7 @@ def horizon(
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
     if output not in {None, Path(STANDARD)}:
-        suffix_of(output, SUFFIXES)
+        suffix_of(output, KINDS)
     terrain = read_terrain(dem, crs, reproject)
     ids: tuple[str, ...] = ()
     if points is not None:
@@ -184,7 +184,7 @@ def panorama(
 def _eyes(
     terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
 ) -> Viewpoints:
-    """Stand eyes at places, and print where they stand if that is not the surface there."""
+    """Place eyes, and print a note for each that does not stand on the surface at its place."""
     lon, lat = np.transpose([parse_place(text) for text in at])
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
@@ -201,7 +201,7 @@ def _print_where(
     eye_height_m: float,
     summit_within_m: float | None,
 ) -> None:
-    """Print the point that was taken for a place, if it is a summit near it."""
+    """Print a note if the eye stands on a summit near its place."""
     asked_m = np.array(terrain.frame.from_lonlat(*asked))
     stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
     place = f"{asked[0]:.5f},{asked[1]:.5f}"

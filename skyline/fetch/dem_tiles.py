@@ -24,10 +24,10 @@ from rasterio.windows import transform as transform_of
 
 from skyline.arrays import BoolArray, Progress
 from skyline.errors import InputError
-from skyline.fetch.remote import RETRIES, TIMEOUT_S, AbsentError, with_remote
+from skyline.fetch.remote import AbsentError, with_remote
 from skyline.files import for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 MAX_TILES = 64
 """Greatest number of tiles of a fetch: 8 x 8 degrees."""
@@ -77,9 +77,7 @@ class _Cut:
 def fetch_dem(
     bounds_deg: Bounds,
     source: str,
-    folder: str | Path,
-    retries: int = RETRIES,
-    timeout_s: int = TIMEOUT_S,
+    folder: Path,
     progress: Progress | None = None,
     earlier: Sequence[Path] = (),
 ) -> FetchResult:
@@ -92,8 +90,8 @@ def fetch_dem(
     for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
     hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
     it does not exist. Files are named by their tile: ``N46E009.tif``. A request that fails, or has
-    no answer in ``timeout_s`` seconds, is repeated up to ``retries`` times. Samples that folders of
-    earlier fetches have from the same source are copied.
+    no answer in `TIMEOUT_S` seconds, is repeated up to `RETRIES` times. Samples of the same
+    source are copied from the folders of earlier fetches.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large, there
     is no tile, or a file is in the way or cannot be written, and `FetchError` where a server still
@@ -102,7 +100,6 @@ def fetch_dem(
     template = SOURCES.get(source, source)
     _check_template(template)
     corners = tile_corners(bounds_deg)
-    folder = Path(folder)
     for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name a folder to write the tiles to")
@@ -114,7 +111,7 @@ def fetch_dem(
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
         path = folder / f"{name}.tif"
         try:
-            cut = _plan(address(template, *corner), path, bounds_deg, retries, timeout_s)
+            cut = _plan(address(template, *corner), path, bounds_deg)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -125,14 +122,14 @@ def fetch_dem(
     if not files:
         raise InputError(
             f"the source has none of {', '.join(missing)}, which is usual in the sea "
-            f"({shown(address(template, *corners[0]))}, for one, is not there); check the place, "
-            "or the source's template"
+            f"({without_secrets(address(template, *corners[0]))}, for one, is not there); check "
+            "the place, or the source's template"
         )
     folder.mkdir(parents=True, exist_ok=True)
     for done, cut in enumerate(cuts):
         if progress:
             progress(done, len(cuts))
-        _fetch(cut, earlier, retries, timeout_s)
+        _fetch(cut, earlier)
     if progress:
         progress(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
@@ -181,9 +178,9 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
-def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int) -> _Cut | None:
+def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
     """Return the part of a remote tile to read; None where the file is there already."""
-    tag = json.dumps({"source": shown(url), "bounds_deg": bounds_deg})
+    tag = json.dumps({"source": without_secrets(url), "bounds_deg": bounds_deg})
     if path.exists():
         held = None
         with suppress(RasterioError), rasterio.open(path, driver="GTiff") as file:
@@ -199,12 +196,12 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, retries: int, timeout_s: int
         _check_usable(url, file)
         return _Cut(url, path, tag, _window(url, file, bounds_deg), file.dtypes[0])
 
-    return with_remote(url, look, retries, timeout_s)
+    return with_remote(url, look)
 
 
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
-    where, transform = shown(url), file.transform
+    where, transform = without_secrets(url), file.transform
     if file.count != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
     if file.crs is None or not file.crs.is_geographic:
@@ -233,14 +230,14 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     last_row = min(math.ceil((top - south) / step_north - _SLACK), file.height)
     if first_col >= last_col or first_row >= last_row:
         raise InputError(
-            f"{shown(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
+            f"{without_secrets(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
             f"{left + file.width * step_east:.4f},{top:.4f}, no part of the bounds; check the "
             "source's template: {lat} and {lon} are a tile's south-west corner"
         )
     return Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
 
-def _fetch(cut: _Cut, earlier: Sequence[Path], retries: int, timeout_s: int) -> None:
+def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
     samples, known = np.empty((height, width), cut.dtype), np.zeros((height, width), bool)
@@ -263,16 +260,17 @@ def _fetch(cut: _Cut, earlier: Sequence[Path], retries: int, timeout_s: int) -> 
             start = stop
         return _geotiff(samples, cut, file)
 
-    write_whole(cut.path, with_remote(cut.url, read, retries, timeout_s))
+    write_whole(cut.path, with_remote(cut.url, read))
 
 
 def _copy_held(
     path: Path, cut: _Cut, transform: Any, samples: NDArray[Any], known: BoolArray
 ) -> None:
-    """Copy the samples of a cut that a file has which was fetched from the same tile."""
+    """Copy a cut's samples from a file that was fetched earlier from the same tile."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
-        if tag.get("source") != shown(cut.url) or file.dtypes[0] != np.dtype(cut.dtype).name:
+        fetched = tag.get("source"), file.dtypes[0]
+        if fetched != (without_secrets(cut.url), np.dtype(cut.dtype).name):
             return
         col = round((file.transform.c - transform.c) / transform.a)
         row = round((file.transform.f - transform.f) / transform.e)

@@ -11,24 +11,18 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
+from skyline.fetch.remote import PASSING, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 
-def fetch_peaks(
-    bounds_deg: Bounds,
-    server: str,
-    path: Path,
-    retries: int = RETRIES,
-    timeout_s: int = TIMEOUT_S,
-) -> int:
+def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
     """Write the named peaks and volcanoes of a box as GeoJSON; return their number.
 
     `skyline.read_peaks` reads the file, which is written whole or not at all. ``server`` is the
-    address of an Overpass interpreter. A failed request is repeated up to ``retries`` times; the
-    whole answer must arrive within ``timeout_s`` seconds.
+    address of an Overpass interpreter. A failed request is repeated up to `RETRIES` times; the
+    whole answer must arrive within `TIMEOUT_S` seconds.
 
     Raises `InputError` where the bounds are not in order, the server is no http address, or the
     file cannot be written, and `FetchError` where the server fails, is too slow, or its answer is
@@ -45,12 +39,14 @@ def fetch_peaks(
         f'node["natural"~"^(peak|volcano)$"]["name"]({south},{begin},{north},{end});'
         for begin, end in spans
     )
-    query = f"[out:json][timeout:{timeout_s}];({wanted});out;"
+    query = f"[out:json][timeout:{TIMEOUT_S}];({wanted});out;"
     body = urlencode({"data": query}).encode()
-    answer = repeated(server, lambda: _ask(server, body, timeout_s), retries)
+    answer = repeated(server, lambda: _ask(server, body))
     features = [_feature(server, one, (south, north), spans) for one in _elements(server, answer)]
     if not features:
-        raise FetchError(f"{shown(server)} knows no named peak in the bounds; choose larger bounds")
+        raise FetchError(
+            f"{without_secrets(server)} knows no named peak in the bounds; choose larger bounds"
+        )
     collection = {
         "type": "FeatureCollection",
         "attribution": "OpenStreetMap contributors, ODbL",
@@ -60,20 +56,20 @@ def fetch_peaks(
     return len(features)
 
 
-def _ask(server: str, query: bytes, timeout_s: float) -> bytes:
+def _ask(server: str, query: bytes) -> bytes:
     """Return the whole answer, which must arrive in time; raises `RequestError`."""
     request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
-    deadline = time.monotonic() + timeout_s
+    deadline = time.monotonic() + TIMEOUT_S
     body = bytearray()
     may_pass = True
     try:
-        with urlopen(request, timeout=timeout_s) as answer:
+        with urlopen(request, timeout=TIMEOUT_S) as answer:
             promised = answer.length
             # Piece by piece, since a server that sends a byte a second never times out.
             while piece := answer.read1(1 << 16):
                 body += piece
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"incomplete after {timeout_s} s")
+                    raise TimeoutError(f"incomplete after {TIMEOUT_S} s")
         if promised is None or len(body) == promised:
             return bytes(body)
         reason = f"no whole answer ({len(body)} of {promised} bytes)"
@@ -95,13 +91,13 @@ def _elements(server: str, answer: bytes) -> list[Any]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         begins = " ".join(answer[:60].decode("utf-8", "replace").split())
         raise FetchError(
-            f"{shown(server)}: the answer is not one of Overpass (it begins `{begins}`); "
+            f"{without_secrets(server)}: the answer is not one of Overpass (it begins `{begins}`); "
             "check the address"
         ) from None
     if "error" in str(note):
         raise FetchError(
-            f"{shown(server)}: the server gave up ({' '.join(str(note).split())[:120]}); choose "
-            "smaller bounds, or try again later"
+            f"{without_secrets(server)}: the server gave up ({' '.join(str(note).split())[:120]}); "
+            "choose smaller bounds, or try again later"
         )
     return elements
 
@@ -119,8 +115,8 @@ def _feature(
     inside = lats[0] <= lat <= lats[1] and any(west <= lon <= east for west, east in spans)
     if not inside or not isinstance(name, str):
         raise FetchError(
-            f"{shown(server)}: the answer has {str(element)[:80]!r}, which is no named peak in the "
-            "bounds; nothing was written"
+            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is no named "
+            "peak in the bounds; nothing was written"
         )
     properties = {"name": printable(name)}
     if height is not None:

@@ -10,10 +10,10 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from skyline.errors import FetchError
-from skyline.terrain.rasters import shown
+from skyline.terrain.rasters import without_secrets
 
 RETRIES = 4
-"""Default number of repetitions of a failed request."""
+"""Number of repetitions of a failed request."""
 TIMEOUT_S = 30
 """Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
 
@@ -21,7 +21,8 @@ PASSING = (429, 500, 502, 503, 504)
 """Codes of HTTP for failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
-"""Failures, in curl's words, to find a server: without a network every one of them is the same."""
+"""Words of curl for a server that cannot be found. Without a network every attempt fails alike, so
+few are made."""
 _UNREACHABLE_RETRIES = 2
 
 _FIRST_DELAY_S = 1.0
@@ -46,26 +47,26 @@ class RequestError(Exception):
     """Whether the server was found."""
 
 
-def repeated(url: str, request: Callable[[], _T], retries: int) -> _T:
+def repeated(url: str, request: Callable[[], _T]) -> _T:
     """Return the result of a request, repeated where it raises a `RequestError` that may pass.
 
     Raises `FetchError` where the last repetition fails too, or repetition cannot help.
     """
-    for attempt in range(retries + 1):
+    for attempt in range(RETRIES + 1):
         try:
             return request()
         except RequestError as error:
-            last = retries if error.is_reached else min(retries, _UNREACHABLE_RETRIES)
+            last = RETRIES if error.is_reached else min(RETRIES, _UNREACHABLE_RETRIES)
             if not error.may_pass or attempt >= last:
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise FetchError(
-                    f"{shown(url)}: {error.reason}, {times}; {error.advice}"
+                    f"{without_secrets(url)}: {error.reason}, {times}; {error.advice}"
                 ) from error
         time.sleep(_FIRST_DELAY_S * 2.0**attempt)
     raise AssertionError("the last attempt returns or raises")
 
 
-def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: int) -> _T:
+def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
     """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
     After a failure that may pass ``work`` is called again with the file opened anew. Raises
@@ -74,8 +75,8 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
     """
     settings = {
         "GDAL_HTTP_MAX_RETRY": 0,
-        "GDAL_HTTP_CONNECTTIMEOUT": timeout_s,
-        "GDAL_HTTP_LOW_SPEED_TIME": timeout_s,
+        "GDAL_HTTP_CONNECTTIMEOUT": TIMEOUT_S,
+        "GDAL_HTTP_LOW_SPEED_TIME": TIMEOUT_S,
         "GDAL_HTTP_LOW_SPEED_LIMIT": 1000,
         # No requests for the folder or for side-car files.
         "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
@@ -95,7 +96,7 @@ def with_remote(url: str, work: Callable[[Any], _T], retries: int, timeout_s: in
         except RasterioError as error:
             raise _failure(url, error) from error
 
-    return repeated(url, read, retries)
+    return repeated(url, read)
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
@@ -105,13 +106,13 @@ def _failure(url: str, error: RasterioError) -> Exception:
     while cause is not None:
         messages.append(" ".join(str(cause).split()))
         cause = cause.__cause__
-    text = "; ".join(messages).replace(f"/vsicurl/{url}", shown(url))
+    text = "; ".join(messages).replace(f"/vsicurl/{url}", without_secrets(url))
     again = "give the same command again: fetched tiles are kept"
     check = "check the address and the source's template"
     if status := re.search(r"HTTP response code: (\d+)", text):
         code = int(status[1])
         if code == 404:
-            return AbsentError(f"{shown(url)}: there is no such file (HTTP 404)")
+            return AbsentError(f"{without_secrets(url)}: there is no such file (HTTP 404)")
         if code in (401, 403):
             check = "check that the source is open to you (or the file is absent)"
         passes = code in PASSING

@@ -1,10 +1,11 @@
 """The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
-``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN has
-a digest of the source, or of the DEM's files, and those that GDAL reads beside them, with their
-sizes and times; DIGEST is a digest of all else on which the rows of a store depend. A store appears
-when it is finished, so a search that finds one needs no server.
+``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN
+contains a digest of the source. If the user gave the DEM, it contains a digest of the names, sizes
+and times of its files and of the files that GDAL reads beside them. DIGEST covers everything else
+on which a store's rows depend. A store appears when it is finished, so a search that finds one
+needs no server.
 """
 
 import errno
@@ -34,12 +35,12 @@ from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.rasters import absolute_name, files_of, without_folders
 
-SEEN_KM = 30.0
+_SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
 is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
-DEFAULT_SOURCE = "copernicus"
+_DEFAULT_SOURCE = "copernicus"
 
 _PLACE_BYTES_KM2 = 200_000
 _SAMPLE_BYTES_DEG2 = 8 * 3600**2
@@ -59,7 +60,10 @@ Bar = Callable[[str], AbstractContextManager[Progress | None]]
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """A box to search. A cached store serves if it contains ``needed``; else ``built`` is built."""
+    """A box to search.
+
+    A cached store that contains ``needed`` is used; otherwise a store of ``built`` is made.
+    """
 
     needed: Bounds
     built: Bounds
@@ -147,7 +151,7 @@ def prepare_area(
     """
     check_bounds(area.built)
     files = tuple(map(absolute_name, without_folders(dem)))
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or DEFAULT_SOURCE
+    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or _DEFAULT_SOURCE
     home = _areas() / _origin(files, source)
     with _explained():
         # The smallest that serves.
@@ -267,10 +271,8 @@ def _name_of(bounds_deg: Bounds) -> str:
     """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
     rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
     rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
-    limits = (-18000, -9000, 18000, 9000)
-    within = (
-        min(max(side, -abs(limit)), abs(limit)) for side, limit in zip(rounded, limits, strict=True)
-    )
+    limits = (18000, 9000) * 2
+    within = (min(max(side, -most), most) for side, most in zip(rounded, limits, strict=True))
     return "_".join(f"{side / 100.0:.2f}" for side in within)
 
 
@@ -293,7 +295,7 @@ def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
     """Fetch the tiles of all terrain that is seen from an area; return their files."""
-    seen = _grown(bounds, SEEN_KM)
+    seen = _grown(bounds, _SEEN_KM)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
         f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}"
@@ -333,7 +335,7 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Sequence[str | Path]) 
 
 
 def _check_room(folder: Path, bounds: Bounds, with_tiles: bool) -> None:
-    _, south, _, north = seen = _grown(bounds, SEEN_KM)
+    _, south, _, north = seen = _grown(bounds, _SEEN_KM)
     wanted = _PLACE_BYTES_KM2 * _km2(bounds)
     if with_tiles:
         wanted += _SAMPLE_BYTES_DEG2 * (north - south) * width_deg(seen)
@@ -367,10 +369,11 @@ def _explained() -> Iterator[None]:
 
 @contextmanager
 def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold the lock of an area, whose folder is made for it; yields whether the lock is held.
+    """Hold an area's lock for the block, and yield whether it was obtained.
 
-    The lock is waited for if ``print_note`` is given. A folder that has nothing but the lock in the
-    end is removed.
+    The folder is made if it is missing. With ``print_note`` the function waits for another process;
+    without it, the function gives up at once. A folder that contains only the lock at the end is
+    removed.
     """
     file, is_alone = _lock(folder, print_note)
     with file:

@@ -76,8 +76,8 @@ class MatchConfig:
     refine : bool
         Whether the full matcher refines the retrieved poses by rendering.
     min_confidence : float
-        Least probability, 0 to 1, that the best place is right within 1 km for it to be the answer.
-        The answer is given within 200 m instead if the probability of an error above 200 m is at
+        The best place is the answer if it is right within 1 km with at least this probability, 0 to
+        1. The answer is stated to 200 m if the probability of an error above 200 m is at
         most half of what is allowed for 1 km: with the default, if it is right with a probability
         of 0.9. Of 97 answers to queries of the terrain that was held out from learning, 96 were
         right; docs/accuracy.md says how hard those are.
@@ -130,9 +130,9 @@ def refined_figures(
     """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
     The skyline of another region can be bent to fit some place well, but seldom resembles that
-    place in retrieval; so the retrieval counts too. Rivals are more than 1 km away. Where no
-    retrieved pose is, as in a narrow search, they are more than 200 m away; where all retrieved
-    poses are one place there is no rival, and the odds are even.
+    place in retrieval; so the retrieval counts too. Rivals are more than 1 km away. In a
+    narrow search no retrieved pose lies so far away, and rivals are more than 200 m away. If all
+    retrieved poses are one place, there is no rival, and the odds are even.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     widest_m = found.distances_m().max(initial=0.0)
@@ -157,8 +157,7 @@ def oriented_figures(
     The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
     known place.
     """
-    others = np.where(np.eye(len(poses), dtype=bool), np.inf, poses.hypotheses.score)
-    margin = others.min(axis=1, initial=np.inf) - poses.hypotheses.score
+    margin = poses.hypotheses.rival_margin(0.0, 0.0)
     figures = pose_figures(poses, query)
     del figures["log_position_sd"]  # The place is known.
     return figures | {
@@ -238,10 +237,10 @@ def shared_probabilities(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the probabilities (M,) that refined poses are right within 200 m, and within 1 km.
 
-    The models were learned from best poses, and hold for the best one alone. Its probability is
-    that of all poses within the distance of it that look the same way, and the rest is that of all
-    others: each pose has a share by its score, and those near one another add up. An infinite score
-    has no share.
+    The models were learned from best poses, and hold for the best one alone. All poses within the
+    distance that look the same way share the best pose's probability, and all other poses share
+    the rest. Shares follow the scores, and the shares of neighbouring poses add up. An infinite
+    score has no share.
     """
     best = int(np.argmin(poses.score))
     of_best = {name: values[best : best + 1] for name, values in figures.items()}
@@ -258,7 +257,7 @@ def shared_probabilities(
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
     """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
 
-    Other answers get no more than their weights are worth beside the best one's.
+    A unit of weight is worth no more in another answer than in the best one.
     """
     own, others = weight * is_near[best], weight * ~is_near[best]
     worth = sure / own.sum()
@@ -377,9 +376,9 @@ def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
 def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
 
-    None if it is sure within neither. The nearer distance may leave half the doubt that the
-    farther one may, and the candidate's radius may not be larger: a wrong answer is worse than a
-    vague one.
+    None if it is sure within neither. An answer within 200 m may leave half the doubt that an
+    answer within 1 km may leave, and the candidate's radius may not exceed 200 m: a wrong answer is
+    worse than a vague one.
     """
     near, roughly, doubt = candidate.confidence, candidate.confidence_1km, 1 - config.min_confidence
     if near is None or roughly is None:

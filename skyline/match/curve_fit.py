@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, level_axes
 from skyline.store.places import Places
@@ -181,19 +181,20 @@ class CurveFit:
 
     def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
         """Return the expected squared error (M, R) of the tangents."""
-        query = np.radians(_QUERY_ERROR_DEG) * self._scale(pose)
+        query = self._query_error(pose)
         move = _CURVATURE * np.square(self._deviation_m * nearness)
         return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
 
-    def _scale(self, pose: Float32Array) -> Float32Array:
-        """Return the size (M,) of a pixel over that at a field of view of 60 degrees.
+    def _query_error(self, pose: Float32Array) -> FloatArray:
+        """Return the expected error (M,) of the query's tangents, as large as a pixel.
 
-        A camera measures pixels. Without this scale a small enough field of view would make every
-        miss small.
+        A camera measures pixels. If the error did not grow with the field of view, a small enough
+        one would make every miss small.
         """
         half_rad = np.radians([self._rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
         size = 1.0 if self._rays.is_panorama else float(np.divide(*np.tan(half_rad)))
-        return np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
+        scale = np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
+        return np.asarray(np.radians(_QUERY_ERROR_DEG) * scale)
 
     def _inverse_variances(self) -> Float32Array:
         """Return the prior inverse variances (M, P) of the columns of a pose."""
@@ -230,7 +231,7 @@ class CurveFit:
         return pose
 
     def _score(self, pose: Float32Array, misses: _Misses) -> Float32Array:
-        error = np.radians(_QUERY_ERROR_DEG) * self._scale(pose)
+        error = self._query_error(pose)
         cost = np.minimum(np.abs(misses.miss) / error[:, np.newaxis], np.float32(_OUTLIER))
         cost = np.where(misses.known, cost, np.float32(_UNKNOWN))
         unlikely = 0.5 * (np.square(pose) * self._prior).sum(axis=1) / self._runs

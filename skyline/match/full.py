@@ -46,8 +46,8 @@ BY_RENDERING = (
 def one_blas_thread() -> Iterator[None]:
     """Limit matrix products to one thread each within the block.
 
-    A BLAS library that shares a small product among threads makes each wait for the slowest, a
-    thousand times a second; on a busy machine that is several times slower. Matching shares its
+    If a BLAS library splits small products among threads, each thread waits for the slowest a
+    thousand times a second, and a busy machine becomes several times slower. Matching shares its
     work by blocks of places instead. One thread also gives the same bits in every process.
     """
     with _blas().limit(limits=1, user_api="blas"):

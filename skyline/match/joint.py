@@ -129,12 +129,12 @@ class JointRefinement:
     ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
         """Return the M places where the N queries fit together, best first, and which agree there.
 
-        ``found`` has the poses of each query, at the same places in the same order, best first;
-        ``alone`` the best pose that each query was refined to by itself, if any. The poses of each
-        query are at the same places; their scores are the costs of the places. Margins and
-        covariances are joint ones, with the information of one average query, not the sum: queries
-        of one place share the terrain model's errors. A query agrees, (N, M) bool, where it was
-        more likely taken than somewhere else.
+        ``found`` holds each query's poses; all queries have the same places in the same order, best
+        first. ``alone`` holds the best pose from each query's own refinement, if there is one. The
+        returned poses of each query are at the same places; their scores are the costs of the
+        places. Margins and covariances are joint ones, with the information of one average query,
+        not the sum: queries of one place share the terrain model's errors. A query agrees, (N, M)
+        bool, where it was more likely taken than somewhere else.
         """
         effort = self._effort
         particles = [

@@ -12,9 +12,9 @@ from skyline.match.answer import MatchResult
 from skyline.match.areas import Area, prepare_area
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
-from skyline.photo.read import Picture, in_words, read_noted_place
+from skyline.photo.read import Picture, name_of, read_noted_place
 
-NOTED_KM, NEEDED_KM = 10.0, 5.0
+NOTED_KM, _NEEDED_KM = 10.0, 5.0
 """Radius of the area that is built round a photo's own position, and of the area that a cached
 store must have there, so that photos taken within some kilometres share a store."""
 
@@ -99,7 +99,7 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
     places = [one.lonlat_deg for one in noted if one.lonlat_deg is not None]
     if not places:
         why = next((f" ({one.left_aside})" for one in noted if one.left_aside), "")
-        which = in_words(photos[0]) if len(photos) == 1 else f"none of {len(photos)} photos"
+        which = name_of(photos[0]) if len(photos) == 1 else f"none of {len(photos)} photos"
         notes = "notes no position" if len(photos) == 1 else "notes a position"
         raise InputError(
             f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10"
@@ -110,7 +110,7 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
             f"the photos were taken more than {_TOGETHER_KM:g} km apart, by their EXIF; locate "
             "those of one area at a time, or give --near LON,LAT,KM"
         )
-    area = Area.around(places, NOTED_KM, NEEDED_KM)
+    area = Area.around(places, NOTED_KM, _NEEDED_KM)
     if len(places) == 1:
         return area, replace(narrowing, near=(*places[0], NOTED_KM))
     return area, replace(narrowing, bounds_deg=area.built)

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
-from skyline.errors import InputError, named
+from skyline.errors import InputError, entry_named
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
 from skyline.match.candidate import Candidate, candidates_of
@@ -28,7 +28,7 @@ from skyline.match.scene import VIEW_WIDTH, RenderedScene, terrain_at_hand
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
-from skyline.render.context import RenderThread
+from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_joined
 from skyline.terrain.dem import Dem, read_surface
@@ -48,7 +48,7 @@ imported when it is first used, so that a matcher may lie in a layer above this 
 _MATCHERS = {FULL: "", **PROFILE_MATCHERS}
 
 
-class Matcher:
+class Matcher(Releasable):
     """Matches query skylines to a store, which is read once.
 
     Parameters
@@ -92,7 +92,7 @@ class Matcher:
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        kind, self._config = named("matcher", matcher, _MATCHERS), config or MatchConfig()
+        kind, self._config = entry_named("matcher", matcher, _MATCHERS), config or MatchConfig()
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
@@ -128,12 +128,6 @@ class Matcher:
         """Free the matcher's GPU memory; it cannot refine after that."""
         if self._scene is not None:
             self._scene.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def match(
         self,

@@ -33,13 +33,13 @@ from skyline.arrays import Float64Array, Rows
 
 REACH_M = 300.0
 """Distance at which the correlation of height errors has fallen to 1 / e."""
-ROUGH_SHARE = 0.4
+_ROUGH_SHARE = 0.4
 """Share of the heights' standard deviation that is independent from column to column."""
 ABOVE_SHARE, BELOW_SHARE = 0.15, 0.02
 """Prior probabilities that a column shows something above the terrain's skyline, or below it."""
 RANGE_RAD = np.radians(15.0)
 """Largest residual of a column that does not show terrain."""
-BEYOND_SHARE = 0.3
+_BEYOND_SHARE = 0.3
 """Prior probability that terrain past the data's edge rises in a column where it may."""
 
 _X_AT_ONE_OVER_E = 2.1461932206205825
@@ -107,7 +107,7 @@ class HeightErrors(Rows):
         root = np.linalg.cholesky(covariance + _JITTER * np.eye(len(node)))
         return cls(
             between @ root / distance[..., np.newaxis],
-            ROUGH_SHARE / np.hypot(distance, REACH_M / 3.0),
+            _ROUGH_SHARE / np.hypot(distance, REACH_M / 3.0),
             blur_rad,
             rise_rad,
             beyond_rad,
@@ -223,7 +223,7 @@ def likelihood(
         other = np.where(limited, magnified * (density + BELOW_SHARE / RANGE_RAD), other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)
-        hidden, density = _raised(off, errors.beyond_rad, sd_rad, BEYOND_SHARE)
+        hidden, density = _raised(off, errors.beyond_rad, sd_rad, _BEYOND_SHARE)
         bare = np.where(open_, bare * (1.0 - hidden), bare)
         other = np.where(open_, other * (1.0 - hidden) + magnified * density, other)
     terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
@@ -243,10 +243,11 @@ def likelihood(
 def _raised(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probability that something stands above the terrain, and its density, (M, R).
+    """Return the probability (M, R) that an object stands above the terrain, and a density.
 
-    It lies uniformly up to a rise, blurred by the errors. The smaller the rise against the errors,
-    the less likely it is; for a large one its probability is ``share``.
+    The density is that probability times the density of the column's residual. The object's height
+    is uniform up to the rise, blurred by the errors. The probability is ``share`` for a rise far
+    above the errors, and falls as the rise shrinks.
     """
     from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from skyline.match.retrieval import Retriever
 from skyline.match.scene import VIEW_WIDTH, RenderedScene
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture
+from skyline.render.context import Releasable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
@@ -75,8 +76,6 @@ _EFFORT = Effort(
 )  # fmt: skip
 _FAR_SD = 4.0
 """A pose farther from the known place than so many of its standard errors is of another place."""
-_ELEVATION_SD_M = 15.0
-"""Scale of the error of a given elevation: its datum may differ from the terrain model's."""
 _CLOSE = 20.0
 """A heading whose score is behind by less than this is named in a refusal."""
 
@@ -172,7 +171,7 @@ class Orientation:
         return "\n  ".join(filter(None, lines))
 
 
-class Orienter:
+class Orienter(Releasable):
     """Finds how cameras were held at one place, for any number of photos from there.
 
     Only the thread that makes it may use it.
@@ -234,12 +233,6 @@ class Orienter:
         self._scene.release()
         self._panoramas.release()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
-
     @one_blas_thread()
     def orient(
         self, query: Picture | QuerySkyline, fov_deg: float | None = None, name: str = ""
@@ -279,13 +272,7 @@ class Orienter:
         each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
         best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
         noted = PlacePrior.of_noted(query.noted, self.frame)
-        known = PlacePrior(
-            self._east,
-            self._north,
-            self._within_m,
-            elevation_m=self._elevation_m,
-            elevation_sd_m=_ELEVATION_SD_M,
-        )
+        known = PlacePrior(self._east, self._north, self._within_m, elevation_m=self._elevation_m)
         if noted is not None:
             known = replace(
                 known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
@@ -348,10 +335,11 @@ class Orienter:
 
 @contextmanager
 def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns the orienter of a place, the same while the place is.
+    """Yield a function that returns a place's orienter.
 
-    A fixed camera's frames share one. Each stays until the next is made, so that they share the
-    terrain's textures; the last is released at the end of the block.
+    The orienter is reused as long as the place stays the same, as for the frames of a fixed camera.
+    It is released only after the next one is made, so that both share the terrain's textures; the
+    last is released at the end of the block.
     """
     made: dict[Place, Orienter] = {}
 

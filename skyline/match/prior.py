@@ -62,7 +62,7 @@ class PlacePrior:
     """Standard deviation of the heading, where the compass is not disturbed."""
     elevation_m: float | None = None
     """Elevation of the eye; its error has a Cauchy distribution."""
-    elevation_sd_m: float = 30.0
+    elevation_sd_m: float = _LEAST_ALTITUDE_SD_M
     """Scale of that distribution."""
 
     @classmethod
@@ -226,18 +226,15 @@ class Narrowing:
             )
 
 
-_WIDE = Narrowing()
-
-
 @dataclass(frozen=True, slots=True)
 class Prior:
     """Prior knowledge of one query's pose, in the metres of a frame."""
 
-    narrowing: Narrowing = _WIDE
+    narrowing: Narrowing = Narrowing()
     frame: Frame | None = None
     """None only for a prior without a narrowing."""
     circles_m: tuple[tuple[float, float, float], ...] = ()
-    """Easting, northing and radius of circles that all contain the searched places."""
+    """Circles, each as easting, northing and radius. A searched place lies within all of them."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
     noted: PlacePrior | None = None

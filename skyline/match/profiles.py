@@ -24,12 +24,11 @@ overlap. The score is 1 - ncc, in [0, 2].
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
@@ -39,15 +38,16 @@ from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.match.scene import quadrant_bins, quadrants
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
 from skyline.store import Store
+from skyline.store.format import KeypointColumns
 from skyline.terrain.viewpoints import Viewpoints
 
-DEFAULT_BINS = 2048
+_BINS = 2048
 """A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""
 
 TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
 """Scores are in px of a view of the paper's width, whatever the width of the store."""
 
-KeypointTable = NDArray[np.uint16]
+_VIEWS_AT_ONCE = 1024
 _CHUNK = 8
 """Locations at a time; keeps the arrays of the transforms in the cache."""
 _MIN_OVERLAP = 0.8
@@ -111,14 +111,14 @@ class Profiles:
         )
 
     @classmethod
-    def from_views(cls, chunks: Iterable[tuple[Views, KeypointTable]]) -> "Profiles":
+    def from_views(cls, chunks: Iterable[tuple[Views, KeypointColumns]]) -> "Profiles":
         """Join views by location; a location may have views in any of the four headings.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
         `skyline.skylines.polyline_vertices`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
-        eyes, curves, keypoints, bins = [], [], [], DEFAULT_BINS
+        eyes, curves, keypoints, bins = [], [], [], _BINS
         count = 0
         for views, table in chunks:
             place = views.easting_m, views.northing_m, views.eye_elevation_m
@@ -157,14 +157,8 @@ class ProfileMatcher(ABC):
     @classmethod
     def open(cls, store: Store) -> Self:
         """Return a matcher of an open store of renderings that is not empty."""
-
-        def chunks() -> Iterator[tuple[Views, KeypointTable]]:
-            start = 0
-            for views in store.iter_views():
-                yield views, store.keypoint_columns(slice(start, start + len(views)))
-                start += len(views)
-
-        return cls(Profiles.from_views(chunks()))
+        parts = [slice(k, k + _VIEWS_AT_ONCE) for k in range(0, len(store), _VIEWS_AT_ONCE)]
+        return cls(Profiles.from_views((store.views(p), store.keypoint_columns(p)) for p in parts))
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the profiles."""

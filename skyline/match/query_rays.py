@@ -24,7 +24,7 @@ FOV_RANGE_DEG = (25.0, 100.0)
 USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
-PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
+_PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
 _DISTORTION_SD, _WIDE_DISTORTION_SD = 0.02, 0.05
 """Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
@@ -33,9 +33,9 @@ _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
 _WANDER_FOV_DEG = 240.0
-"""Standard deviations of the ways in which the rows of a panorama of this field of view wander.
-They drop as a random walk's do, with the inverse of the degree, and grow with the root of the
-angle."""
+"""Standard deviations of a panorama's row shifts, one for each polynomial degree, at this field of
+view. As in a random walk, they fall with the inverse of the degree. They grow with the square root
+of the field of view."""
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
 
@@ -165,14 +165,9 @@ class QueryRays:
         return np.asarray(half_rad if self.is_panorama else np.tan(half_rad))
 
     def with_fov(self, fov_deg: float) -> "QueryRays":
-        """Return the same photo's rays for another field of view, degrees, within the range.
-
-        The new rays have no standard deviation of the field of view.
-        """
+        """Return the same photo's rays for another field of view, degrees, within the range."""
         scale = self._half_width(fov_deg) / self._half_width(self.fov_deg)
-        return replace(
-            self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg, fov_sd_deg=math.inf
-        )
+        return replace(self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg)
 
     def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
         """Return the rays with a normally distributed field of view.
@@ -378,14 +373,14 @@ class QueryCurves:
 
     @classmethod
     def of(
-        cls, query: QueryRays, bins: int, pitches_deg: Sequence[float] = PITCHES_DEG
+        cls, query: QueryRays, bins: int, pitches_deg: Sequence[float] = _PITCHES_DEG
     ) -> "QueryCurves":
         """Level the rays at each pitch and sample them on ``bins`` equal steps of azimuth."""
-        y, weight = zip(*(_on_bins(query, pitch, bins) for pitch in pitches_deg), strict=True)
+        y, weight = zip(*(on_bins(query, pitch, bins) for pitch in pitches_deg), strict=True)
         return cls(np.stack(y), np.stack(weight), np.array(pitches_deg))
 
 
-def _on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
+def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
     """Return y (B,) and weight (B,) of the query levelled at one pitch.
 
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a

@@ -126,7 +126,10 @@ class Particles(Rows):
         return self[order[np.isfinite(self.fit.cost[order])]]
 
     def kept(self, new: "Particles", better: BoolArray) -> "Particles":
-        """Return new particles where they are better, with a longer next step, and these."""
+        """Return the new particles where they are better, and these particles elsewhere.
+
+        The next step of the former is longer, that of the latter shorter.
+        """
         step_m = self.step_m * np.where(better, _LONGER, _SHORTER)
         return replace(self.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
 
@@ -303,8 +306,8 @@ class Refinement:
         # the temperature.
         covariance = TEMPERATURE * solver.covariance(linear, found)
         trust = solver.query.weight
-        squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
-        shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
+        squares = (found.trusted_odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
+        shown = np.maximum(found.trusted_odds.sum(axis=1), 1e-9)
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         hypotheses = self.hypotheses(particles)
         return RefinedPoses(
@@ -332,7 +335,7 @@ class Refinement:
 
 
 def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
-    """Return covariances (M, 2, 2) about each pose, over all poses that are the same answer as it.
+    """Return the place's covariance (M, 2, 2) about each pose, over all poses of the same answer.
 
     ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
     """

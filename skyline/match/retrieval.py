@@ -34,9 +34,9 @@ _SCREENED_SHARE, _SCREENED_LEAST, _SCREENED_MOST = 0.05, 16_384, 262_144
 """Share of the places to which poses are fitted roughly, and their least and greatest number: they
 are held in memory."""
 _TURNS, _STARTS = 3, 1.5
-"""Turns of each place from which poses may be fitted roughly, and the number of fits, a place: the
-turns that screening likes best. It finds the right place more often than the right turn, since it
-knows neither the pitch nor where the eye stands."""
+"""Best turns of a place that screening passes on, and the mean number of rough fits for a place.
+Screening finds the right place more often than the right turn, since it knows neither the pitch nor
+where the eye stands."""
 _FITTED = 8192
 """Best fits from which poses are fitted well."""
 _SEPARATION_M, _TURN_DEG = 30.0, 20.0
@@ -179,8 +179,8 @@ class Retriever:
     ) -> "_Start":
         """Return the starts of fits: the best turn of each place, or the best of several of each.
 
-        All fields of view are looked at. Few places are seen at a time, as each is seen at every
-        turn.
+        Every field of view is tried. Places are handled in small groups, because each is compared
+        at every turn.
         """
         zooms = _start_zooms(query)
         screen = Screen(query, query.searched_fov_deg(zooms), self._sample, prior.open_turns)

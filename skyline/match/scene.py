@@ -51,7 +51,7 @@ class RenderedScene:
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
-        self._renderers = self._run(lambda: [HorizonRenderer.of(one, config) for one in fields])
+        self._renderers = self._run(lambda: [HorizonRenderer(one, config) for one in fields])
 
     @cached_property
     def edge(self) -> DataEdge | None:

@@ -41,7 +41,7 @@ from skyline.arrays import (
     UInt8Array,
 )
 from skyline.geodesy import in_turn
-from skyline.match.query_rays import QueryCurves, QueryRays
+from skyline.match.query_rays import QueryRays, on_bins
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource
 
@@ -231,8 +231,7 @@ def query_waves(query: QueryRays) -> Complex128Array:
 
     Bin B / 2 is straight ahead.
     """
-    curve = QueryCurves.of(query, PHASE_BINS, (0.0,))
-    y, weight = curve.y[0], curve.weight[0]
+    y, weight = on_bins(query, 0.0, PHASE_BINS)
     rise = np.roll(y, -1) - y
     # The neighbour of the last bin is the first one, behind the camera.
     rise[-1] = np.nan

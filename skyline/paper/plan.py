@@ -18,7 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Pr
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, StoreMismatchError, named
+from skyline.errors import InputError, StoreMismatchError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import (
     displacements_m,
@@ -68,7 +68,7 @@ class PlanConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        named("strategy", self.strategy, STRATEGIES)
+        entry_named("strategy", self.strategy, STRATEGIES)
         for name, value, unit, most in (
             ("coverage", self.coverage, "", 1.0),
             ("threshold", self.threshold_px, " px", np.inf),
@@ -158,7 +158,7 @@ def build_planned(
                 "two with `skyline store merge`"
             )
         return None
-    with HorizonRenderer.of(terrain, config) as renderer:
+    with HorizonRenderer(terrain, config) as renderer:
         area = map_bounds(terrain, bounds_deg)
         done = plan(terrain, renderer.render, planned, area, progress)
         header = replace(header, renderer=renderer.description)
@@ -245,7 +245,7 @@ class _Heading:
         self.coverage.add(viewpoints, self._areas(points, views))
 
     def projected_areas(self, candidates: Int64Array) -> BoolArray:
-        """Return tolerance areas (N, K, K) of candidates (N), which are not rendered.
+        """Return the tolerance areas (N, K, K) of N candidates that have not been rendered.
 
         Each has the skyline points of the nearest rendered view, moved by Equation 1.
         """

@@ -49,7 +49,7 @@ class Candidates:
     def nearest(
         self, candidates: Int64Array, others: Int64Array, number: int
     ) -> tuple[Int64Array, Float64Array]:
-        """Return the nearest of others (M) to candidates (N), as indices, and their distances.
+        """Return the indices and the distances of the ``others`` (M) nearest to each candidate (N).
 
         Both are (N, min(number, M)), nearest first; distances are in candidates.
         """
@@ -72,8 +72,6 @@ class Coverage:
         Their tolerance areas, clipped to valid candidates.
     uncovered : (rows, cols) bool
         Valid candidates in no tolerance area.
-    counts : (rows, cols) int32
-        Number of tolerance areas that hold each candidate.
     """
 
     def __init__(self, candidates: Candidates) -> None:
@@ -81,11 +79,10 @@ class Coverage:
         reach, size = candidates.reach, (candidates.window, candidates.window)
         # Windows look into padded arrays, so that the grid's border is no special case.
         valid = np.pad(candidates.valid, reach)
-        count, uncovered = np.zeros(valid.shape, dtype=np.int32), valid.copy()
-        self.uncovered, self.counts = (a[reach:-reach, reach:-reach] for a in (uncovered, count))
+        uncovered = valid.copy()
+        self.uncovered = uncovered[reach:-reach, reach:-reach]
         self._valid_windows = sliding_window_view(valid, size)
         self._open_windows = sliding_window_view(uncovered, size, writeable=True)
-        self._count_windows = sliding_window_view(count, size, writeable=True)
         self.viewpoints = np.zeros(0, dtype=np.int64)
         self.areas = np.zeros((0, *size), dtype=bool)
 
@@ -94,7 +91,6 @@ class Coverage:
         row, col = self.candidates.row_col(viewpoints)
         areas = areas & self._valid_windows[row, col]
         for at, area in zip(zip(row, col, strict=True), areas, strict=True):
-            self._count_windows[at] += area
             self._open_windows[at] &= ~area
         self.viewpoints = np.concatenate([self.viewpoints, viewpoints])
         self.areas = np.concatenate([self.areas, areas])
@@ -113,7 +109,8 @@ class Coverage:
     @property
     def overlap(self) -> int:
         """The paper's criterion (B): inclusions in tolerance areas less covered candidates."""
-        return int(self.counts.sum()) - int(np.count_nonzero(self.counts))
+        covered = self.candidates.valid & ~self.uncovered
+        return int(np.count_nonzero(self.areas)) - int(np.count_nonzero(covered))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,7 +209,7 @@ def sov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
 
 
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
-    """Mark the candidates that viewpoints after the first ``known`` put on their minor axes."""
+    """Mark the candidates on the minor axes of the viewpoints after the first ``known``."""
     coverage = problem.coverage
     row, col = coverage.candidates.row_col(coverage.viewpoints[known:])
     axis = minor_axes(coverage.areas[known:])
@@ -256,7 +253,7 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Arra
 
 
 def _locate(problem: Problem, known: int, located: BoolArray) -> None:
-    """Mark the candidates on the lines from viewpoints after the first ``known`` to all."""
+    """Mark candidates on the lines from viewpoints after the first ``known`` to all viewpoints."""
     coverage = problem.coverage
     row, col = coverage.candidates.row_col(coverage.viewpoints)
     size = np.sqrt(np.count_nonzero(coverage.areas, axis=(1, 2)))

@@ -78,7 +78,8 @@ def verify_coverage(plan: "Plan", render: "Render") -> Verification:
     Locations that were rendered themselves may be in the sample. Of the views whose tolerance areas
     hold a location, the nearest four are compared.
     """
-    covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
+    held = [one.candidates.valid & ~one.uncovered for one in plan.coverages]
+    covered = np.flatnonzero(np.stack(held))
     drawn = np.sort(np.random.default_rng(0).choice(covered, min(_SAMPLE, len(covered)), False))
     heading, location = np.divmod(drawn, plan.candidates.valid.size)
     rendered = render(plan.viewpoints(location), heading.astype(np.uint8))

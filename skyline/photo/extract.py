@@ -24,9 +24,9 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 
-MIN_CONTENT_PX = 32
+_MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
-MAX_ASPECT = 30.0
+_MAX_ASPECT = 30.0
 """Longest side over shortest; a low panorama of a full turn has about 12."""
 
 _COLOUR_TOLERANCE = 10
@@ -46,7 +46,7 @@ _SAMPLES = 500
 TRUST_THRESHOLD = 0.6
 """Columns of lower confidence are masked. On the half of the sky masks that was looked at, a tenth
 are masked so, and 2.3 % of the others are off by more than 1 % of the height."""
-MIN_TRUSTED_SHARE = 0.1
+_MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""
 _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
@@ -93,7 +93,7 @@ _EDGE_FLOOR = 3.0
 _SAME_SHARE = 0.01
 """Two rows nearer than this share of all rows count as the same skyline."""
 
-CRESTS = 3
+_CRESTS = 3
 """Crests of a column that may be its skyline."""
 _LEAST_PROBABILITY = 0.1
 """Less likely crests are none."""
@@ -114,10 +114,10 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     query = extraction.query(extraction.row_px, extraction.confidence)
     content = extraction.content
     share = float(query.trusted[content.left : content.right].mean())
-    if share < MIN_TRUSTED_SHARE:
+    if share < _MIN_TRUSTED_SHARE:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
-            f"sky and ground, expected at least {100.0 * MIN_TRUSTED_SHARE:.0f} %; draw it as a "
+            f"sky and ground, expected at least {100.0 * _MIN_TRUSTED_SHARE:.0f} %; draw it as a "
             "trace (CSV column_px,row_px) or a mask (PNG, white = sky)"
         )
     return query
@@ -151,7 +151,7 @@ class Content:
         confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
         whole = None
         if crests is not None:
-            whole = np.full((CRESTS, self.width), np.nan)
+            whole = np.full((_CRESTS, self.width), np.nan)
             whole[:, inside] = crests + self.top
         return QuerySkyline(rows, confidences, self.width, self.height, crests=whole)
 
@@ -166,8 +166,6 @@ class Evidence:
     cost: Float32Array
     """(h, w) float32. Cost of a path through the pixel: a full edge is worth a factor e in
     probability."""
-    row_scale: float
-    """Working rows per photo row."""
 
     def confidence(self, row: IntArray) -> Float64Array:
         """Return the probability (w,) that the skyline runs along a path (w,)."""
@@ -189,8 +187,8 @@ class Evidence:
         near, apart = max(2, round(_SAME_SHARE * height)), round(_APART_SHARE * height)
         left, rows = self.share.copy(), np.arange(height)[:, np.newaxis]
         left[:2] = left[-2:] = 0.0
-        found = np.full((CRESTS, width), np.nan)
-        for rank in range(CRESTS):
+        found = np.full((_CRESTS, width), np.nan)
+        for rank in range(_CRESTS):
             row = cv2.GaussianBlur(left, (1, 2 * near + 1), 0).argmax(axis=0)
             likely = np.where(np.abs(rows - row) <= near, left, 0.0).sum(axis=0)
             found[rank] = np.where(likely >= _LEAST_PROBABILITY, row, np.nan)
@@ -227,7 +225,8 @@ class Extraction:
     def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
         """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
         trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
-        crests = (self.evidence.crests() + 0.5) / self.evidence.row_scale - 0.5
+        scale = len(self.evidence.cost) / len(self.photo)
+        crests = (self.evidence.crests() + 0.5) / scale - 0.5
         at = np.rint(to_work_columns(self.photo.shape[1], self.evidence)).astype(np.intp)
         return self.content.skyline(trusted_px, confidence, crests[:, at])
 
@@ -242,11 +241,12 @@ def on_photo(
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415  (slow to load)
 
     at_work, whole = to_work_columns(photo.shape[1], evidence)[columns], np.arange(len(path))
-    row = (np.interp(at_work, whole, path) + 0.5) / evidence.row_scale - 0.5
+    scale = len(evidence.cost) / len(photo)
+    row = (np.interp(at_work, whole, path) + 0.5) / scale - 0.5
     sure = evidence.confidence(path)
     smooth = uniform_filter1d(sure, _SMOOTHED_PX, mode="nearest")
     smooth = np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0))
-    refined = _refined(photo[:, columns], row, evidence.row_scale)
+    refined = _refined(photo[:, columns], row, scale)
     return refined, np.interp(at_work, whole, smooth)
 
 
@@ -323,10 +323,10 @@ def content_of(image: UInt8Array) -> Content:
     32 x 32 pixels of the image (H, W, 3) uint8 remain, or if it is a sliver.
     """
     height, width = image.shape[:2]
-    if max(height, width) > MAX_ASPECT * min(height, width):
+    if max(height, width) > _MAX_ASPECT * min(height, width):
         raise InputError(
             f"the image has {width} x {height} px; expected a photo or a panorama, sides of at "
-            f"most 1 to {MAX_ASPECT:g}"
+            f"most 1 to {_MAX_ASPECT:g}"
         )
     top = _bar_length(image)
     bottom = len(image) - _bar_length(image[::-1])
@@ -334,11 +334,11 @@ def content_of(image: UInt8Array) -> Content:
     left = _bar_length(sideways)
     right = len(sideways) - _bar_length(sideways[::-1])
     content = Content(height, width, top, bottom, left, right)
-    if min(bottom - top, right - left) < MIN_CONTENT_PX:
+    if min(bottom - top, right - left) < _MIN_CONTENT_PX:
         raise InputError(
             f"the photo has {width} x {height} px, {max(right - left, 0)} x "
-            f"{max(bottom - top, 0)} within its borders; expected at least {MIN_CONTENT_PX} x "
-            f"{MIN_CONTENT_PX}: use a larger photo"
+            f"{max(bottom - top, 0)} within its borders; expected at least {_MIN_CONTENT_PX} x "
+            f"{_MIN_CONTENT_PX}: use a larger photo"
         )
     return content
 
@@ -388,7 +388,7 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     share /= share.sum(axis=0) + np.exp(none - greatest)
     likely = np.maximum(np.log(share + np.float32(1e-12)), _LEAST_LOG_SHARE)
     cost = -likely - _edges(to_lab(np.asarray(small, dtype=np.uint8)))
-    return Evidence(share, np.asarray(cost, dtype=np.float32), h / height)
+    return Evidence(share, np.asarray(cost, dtype=np.float32))
 
 
 def to_lab(rgb: UInt8Array) -> Float32Array:

@@ -22,7 +22,9 @@ _SAME_ROWS = 0.02
 
 
 class Projection(StrEnum):
-    """Projections, each with the quantities that grow in equal steps across and up a photo.
+    """Projections of a photo.
+
+    Each is described by the two quantities that grow evenly across and up the photo.
 
     Attributes
     ----------

@@ -143,7 +143,7 @@ def extract_photo(
         _log.warning(
             "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
             "--projection cylindrical and --fov-deg",
-            in_words(path),
+            name_of(path),
             width,
             height,
         )
@@ -155,7 +155,7 @@ def extract_photo(
         else:
             query = model_skyline(photo.rgb, sky_model)
     except InputError as error:
-        raise InputError(f"{in_words(path)}: {error}") from error
+        raise InputError(f"{name_of(path)}: {error}") from error
     return photo.rgb, photo.described(query)
 
 
@@ -177,7 +177,7 @@ def read_photo(
         The file cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
-    name = in_words(path)
+    name = name_of(path)
     with opened_image(path) as image:
         width, height = image.size
         _require_bounded(name, image)
@@ -252,7 +252,7 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     write_whole(Path(path), picture.getvalue())
 
 
-def in_words(picture: Picture) -> str:
+def name_of(picture: Picture) -> str:
     """Return the file of a picture, for messages; ``the image`` for pixels."""
     return str(picture) if isinstance(picture, str | Path) else "the image"
 

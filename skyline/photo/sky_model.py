@@ -25,8 +25,9 @@ _MIN_SHARE = 0.98
 _SAMPLES = 500
 _MIDDLE = 127.5
 _FLAT_PX, _MOST_FLAT, _MOST_WHITE = 1.0, 0.9, 0.1
-"""A border within so many pixels of its median in more than the share of columns, with more than
-the share of white below it, is the frame of a mask whose ground is white."""
+"""A border is taken for the frame of a mask with white ground if it lies within `_FLAT_PX` of its
+median in more than `_MOST_FLAT` of the columns, and if more than `_MOST_WHITE` of the pixels below
+it are white."""
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32

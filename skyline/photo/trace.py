@@ -11,9 +11,9 @@ from skyline.errors import InputError
 from skyline.files import Row, Table, read_table, write_whole
 from skyline.photo.query import Lens, Projection, QuerySkyline
 
-MAX_GAP_SHARE = 0.1
+_MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
-MAX_SIDE_PX = 100_000
+_MAX_SIDE_PX = 100_000
 _COLUMNS = ("column_px", "row_px")
 _NOTE = re.compile(r"(\w+)\s*=\s*(\S+)")
 _NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
@@ -69,8 +69,8 @@ def read_trace(
         start = (table.notes or [",".join(table.header)])[0].strip()
         raise InputError(f"{path} starts with {start[:60]!r}; {_FORM}")
     width, height = (int(notes[side]) for side in ("width", "height"))
-    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-        raise InputError(f"{path} is {width} x {height} px; expected 1 to {MAX_SIDE_PX} each")
+    if not (1 <= width <= _MAX_SIDE_PX and 1 <= height <= _MAX_SIDE_PX):
+        raise InputError(f"{path} is {width} x {height} px; expected 1 to {_MAX_SIDE_PX} each")
     column, row = _points(table, width, height)
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():
@@ -136,5 +136,5 @@ def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array
     row = np.concatenate([[np.nan], row, [np.nan]])
     whole = np.arange(width)
     left = np.searchsorted(column, whole, side="right") - 1
-    is_far = np.diff(column)[left] > max(MAX_GAP_SHARE * width, 1.0)
+    is_far = np.diff(column)[left] > max(_MAX_GAP_SHARE * width, 1.0)
     return np.where(is_far & (column[left] != whole), np.nan, np.interp(whole, column, row))

@@ -16,6 +16,7 @@ import os
 import queue
 import re
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
@@ -372,7 +373,21 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
         raise ContextError(f"the driver refuses {' + '.join(names)}: {log}") from error
 
 
-class Renderer:
+class Releasable(ABC):
+    """Base of objects with memory on the GPU; as context managers they release it at the end."""
+
+    @abstractmethod
+    def release(self) -> None:
+        """Free the memory on the GPU."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+class Renderer(Releasable):
     """Holds objects of the OpenGL context, which are freed when nothing holds them any more."""
 
     def __init__(self, name: str) -> None:
@@ -389,12 +404,6 @@ class Renderer:
             if hasattr(held, "mglo"):
                 delattr(self, name)
         ctx.gc()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 class RenderThread:

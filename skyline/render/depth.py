@@ -6,7 +6,6 @@ within half a pixel of the exact skyline, about 0.3 px rms.
 """
 
 import math
-from collections.abc import Iterator
 
 import moderngl
 import numpy as np
@@ -97,19 +96,11 @@ class DepthRenderer(Renderer):
         return Views(*places, headings, tan, depth_m, flags)
 
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
-        """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky."""
-        images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
-        for heading in self._drawn(viewpoints, index):
-            inverse = np.frombuffer(self._depth.read(), dtype=np.float32)
-            with np.errstate(divide="ignore"):
-                images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
-        return images
-
-    def _drawn(self, viewpoints: Viewpoints, index: int) -> Iterator[int]:
-        """Draw the depth images of an eye in turn into the inverse-depth texture; yield headings.
+        """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky.
 
         The eye is subtracted in float64, so that nothing absolute reaches the GPU.
         """
+        images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
         field, ctx, program = self.field, self._context.ctx, self._terrain
         easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
         elevation = float(viewpoints.eye_elevation_m[index])
@@ -138,7 +129,10 @@ class DepthRenderer(Renderer):
             self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
             ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
             ctx.enable_only(moderngl.NOTHING)
-            yield heading
+            inverse = np.frombuffer(self._depth.read(), dtype=np.float32)
+            with np.errstate(divide="ignore"):
+                images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
+        return images
 
 
 def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:

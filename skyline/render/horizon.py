@@ -1,7 +1,7 @@
 """The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round."""
 
 from dataclasses import dataclass, field
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,28 +41,18 @@ class RenderConfig:
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
-    The parameters are the fields of `RenderConfig`; here the skyline is exact by default. Raises
-    `InputError` if the width or the tolerance is out of range or samples are much longer than
-    wide, and `ContextError` if no OpenGL context can be made.
+    Raises `InputError` if the width or the tolerance is out of range or samples are much longer
+    than wide, and `ContextError` if no OpenGL context can be made.
     """
 
-    def __init__(
-        self,
-        field: HeightField,
-        width: int = DEFAULT_WIDTH,
-        curvature: Curvature | None = None,
-        tolerance_px: float = 0.0,
-    ) -> None:
-        pixel = pixel_size(check_width(width))
+    def __init__(self, field: HeightField, config: RenderConfig) -> None:
+        width, tolerance_px = check_width(config.width), config.tolerance_px
+        pixel = pixel_size(width)
         tolerance = np.full(width, check_tolerance(tolerance_px, "px") * pixel)
         name = f"horizon {width} columns"
         name += f", tolerance {tolerance_px:g} px" if tolerance_px else ""
-        super().__init__(name, field, columns_u(width), tolerance, NEAR_ERROR_PX * pixel, curvature)
-
-    @classmethod
-    def of(cls, field: HeightField, config: RenderConfig) -> Self:
-        """Return a renderer with the settings of a configuration; raises as the class does."""
-        return cls(field, config.width, config.curvature, config.tolerance_px)
+        near_error = NEAR_ERROR_PX * pixel
+        super().__init__(name, field, columns_u(width), tolerance, near_error, config.curvature)
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
         """Render the skylines of N eyes, in order.
@@ -82,7 +72,7 @@ def render_views(
 ) -> Views:
     """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
     config = config or RenderConfig()
-    with HorizonRenderer.of(terrain, config) as renderer:
+    with HorizonRenderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 

@@ -20,7 +20,7 @@ from skyline.report.peaks import (
     UNDERFOOT_SAMPLES,
     Peaks,
     Sighting,
-    elevation_deg,
+    ground_elevation_deg,
     highest_between_deg,
     most_prominent_first,
     visible_peaks,
@@ -278,7 +278,7 @@ class _RayWalk:
                 open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
                 columns = start + np.flatnonzero(open_)
                 rays = self._grid_rad[columns], self._distance_m[part]
-                on_deg = elevation_deg(terrain, self._eye, self._curvature, *rays)
+                on_deg = ground_elevation_deg(terrain, self._eye, self._curvature, *rays)
                 so_far_deg = self._so_far_deg[columns, np.newaxis]
                 up_deg = np.concatenate([so_far_deg, on_deg.astype(np.float32)], axis=1)
                 np.maximum.accumulate(up_deg, axis=1, out=up_deg)

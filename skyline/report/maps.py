@@ -186,7 +186,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     if terrain is not None:
         pixel_m = max(terrain.spacing_m / 2.0, max(area.size) / _MOST_PIXELS)
         columns, rows = 1 + int(area.width / pixel_m), 1 + int(area.height / pixel_m)
-        # Those of the pixels, and of the pixels one beyond.
+        # Coordinates of the pixels' centres, and of one pixel beyond each side.
         east = np.clip(area.x0 + pixel_m * np.arange(-0.5, columns + 1), area.x0, area.x1)
         north = np.clip(area.y1 - pixel_m * np.arange(-0.5, rows + 1), area.y0, area.y1)
         heights = terrain.height_at(easting_m=east, northing_m=north[:, np.newaxis])

@@ -37,8 +37,8 @@ def report_matches(
 ) -> Path:
     """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
 
-    The page holds its pictures itself, so that it can be sent as one file. A photo's own position,
-    should it be in its EXIF, does not get into any of them.
+    The page holds its pictures itself, so that it can be sent as one file. The GPS position in a
+    photo's EXIF is left out of all of them.
 
     Parameters
     ----------

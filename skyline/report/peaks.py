@@ -143,7 +143,10 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Return printable names of points, their (3, N) coordinates and heights, and if in degrees."""
+    """Return the points' printable names, their coordinates and heights (3, N), and a flag.
+
+    The flag says whether the coordinates are degrees.
+    """
     is_lonlat = True
     if Path(path).suffix.lower() in _GEOJSON:
         points = _of_geojson(path)
@@ -362,11 +365,11 @@ def highest_between_deg(
     of the surface, which is a plane between two edges.
     """
     away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
-    up_deg = elevation_deg(terrain, eye, curvature, grid_rad, away_m)
+    up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
     return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
 
 
-def elevation_deg(
+def ground_elevation_deg(
     terrain: HeightField,
     eye: Viewpoints,
     curvature: Curvature,

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
 from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
-from skyline.render.context import RenderThread
+from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import (
     Peaks,
@@ -237,7 +236,7 @@ class PixelPlaces:
             write_whole(path, memory.read())
 
 
-class Viewer:
+class Viewer(Releasable):
     """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
 
     Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
@@ -275,12 +274,6 @@ class Viewer:
         """Free the textures and buffers on the GPU."""
         if self._scene is not None:
             self._scene.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def pose(
         self,
@@ -354,7 +347,7 @@ class Viewer:
         query : QuerySkyline
             Its size and projection count; a skyline is not needed.
         step : int
-            Of ``step`` rows and of ``step`` columns one is computed, from the first on.
+            Every ``step``-th row and column is computed, beginning with the first.
         progress : callable, optional
             Called with the number of pixels that are done, and of all.
 
@@ -419,7 +412,7 @@ class Viewer:
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
-        """Return the eye of a pose, lifted to the ground from below it; raises `OffMapError`."""
+        """Return the eye of a pose, lifted to the ground if it is below; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=0.0)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)

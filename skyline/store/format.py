@@ -182,11 +182,6 @@ class StoreHeader:
         return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
-    def preferred_by(self) -> list[str]:
-        """The datasets whose least value is kept, of rows that `sorted_by` does not distinguish."""
-        return [self.fields["tolerance_m"]] if self.holds == PLACES else []
-
-    @property
     def specs(self) -> dict[str, np.dtype[Any]]:
         """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
         return {

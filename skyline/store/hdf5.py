@@ -128,7 +128,7 @@ def _write_header(file: h5py.File, header: StoreHeader) -> None:
     }
     file.attrs["schema_version"] = SCHEMA_VERSION
     for name, text in texts.items():
-        # HDF5 guards texts of a fixed length alone with a checksum.
+        # HDF5 protects only texts of a fixed length with a checksum.
         data = text.encode() or b" "
         file.attrs.create(name, np.bytes_(data), dtype=h5py.string_dtype("utf-8", len(data)))
 

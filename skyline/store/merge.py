@@ -3,8 +3,8 @@
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
 are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
 nor on how they were cut. Stores of several boxes of one DEM may overlap. The lattices on which
-places are planned are nested, so the denser plan has all places of the other. If both plans have
-a place, the row that represents less ground is kept, which is that of the denser plan.
+places are planned are nested, so the denser plan has all places of the other. Where both plans
+have a place, the row of the denser plan is kept: it represents less ground.
 
 A file whose structures were forged together with their checksums may hang or crash HDF5 itself.
 `check_store` therefore reads in a process of its own, which may die.
@@ -192,7 +192,8 @@ def _joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
 def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
     """Return the rows to write, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
-    ties = [np.asarray(columns[name]) for name in header.preferred_by]
+    # Of places with equal keys the one with the smallest tolerance is kept.
+    ties = [columns[name] for field, name in header.fields.items() if field == "tolerance_m"]
     order = np.lexsort([*ties, *keys[::-1]])
     again = np.ones(len(order), dtype=bool)
     again[:1] = False

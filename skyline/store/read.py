@@ -40,7 +40,6 @@ Offsets = dict[str, NDArray[np.int64]]
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TAKEN_AT_ONCE = 4096
-_VIEWS_AT_ONCE = 1024
 
 
 class PlaceMap:
@@ -238,11 +237,6 @@ class Store:
         """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
-
-    def iter_views(self) -> Iterator[Views]:
-        """Yield all views in order, 1024 at a time (the last time fewer)."""
-        for start in range(0, len(self), _VIEWS_AT_ONCE):
-            yield self.views(slice(start, start + _VIEWS_AT_ONCE))
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with 65535; as `views` otherwise."""

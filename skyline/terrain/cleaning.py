@@ -76,7 +76,7 @@ def strips(grid: Any) -> Iterator[slice]:
 
 
 def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, int, int, int]:
-    """Void fill, remove spikes and fill small voids; afterwards NaN marks every hole.
+    """Turn fill into voids, remove spikes, and close small voids; afterwards NaN marks every hole.
 
     ``source`` is the name of the DEM in errors and warnings. Returns the numbers of filled, hollow,
     despiked and undeclared samples, as `skyline.Provenance` has them. Raises `InputError` where
@@ -364,7 +364,10 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
 def _walls(
     heights_m: Float32Array, row: Int64Array, col: Int64Array, value: float, threshold_m: float
 ) -> Int64Array:
-    """Return the samples from each of the rim's, eastward, to its highest wall; 0 without one."""
+    """Return the number of samples from each sample of the rim eastward to its highest wall.
+
+    It is 0 for a sample without a wall.
+    """
     wall = np.zeros(row.size, dtype=np.int64)
     before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
     cols = heights_m.shape[1]

@@ -140,9 +140,7 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     return _height_field(read_files(files, options), options)
 
 
-def read_blocks(
-    paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
-) -> TerrainBlocks:
+def read_blocks(paths: Sequence[str | Path], options: DemOptions = DemOptions()) -> TerrainBlocks:
     """Read a DEM as blocks of the field of `read_dem`, warped only where asked for.
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are the same too.
@@ -158,12 +156,8 @@ def read_blocks(
     return TerrainBlocks(frame, warp.target, warp.highest_m(), field)
 
 
-def read_files(
-    paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
-) -> Mosaic:
+def read_files(paths: Sequence[str | Path], options: DemOptions = DemOptions()) -> Mosaic:
     """Read files onto their own common grid, not cleaned; otherwise as `read_dem`."""
-    if isinstance(paths, str | Path):
-        paths = [paths]
     if not paths:
         raise InputError("no DEM file was given; name one or more")
     default_crs = options.default_crs
@@ -188,7 +182,10 @@ def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
 
 
 def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their files' own grid, to be warped to the frame centred on it."""
+    """Clean heights on their files' own grid, and prepare their warp to a frame.
+
+    Returns the warp, the frame, which is centred on the grid, and the provenance.
+    """
     crs, grid, conventions = mosaic.crs, mosaic.grid, _placed(mosaic)
     if crs.is_projected and not is_upright(crs):
         _log.warning(
@@ -283,13 +280,11 @@ def _read_saved(path: Path) -> HeightField:
     """Return the height field that `save_field` wrote, else raise as `read_dem`."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-            heights_m, grid, about = held["heights_m"], held["grid"], json.loads(str(held["about"]))
-        heights_m.setflags(write=False)  # handed over, so that the field need not copy it
-        west_m, north_m, step_east_m, step_north_m = grid.tolist()
-        frame = Frame(about["frame"])
+            heights_m, about = held["heights_m"], json.loads(str(held["about"]))
+            grid = Grid(*held["grid"].tolist(), *heights_m.shape)
         made = Provenance(**about["provenance"])
         made = replace(made, files=tuple(made.files))
-        return HeightField(heights_m, west_m, north_m, step_east_m, step_north_m, frame, made)
+        return _field(heights_m, grid, Frame(about["frame"]), made)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path} does not exist; name the elevation files") from error
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, zipfile.BadZipFile) as error:

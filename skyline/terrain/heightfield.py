@@ -335,9 +335,9 @@ class HeightField:
     ) -> tuple[BoolArray, tuple[Float64Array, ...], Float64Array, Float64Array]:
         """Return the triangles at fractional rows and columns.
 
-        These are a mask of places on the map, the heights of the triangles' north-west corners,
-        corners beside the diagonal and south-east corners, and the samples from the north-west
-        corners southwards and eastwards to the places.
+        The result is a mask of the places on the map; the heights at each triangle's north-west
+        corner, the corner beside the diagonal, and the south-east corner; and each place's distance
+        south and east of the north-west corner, in samples.
         """
         inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
         row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)

@@ -1,4 +1,4 @@
-"""The mesh of a height field for rays: its triangles, its rims, and the tree of slabs over it.
+"""The mesh of a height field for rays: its triangles, and the tree of slabs over it.
 
 The tree bounds the terrain from above for rays that march over it. Seen along one axis, the field
 is cut across into strips (rows of cells) and these into slabs of 2, 16, 128, 1024 strips. A ray
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float64Array
 
 Samples = NDArray[Any]
 """float32 heights or uint8 marks."""
@@ -110,21 +110,6 @@ class Triangles:
             for (row, col), right, left in self._edges
         )
 
-    def rims(self) -> tuple[Int64Array, Int64Array]:
-        """Return rows and columns (E, 2) of the first and second sample of E rim edges.
-
-        A rim edge belongs to one triangle only: rims border the map, an irregular outline and
-        holes. From its first sample to its second, an edge has the surface on its right (seen from
-        above, north up) and nothing on its left.
-        """
-        rows, cols = [], []
-        for (row_step, col_step), right, left in self._edges:
-            for rim, way in ((right & ~left, 1), (left & ~right, -1)):
-                row, col = np.nonzero(rim)
-                rows.append(np.stack([row, row + row_step], axis=1)[:, ::way])
-                cols.append(np.stack([col, col + col_step], axis=1)[:, ::way])
-        return np.concatenate(rows), np.concatenate(cols)
-
 
 def level_count(strips: int) -> int:
     """Return the number of levels for a field with this number of strips along its longer axis."""
@@ -155,7 +140,7 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
 
 
 def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
-    """Join SLABS slabs to one, and columns to spans of so many cells as are wanted.
+    """Join SLABS slabs into one, and columns into spans of ``wanted`` cells.
 
     Columns are single samples (step 0) or spans of ``step`` cells, a power of two.
     """

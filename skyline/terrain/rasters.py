@@ -27,7 +27,7 @@ from rasterio.windows import Window
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import FetchError, InputError, MissingFileError
 from skyline.files import for_gdal, is_file
-from skyline.geodesy import horizontal
+from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, vertical_of
 from skyline.terrain.tiles import Grid, Tile
@@ -166,7 +166,7 @@ def files_of(name: str) -> list[str]:
     return []
 
 
-def shown(text: str) -> str:
+def without_secrets(text: str) -> str:
     """Return text without what may be secret in its addresses: user, password and query."""
     return _SECRET.sub("", text)
 
@@ -181,7 +181,7 @@ def _opened(source: str) -> Iterator[Any]:
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
         if "://" in source:
-            source, reason = shown(source), shown(reason)
+            source, reason = without_secrets(source), without_secrets(reason)
         if _NO_ANSWER.search(reason):
             raise FetchError(
                 f"{source} cannot be read from its server ({reason}); check the address and "
@@ -288,7 +288,7 @@ def _on_map(source: str, crs: CRS) -> CRS:
             f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
             "projected coordinate reference system: warp it first with gdalwarp"
         )
-    return horizontal(crs)
+    return without_vertical(crs)
 
 
 def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
@@ -313,7 +313,7 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
         ) from error
     if default_crs is None:
         return crs
-    same_map = horizontal(crs).equals(horizontal(default_crs), ignore_axis_order=True)
+    same_map = without_vertical(crs).equals(without_vertical(default_crs), ignore_axis_order=True)
     if same_map and len(crs.axis_info) < len(default_crs.axis_info):
         return default_crs
     if not crs.equals(default_crs, ignore_axis_order=True):

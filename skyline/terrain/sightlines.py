@@ -110,7 +110,10 @@ def _met(
     elevation_tan: Float64Array,
     bounds: Int64Array,
 ) -> Float64Array:
-    """Return where rays meet the profiles of K azimuths, ``bounds`` (K + 1,) those of each."""
+    """Return where rays meet the profiles of K azimuths.
+
+    Rays ``bounds[k]`` to ``bounds[k + 1]`` belong to azimuth k.
+    """
     far_m = _JUST_INSIDE * _border_m(field, eye, azimuth_rad)
     crossing_m, _ = edge_crossings_m(field, eye, azimuth_rad, np.zeros_like(far_m), far_m)
     away_m = np.sort(np.column_stack([crossing_m, np.zeros_like(far_m), far_m]), axis=1)
@@ -149,7 +152,10 @@ def _carried_over(
     elevation_tan: Float64Array,
     near_m: Float64Array,
 ) -> Float64Array:
-    """Return where rays meet the surface near given distances, by Newton's method; else these."""
+    """Return where rays meet the surface near given distances, by Newton's method.
+
+    Where it fails, the given distances are returned.
+    """
     away_m = near_m.copy()
     reach_m = _REACH_SAMPLES * field.spacing_m
     for _ in range(_NEWTON_STEPS):

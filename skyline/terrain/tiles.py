@@ -154,7 +154,10 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
-    """Return tiles by their spacing of longitude, if that is all in which their grids differ."""
+    """Group tiles by their spacing of longitude if their grids differ in nothing else.
+
+    Otherwise return one group.
+    """
     first = tiles[0]
     groups: dict[float, list[Tile]] = {}
     for tile in tiles:
@@ -171,7 +174,7 @@ def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
     """Return a mosaic as a tile on the columns of a finer grid.
 
     Heights are interpolated linearly between two samples, and are the nearest one's where either
-    is a void. A sample higher than those beside it gives the column nearest to it its height, so
+    is a void. A sample higher than its neighbours passes its height to the nearest column, so
     that no crest sinks. ``first`` is one of the tiles of the mosaic.
     """
     grid, step = mosaic.grid, finest.step_east

@@ -16,9 +16,10 @@ from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
 _HIGHEST_EYE_M = 20_000.0
-"""Above all aeroplanes from which people take photos."""
+"""Greatest elevation of an eye, above all aeroplanes from which people take photos."""
 _MOST_BELOW_M = 200.0
-"""Vertical datums differ by up to 100 m, and models err as much beside cliffs."""
+"""Greatest depth of an eye below the ground: vertical datums differ by up to 100 m, and models err
+as much beside cliffs."""
 _MOST_WITHIN_M = 10_000.0
 """Greatest radius in which the highest point around an eye may be searched."""
 
@@ -179,7 +180,7 @@ def at_elevation(
 
 
 def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
-    """Raise an error for an eye's elevation that no eye has, or that is far underground.
+    """Raise an error if an eye's elevation is impossible, or far below the ground.
 
     ``ground_m`` is the elevation of the lowest ground where the eye may stand. The eye may lie
     somewhat below it, since the elevation may be of another vertical datum than the model, and the

@@ -100,9 +100,9 @@ def chosen_of(
         if photo.fitted is None:
             raise InputError("the skyline has changed since this fit; fit again")
         return photo.fitted.candidates
-    if photo.result is not None and photo.found is None:
+    if photo.result is not None and photo.current_result is None:
         raise InputError("the skyline has changed since this search; find the place again")
-    candidates = () if photo.found is None else photo.found.candidates
+    candidates = () if photo.current_result is None else photo.current_result.candidates
     rank = asked.get("rank") or 0
     if not isinstance(rank, int) or not 0 <= rank < max(len(candidates), 1):
         raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {len(candidates) - 1}")

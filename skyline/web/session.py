@@ -84,7 +84,7 @@ class PagePhoto:
 
     def record(self) -> dict[str, Any]:
         """Return the photo as JSON for the page's list."""
-        is_of_other = self.result is not None and self.found is None
+        is_of_other = self.result is not None and self.current_result is None
         state = "ready" if is_of_other and self.state != "matching" else self.state
         record: dict[str, Any] = {"id": self.id, "name": self.name, "state": state}
         query = self.query
@@ -94,7 +94,6 @@ class PagePhoto:
                 "height": query.height_px,
                 # A field of view that is a guess from a cropped photo is not shown.
                 "fov": None if query.lens and query.lens.most_deg is not None else query.fov_deg,
-                "projection": str(query.projection),
                 "lonlat": query.noted.lonlat_deg,
                 "accuracy": query.noted.accuracy_m,
                 "elevation": query.noted.elevation_m,
@@ -138,7 +137,7 @@ class PagePhoto:
         return lines.astype("<f4").tobytes()
 
     @property
-    def found(self) -> MatchResult | None:
+    def current_result(self) -> MatchResult | None:
         """The result of the search, None once the skyline has changed since."""
         searched = self.result_json
         return self.result if searched and searched["skyline"] == version_of(self.known()) else None
@@ -310,7 +309,8 @@ def _named(engine: Engine, photo: PagePhoto, pose: Candidate) -> bytes:
 
 def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
     """Return the photo's result with these candidates, in this order."""
-    judged = (one for one in (photo.found, photo.fitted) if one and candidates[0] in one.candidates)
+    results = photo.current_result, photo.fitted
+    judged = (one for one in results if one and candidates[0] in one.candidates)
     found = next(judged, MatchResult(photo.known(), (), 0.0))
     # Only the answer itself is an answer; other candidates of its search are not.
     is_answer = candidates[0] == found.answer

@@ -118,7 +118,7 @@ def test_renderings_of_given_viewpoints_are_kept_once_each(terrain, tmp_path):
         views = store.views()
         assert store.header.width == 64
         assert (store.keypoint_columns() < 64).any(axis=1).all()
-    with HorizonRenderer.of(terrain, CONFIG) as renderer:
+    with HorizonRenderer(terrain, CONFIG) as renderer:
         wanted = renderer.render(eyes[np.array([1, 0])])
     np.testing.assert_array_equal(views.elevation_tan, wanted.elevation_tan)
     assert render_to_store(terrain, eyes, path, CONFIG).rendered == 0

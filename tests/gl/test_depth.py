@@ -76,21 +76,3 @@ def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m, is_hardware)
         assert (np.abs(image[seen] / expected[seen] - 1.0) < bound[seen]).all()
         # What is missing is beyond the border, or the sky.
         assert (expected[~seen] > 49_000.0).all()
-
-
-def test_heights_that_encode_position_come_out_where_they_are():
-    """One spike a quadrant, each of its own height: catches flips and half-cell slips."""
-    heights = np.zeros((101, 101), dtype=np.float32)
-    spikes = {(20, 50): 100.0, (50, 85): 140.0, (90, 50): 180.0, (50, 5): 220.0}
-    for place, height in spikes.items():
-        heights[place] = height
-    field = field_of(heights, 30.0, west_m=-1500.0, north_m=1500.0)
-    viewpoints = stand_on(field, easting_m=[0.0], northing_m=[0.0], eye_height_m=2.0)
-    with DepthRenderer(field, 641, FLAT) as renderer:
-        views = renderer.render(viewpoints)
-    distance = [900.0, 1050.0, 1200.0, 1350.0]
-    for heading, (height, away) in enumerate(zip(spikes.values(), distance, strict=True)):
-        top = int(np.argmax(views.elevation_tan[heading]))
-        assert abs(top - 320) <= 1
-        seen = views.elevation_tan[heading, 320]
-        assert seen == pytest.approx((height - 2.0) / away, abs=1.0 / 641.0)

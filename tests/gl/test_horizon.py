@@ -8,7 +8,7 @@ from scenes import field_of
 
 from skyline.errors import ContextError, InputError
 from skyline.render import march, windows
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
 
@@ -16,8 +16,8 @@ EXACT_PX = 0.001
 """Rounding of float32 on these scenes; the worst seen is 2e-4."""
 
 
-def render(field, eyes, width=160, **options):
-    with HorizonRenderer(field, width, **options) as renderer:
+def render(field, eyes, width=160, tolerance_px=0.0):
+    with HorizonRenderer(field, RenderConfig(width, tolerance_px)) as renderer:
         return renderer.render(eyes)
 
 
@@ -52,7 +52,7 @@ def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):
 def test_single_headings(rough):
     field, eyes = rough
     headings = np.arange(len(eyes)) * 3 % 4
-    with HorizonRenderer(field, 160) as renderer:
+    with HorizonRenderer(field, RenderConfig(160, 0.0)) as renderer:
         some, every = renderer.render(eyes, headings), renderer.render(eyes)
     assert_same(some, every[4 * np.arange(len(eyes)) + headings])
 
@@ -61,7 +61,7 @@ def test_single_headings(rough):
 def test_falls_short_by_no_more_than_the_tolerance(uneven, tolerance_px):
     for field, eyes in uneven:
         truth = oracle.skyline(field, eyes, 320)
-        views = render(field, eyes, 320, tolerance_px=tolerance_px)
+        views = render(field, eyes, 320, tolerance_px)
         short = (truth.elevation_tan - views.elevation_tan) * 160.0
         assert short.min() > -EXACT_PX
         assert short.max() <= tolerance_px + EXACT_PX
@@ -69,13 +69,14 @@ def test_falls_short_by_no_more_than_the_tolerance(uneven, tolerance_px):
 
 def test_samples_much_longer_than_wide_are_refused():
     with pytest.raises(InputError, match="resample the DEM"):
-        HorizonRenderer(field_of(np.zeros((3, 3)), 1.0, 100.0))
+        HorizonRenderer(field_of(np.zeros((3, 3)), 1.0, 100.0), RenderConfig())
 
 
 def test_a_gpu_without_memory_is_one_line(rough, monkeypatch):
     field, eyes = rough
     full = MagicMock(buffer=MagicMock(side_effect=march.moderngl.Error("cannot create buffer")))
-    with HorizonRenderer(field, 320) as renderer, monkeypatch.context() as patched:
+    config = RenderConfig(320, 0.0)
+    with HorizonRenderer(field, config) as renderer, monkeypatch.context() as patched:
         patched.setattr(renderer, "_ctx", full)
         with pytest.raises(ContextError, match=r"no room for skylines .* choose a smaller width"):
             renderer.render(eyes)

@@ -79,7 +79,7 @@ def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
     heights = 1500.0 + fractal(700, 700, 1500.0, seed=9)
     transform = Affine(1 / 1200, 0.0, 9.0, 0.0, -1 / 1200, 47.0)
     path = write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform)
-    whole, blocks = read_dem(path), read_blocks(path)
+    whole, blocks = read_dem(path), read_blocks([path])
     place = tuple(float(at) for at in whole.to_map(200.0, 150.0))
     azimuth_deg = np.arange(0.0, 360.0, 0.1)
     expected = Landscape.of(TerrainBlocks.of(whole), place, 30.0, azimuth_deg)

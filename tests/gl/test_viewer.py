@@ -8,7 +8,7 @@ import pytest
 
 from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
 from skyline.camera import HEADINGS
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.report.viewer import sight_of
 from skyline.terrain.viewpoints import stand_on
 
@@ -71,7 +71,8 @@ def test_a_sight_is_what_four_fine_views_show(
         sight = viewer.look(pose, query)
     terrain = matcher.terrain
     eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
-    with HorizonRenderer(terrain, 4096, matcher.header.curvature) as renderer:
+    config = RenderConfig(4096, 0.0, matcher.header.curvature)
+    with HorizonRenderer(terrain, config) as renderer:
         fine = sight_of(pose, query, renderer.render(eye[np.zeros(4, int)], HEADINGS))
     near = np.abs(fine.column_px - query.width_px / 2.0) < 0.5 * query.width_px
     order = np.argsort(sight.column_px)

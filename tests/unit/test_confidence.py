@@ -16,12 +16,6 @@ def retrieved(easting_m, score):
     return poses(len(score), easting_m=easting_m, score=score)
 
 
-def test_a_margin_is_over_the_best_rival():
-    # The second stands beside the first, so the third is the rival of both.
-    some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
-    assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
-
-
 @pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name(confidence.FITTED, within_m)]

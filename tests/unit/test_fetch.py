@@ -53,12 +53,14 @@ def server(contents):
 @pytest.fixture
 def template(server, monkeypatch):
     monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(remote, "RETRIES", 2)
+    monkeypatch.setattr(remote, "TIMEOUT_S", 1)
     with serve(server) as host:
         yield f"{host}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
 
 
-def fetch(template, folder, bounds=BOUNDS, retries=2):
-    return fetch_dem(bounds, template, folder, retries, timeout_s=1)
+def fetch(template, folder, bounds=BOUNDS):
+    return fetch_dem(bounds, template, folder)
 
 
 def expect_heights(result, heights):
@@ -142,10 +144,11 @@ def test_failures_and_bodies_that_break_off_are_read_again(
         ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
-def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
+def test_lasting_failures_are_one_line(template, server, tmp_path, monkeypatch, trouble, message):
+    monkeypatch.setattr(remote, "RETRIES", 1)
     vars(server).update(trouble)
     with pytest.raises(FetchError, match=message) as caught:
-        fetch(template, tmp_path, retries=1)
+        fetch(template, tmp_path)
     assert "http://127.0.0.1" in str(caught.value)
     assert ".tif" in str(caught.value)
     assert "vsicurl" not in str(caught.value)
@@ -158,7 +161,7 @@ def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
     waited = []
     monkeypatch.setattr(remote.time, "sleep", waited.append)
     with pytest.raises(FetchError, match=r"no answer \(.*\), tried 3 times; check the address"):
-        fetch("http://127.0.0.1:9/{lat}{lon}.tif", tmp_path, retries=9)
+        fetch("http://127.0.0.1:9/{lat}{lon}.tif", tmp_path)
     assert waited == [1.0, 2.0]
 
 
@@ -216,7 +219,7 @@ def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, co
     assert not any(b"secret" in path.read_bytes() for path in done.files)
     server.failures = 10_000
     with pytest.raises(FetchError) as caught:
-        fetch(secret, tmp_path / "again", retries=0)
+        fetch(secret, tmp_path / "again")
     assert "secret" not in str(caught.value)
 
 

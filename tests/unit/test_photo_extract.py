@@ -93,7 +93,7 @@ def test_crests_are_distinct_and_likeliest_first():
     share[[20, 60, 100, 140], 3] = 0.3, 0.26, 0.24, 0.2
     nan = np.nan
     expected = [[120, 100, nan, 20], [60, nan, nan, 60], [nan, nan, nan, 100]]
-    np.testing.assert_array_equal(Evidence(share, -share, 1.0).crests(), expected)
+    np.testing.assert_array_equal(Evidence(share, -share).crests(), expected)
 
 
 def test_a_query_shows_the_crest_that_is_not_its_skyline():

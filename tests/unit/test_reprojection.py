@@ -73,16 +73,6 @@ def test_least_squares_is_exact_where_the_images_are_affine():
     )
 
 
-@pytest.mark.parametrize(
-    ("heading", "expected"),
-    [(0, (3.0, 5.0, 7.0)), (1, (-7.0, 5.0, 3.0)), (2, (-3.0, 5.0, -7.0)), (3, (7.0, 5.0, -3.0))],
-)
-def test_a_displacement_is_right_up_forward_in_the_axes_of_the_view(heading, expected):
-    view = views_of(mountains(U), 900.0, heading, east=100.0, north=200.0, eye=50.0)
-    there = reprojection.displacements_m(view, view.heading, [[103.0]], [[207.0]], [[55.0]])
-    np.testing.assert_allclose(there, [[expected]])
-
-
 @pytest.mark.parametrize("move", [(200.0, 0.0), (0.0, 250.0), (-150.0, -150.0)])
 def test_moved_points_lie_on_the_skyline_that_the_oracle_sees(move):
     field = field_from(peaks, 181, 100.0)

@@ -7,16 +7,8 @@ import pytest
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.geodesy import Frame
 from skyline.match import screening
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
-
-FRAME = Frame.local(lon=10.0, lat=46.0)
-
-
-def narrowed(**known):
-    return Prior.of(Narrowing(**known), FRAME).contains
-
+from skyline.match.prior import NOTHING_KNOWN
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -86,13 +78,3 @@ def test_shut_turns_are_not_looked_at(places):
     screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
-
-
-def test_a_circle_a_box_and_elevations_hold_places(places):
-    lon, lat = FRAME.to_lonlat(places.easting_m, places.northing_m)
-    circle = narrowed(near=(float(lon[30]), float(lat[30]), 0.25))(places)
-    assert list(np.flatnonzero(circle)) == [28, 29, 30, 31, 32]
-    box = (float(lon[10]) - 1e-5, float(lat[0]) - 0.01, float(lon[12]) + 1e-5, float(lat[0]) + 0.01)
-    assert list(np.flatnonzero(narrowed(bounds_deg=box)(places))) == [10, 11, 12]
-    assert narrowed(elevation_m=(900.0, 1100.0))(places).all()
-    assert not narrowed(elevation_m=(0.0, 900.0))(places).any()

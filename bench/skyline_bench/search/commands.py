@@ -16,7 +16,7 @@ from skyline import Narrowing
 from skyline.arrays import Progress
 from skyline.build.plans import map_bounds
 from skyline.cli.console import parse_bounds, progress_bar
-from skyline.errors import InputError, named
+from skyline.errors import InputError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
@@ -69,9 +69,9 @@ class Search:
         Raises `InputError` unless every store can be built or opened, and is searched.
         """
         for name in self.kinds:
-            named("kind of queries", name, kinds.KINDS)
+            entry_named("kind of queries", name, kinds.KINDS)
         for name in self.matchers:
-            named("matcher", name, dict.fromkeys(trials.MATCHERS))
+            entry_named("matcher", name, dict.fromkeys(trials.MATCHERS))
         searched = {trials.searched_by(name) for name in self.matchers}
         stores = [one for one in dict.fromkeys(self.stores) if one.path or one.holds in searched]
         if not stores:

@@ -5,6 +5,7 @@ of the horizon path is that of 32-bit floats; the bound of the depth path is its
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, rotation
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
@@ -63,10 +64,6 @@ def oracle_truth(scene: SkylineScene) -> SkylineTruth:
     return SkylineTruth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
 
 
-Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManager[Any]]
-"""Makes a renderer of one field; its ``render`` gives four views a viewpoint."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
     """Rendered skylines against the truth, both (N, W)."""
@@ -87,7 +84,8 @@ class RenderPath:
     """A way to render skylines, and its promise."""
 
     name: str
-    factory: Renderers
+    # Makes a renderer of a field, whose ``render`` gives four views a viewpoint.
+    factory: Callable[[HeightField, int, Curvature], AbstractContextManager[Any]]
     # Compares rendered views of a scene with the truth.
     agreement: Callable[[SkylineScene, Views, SkylineTruth], Agreement]
 
@@ -217,8 +215,9 @@ def undecided_columns(
 def _columns_past_rims(scene: SkylineScene) -> BoolArray:
     """Return (N, W): whether a column's ray passes a sample where the surface ends."""
     field, eyes, u = scene.field, scene.viewpoints, columns_u(scene.width)
-    rims = Triangles.of(field.heights_m).rims()
-    row, col = np.unique(np.stack([ends.ravel() for ends in rims]), axis=1)
+    triangles = Triangles.of(field.heights_m)
+    ways = itertools.product((False, True), repeat=2)
+    row, col = np.nonzero(np.logical_or.reduce([triangles.entries(*way) for way in ways]))
     easting, northing = field.to_map(row, col)
     passes = np.zeros((len(eyes), len(HEADINGS), scene.width), dtype=bool)
     for index in range(len(eyes)):
@@ -242,7 +241,11 @@ def _error_px(views: Views, truth: Views) -> Float64Array:
 DEPTH = RenderPath("depth", DepthRenderer, quantized_agreement)
 """The paper's rasterizer."""
 
-HORIZON = RenderPath("horizon", HorizonRenderer, exact_agreement)
+HORIZON = RenderPath(
+    "horizon",
+    lambda field, width, curvature: HorizonRenderer(field, RenderConfig(width, 0.0, curvature)),
+    exact_agreement,
+)
 """The horizon rasterizer, exact but for 32-bit floats."""
 
 

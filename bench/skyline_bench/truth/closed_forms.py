@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, column_azimuths_deg, columns_u, pixel_size
+from skyline.camera import HEADINGS, columns_u, pixel_size
 from skyline.geodesy import Curvature, Frame, in_turn
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -179,9 +179,10 @@ class _Country:
         """Return the skylines along geodesics."""
         eyes, frame = scene.viewpoints, scene.field.frame
         turn = frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[0]
-        azimuth_deg = (column_azimuths_deg(heading, scene.width) + turn for heading in HEADINGS)
+        u = columns_u(scene.width)
+        azimuth_deg = (90.0 * heading + np.degrees(np.arctan(u)) + turn for heading in HEADINGS)
         rows = [self._skyline(each, scene) for each in azimuth_deg]
-        tan = np.stack(rows) * np.hypot(1.0, columns_u(scene.width))
+        tan = np.stack(rows) * np.hypot(1.0, u)
         return ClosedForm(tan, _slack_tan(scene.field.spacing_m))
 
     def _skyline(self, azimuth_deg: Float64Array, scene: SkylineScene) -> Float64Array:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, columns_u, ground_directions
+from skyline.camera import HEADINGS, columns_u, directions_at
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms
@@ -16,7 +16,6 @@ from skyline_bench.truth.agreement import SkylineScene
 MAX_DEPTH_WIDTH = 641
 """A depth image of W x W pixels takes long above this."""
 
-# --- the eye and the grid -------------------------------------------------------------------
 
 _SHARE = np.arange(1.0, 10.0) * 7.0 / 64.0
 _LOW_AND_HIGH_M = np.tile([0.0, 2.0, 50.0], 3)
@@ -102,9 +101,6 @@ GRID_CASES = (
 )  # fmt: skip
 
 
-# --- steep, near and high -------------------------------------------------------------------
-
-
 def _pyramid() -> SkylineScene:
     """Return the summit of |east| + |north| pyramid: flat faces that fold along grid lines."""
     steps = np.abs(np.arange(-64.0, 65.0))
@@ -158,7 +154,8 @@ def _slope_skyline(scene: SkylineScene) -> forms.ClosedForm:
     """Return the eye's own slope: uphill to the crest a millimetre away, downhill for ever."""
     field = scene.field
     slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
-    tan = [slope * ground_directions(heading, scene.width)[:, 1] for heading in HEADINGS]
+    u = columns_u(scene.width)
+    tan = [slope * directions_at(heading, u)[:, 1] for heading in HEADINGS]
     return forms.ClosedForm(np.tile(np.stack(tan), (len(scene.viewpoints), 1)))
 
 
@@ -239,7 +236,6 @@ STEEP_CASES = (
 
 MARS_RADIUS_M = 3_389_500.0
 
-# --- plains ---------------------------------------------------------------------------------
 
 _PLAIN_SPACING_M, _PLAIN_HALF = 100.0, 128
 
@@ -299,8 +295,6 @@ PLAIN_CASES = (
         lambda: _constant(0.0), _constant_skyline, forms.HORIZON_ONLY),
 )  # fmt: skip
 
-# --- planets --------------------------------------------------------------------------------
-
 
 def _planet(curvature: Curvature) -> SkylineScene:
     field = forms.field_of(forms.rough_heights(400, 400, 1500.0, seed=11), 128.0)
@@ -316,8 +310,6 @@ PLANET_CASES = tuple(
         ("no curvature", "a drop of 0 is divided by", forms.FLAT),
     )
 )
-
-# --- holes ----------------------------------------------------------------------------------
 
 
 def _holed_heights() -> Float64Array:
@@ -358,8 +350,6 @@ HOLE_CASES = (
         "no edge is crossed: what is read back is a fill value, not NaN and no data", _void_ahead),
 )  # fmt: skip
 
-# --- tiny grids -----------------------------------------------------------------------------
-
 
 def _tiny(rows: int, cols: int) -> SkylineScene:
     field = forms.field_of(
@@ -380,8 +370,6 @@ TINY_CASES = tuple(
         (1, 1, "one sample, likewise"),
     )
 )
-
-# --- large coordinates ----------------------------------------------------------------------
 
 
 def _far_from_origin() -> SkylineScene:

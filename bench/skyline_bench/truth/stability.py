@@ -36,9 +36,6 @@ class SameCase:
     paths: tuple[str, ...] = ("horizon", "depth")
 
 
-# --- the same bytes -------------------------------------------------------------------------
-
-
 def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
     """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
     field = forms.rough_field(17)
@@ -54,9 +51,6 @@ def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
     same = np.logical_and(*(one == other for one, other in bits))
     zero = np.zeros(same.shape)
     return Agreement(np.where(same, zero, np.inf), zero, once.flags == again.flags)
-
-
-# --- the same terrain, turned ---------------------------------------------------------------
 
 
 Turn = tuple[tuple[int, int], tuple[int, int]]
@@ -137,9 +131,6 @@ def _dyadic_eyes(field: HeightField) -> Viewpoints:
     row = np.array([40.0, 33.25, 50.625, 61.0])
     col = np.array([56.0, 71.5, 20.625, 90.375])
     return forms.eyes_at(field, row, col, [2.0, 0.0, 30.0, 2.0])
-
-
-# --- refusals -------------------------------------------------------------------------------
 
 
 def _refused(row: float, col: float, words: str, _path: RenderPath, _quick: bool) -> Agreement:
