@@ -26,9 +26,10 @@ USUAL_FOV_DEG = (55.0, 14.0)
 usual zoom lens."""
 _PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
-_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.02, 0.05
+_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
 """Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
-6 % of half the width, rms; phones and many cameras correct their photos."""
+6 % of half the width, rms; phones and many cameras correct their photos. The more is expected, the
+more near slopes can be bent to fit."""
 _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)

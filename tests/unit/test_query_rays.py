@@ -35,9 +35,9 @@ def test_a_field_of_view_is_searched_about_the_one_given():
 @pytest.mark.parametrize(
     ("fov_deg", "projection", "sd"),
     [
-        (60.0, "perspective", 0.02),
+        (60.0, "perspective", 0.01),
         (90.0, "perspective", 0.05),
-        (None, "perspective", 0.02),
+        (None, "perspective", 0.01),
         (90.0, "cylindrical", 0.0),
     ],
 )
