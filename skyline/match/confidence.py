@@ -172,28 +172,29 @@ def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
-    return {
+    figures = {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.terrain_share,
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
-        "warp_deviations": _warp_deviations(poses, query),
         "roll_deg": np.abs(poses.hypotheses.roll_deg),
-    } | _query_figures(query, len(poses))
+    }
+    return figures | _warp_figure(poses, query) | _query_figures(query, len(poses))
 
 
-def _warp_deviations(poses: RefinedPoses, query: QueryRays) -> Float64Array:
-    """Return the rms (M,) of how poses warp the image, in standard deviations.
+def _warp_figure(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return the rms (M,) of how poses warp the image, in standard deviations, by its name.
 
-    It is the distortion of a lens, or the wander of a panorama; see `QueryRays.warp_sd`.
+    It is the distortion of a lens, or the wander of a panorama; see `QueryRays.warp_sd`. A lens
+    that is known not to distort has no such figure.
     """
     if not len(query.warp_sd):
-        return np.zeros(len(poses))
+        return {}
     warp = poses.wander if query.is_panorama else poses.hypotheses.distortion[:, np.newaxis]
     rms = np.sqrt(np.mean((warp / query.warp_sd) ** 2, axis=1))
-    return np.asarray(np.minimum(rms, _MOST_LENS_DEVIATIONS))
+    return {"warp_deviations": np.minimum(rms, _MOST_LENS_DEVIATIONS)}
 
 
 def _log_odds(poses: Hypotheses, within_m: float) -> Float64Array:
