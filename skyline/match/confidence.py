@@ -41,6 +41,9 @@ from skyline.photo.query import QuerySkyline
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
 have been fitted with margins of 124."""
+_LEARNED_EXTENT_M = 8_500.0
+"""Greatest distance in the smallest areas that the models learned from, squares of 6 km. A narrower
+search has met fewer rivals, by the square of its extent, and its odds count as much less."""
 _MIN_MARGIN = 1e-3
 _LEAST_WEIGHT = 1e-9
 """Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
@@ -141,6 +144,7 @@ def refined_figures(
         margin, log_odds = poses.far_margin, _log_odds(poses.hypotheses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
         margin, log_odds = poses.margin, _log_odds(poses.hypotheses, RIGHT_WITHIN_M)
+        log_odds = log_odds - 2.0 * np.log(_LEARNED_EXTENT_M / widest_m)
     return pose_figures(poses, query) | {
         "log_odds": log_odds,
         "log_far_margin": _log_margin(margin),
