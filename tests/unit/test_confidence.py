@@ -19,7 +19,7 @@ def retrieved(easting_m, score):
 @pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name(confidence.FITTED, within_m)]
-    residual_deg, one = np.array([0.02, 0.1, 1.0, 1.44]), np.ones(4)
+    residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
     figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *np.zeros((3, 4))
     covariance_m2 = np.tile(100.0 * np.eye(2), (4, 1, 1))
     figures = *figures, np.ones((4, 4)), np.zeros((4, 0))
