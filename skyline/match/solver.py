@@ -229,6 +229,8 @@ class Solver:
         free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
         free[LOG_SCALE] = range_sd
         self._prior[WARP:] = query.warp_sd**-2.0
+        if not mode.nodes and not query.is_panorama and query.distortion_sd < 0.03:
+            self._prior[WARP:] = 1e12
         if not query.is_panorama:
             self._low[WARP:], self._high[WARP:] = -_MOST_DISTORTION, _MOST_DISTORTION
         self._information = self._prior + free**-2.0
