@@ -23,9 +23,9 @@ COMMANDS = {
         "fit by hand.",
     },
     "Stores": {
-        "store.build": "Build the store that `match` searches. After Ctrl-C, the same command "
+        "build.build": "Build the store that `match` searches. After Ctrl-C, the same command "
         "continues.",
-        "render.render": "Render views to grid north, east, south and west into a store, for the "
+        "build.render": "Render views to grid north, east, south and west into a store, for the "
         "paper's matcher.",
         "store.store": "Check, repair, merge and export stores.",
     },

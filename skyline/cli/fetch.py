@@ -1,4 +1,4 @@
-"""``skyline dem fetch``, ``peaks`` and ``cache``: data from servers, and those that are kept."""
+"""``skyline dem fetch``, ``peaks`` and ``cache``: data from servers, and the cache of `locate`."""
 
 import json
 from datetime import datetime

@@ -112,10 +112,10 @@ def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monke
         if done == 2:
             raise KeyboardInterrupt
 
-    module = "store" if command == "build" else "render"
-    stopped = f"skyline.cli.{module}.build_store"
     with monkeypatch.context() as patch:
-        patch.setattr(stopped, lambda *given: build_store(*given[:-1], stop))
+        patch.setattr(
+            "skyline.cli.build.build_store", lambda *given: build_store(*given[:-1], stop)
+        )
         done = run(command, dem, "-o", out, *options)
     assert done.code == 130
     assert "the same command continues" in done.err
