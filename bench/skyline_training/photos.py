@@ -51,7 +51,7 @@ _WAYS = 8
 drawing is like the world."""
 _FAMILY = 64
 """Photographs in a row whose views are of the same terrain."""
-_FAR_RIDGES_CHANCE = 0.4
+_FAR_RIDGES_CHANCE = 0.5
 """Of pale ridges behind the mountains."""
 _LOW_SUN_CHANCE = 0.2
 """Of mountains against the light, or lit by a sun at the horizon."""
@@ -158,12 +158,13 @@ def _far_ridges(drawing: Drawing) -> None:
     free = drawing.label == SKY
     line -= rng.uniform(0.0, 0.12) * height
     texture = fractal(rng, (height, width), rng.uniform(1.0, 1.7))
-    lit = 1.0 + rng.uniform(0.0, 0.3) * texture[..., np.newaxis]
+    # Haze leaves most far ridges flat.
+    lit = 1.0 + rng.choice([0.0, rng.uniform(0.0, 0.3)]) * texture[..., np.newaxis]
     rock = (haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)) * lit
     if rng.random() < 0.5:
         snowy = np.clip(rng.normal(0.5, 1.0) + 2.0 * texture, 0.0, 1.0)[..., np.newaxis]
         rock += snowy * (np.minimum(rng.uniform(200.0, 250.0) * lit, 255.0) - rock)
-    for left in np.sort(rng.uniform(0.05, 0.9, rng.integers(1, 4))):
+    for left in np.sort(rng.uniform(0.04, rng.uniform(0.2, 0.9), rng.integers(1, 4))):
         swing = rng.uniform(0.01, 0.1) * height
         ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
         share = np.clip(rows - ridge, 0.0, 1.0) * free
@@ -278,7 +279,8 @@ def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
     if rng.random() < 0.3:
         far = np.hypot(np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, np.newaxis])
         light *= (1.0 - rng.uniform(0, 0.5) * np.clip(far - 0.3, 0, 1) ** 2)[..., np.newaxis]
-    light = np.clip(light * np.exp(rng.normal(0.0, 0.25)), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
+    gain = rng.normal(0.0, 0.25) + rng.choice([0.0, rng.uniform(0.2, 0.7)], p=[0.88, 0.12])
+    light = np.clip(light * np.exp(gain), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
     grey = light.mean(axis=2, keepdims=True)
     light = grey + rng.choice([0.0, rng.uniform(0.2, 1.5)], p=[0.07, 0.93]) * (light - grey)
     if rng.random() < 0.4:  # A look: shadows and highlights toned apart.
@@ -291,7 +293,9 @@ def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
         light = rng.uniform(0.0, 0.2) + rng.uniform(0.65, 0.95) * light
     sigma = rng.choice([0.3, 0.6, 1.0, 2.0], p=[0.45, 0.35, 0.15, 0.05])
     light = ndimage.gaussian_filter(light, (sigma, sigma, 0))
-    light += rng.choice([0.004, 0.012, 0.03], p=[0.5, 0.4, 0.1]) * rng.standard_normal(light.shape)
+    noise = rng.choice([0.0, 0.004, 0.012, 0.03], p=[0.3, 0.35, 0.27, 0.08])
+    if noise > 0.0:  # Telephones and programs remove theirs.
+        light += noise * rng.standard_normal(light.shape)
     image = np.clip(np.rint(255.0 * light), 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
         kept = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))])[1]

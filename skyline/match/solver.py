@@ -71,8 +71,11 @@ _UPWARD = 0.25
 _NO_STEP_M = 1e-6
 _MOST_DISTORTION = 0.3
 """Greatest distortion: a lens with more is a fisheye."""
+_SMALL_DISTORTION = 0.03
+"""Where a smaller distortion is expected, it is 0 in rough rounds. It moves rays by less than the
+errors that these rounds assume, and a free one would bend wrong slopes to fit."""
 _HELD = 1e14
-"""Precision that holds an unknown at its bound."""
+"""Precision that holds an unknown where it is."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 _AGREEMENT_RAD_SD = np.radians(0.3)
 """Shifts of the whole curve that are tried, and the standard deviation of columns about a shift on
@@ -229,10 +232,10 @@ class Solver:
         free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
         free[LOG_SCALE] = range_sd
         self._prior[WARP:] = query.warp_sd**-2.0
-        if not mode.nodes and not query.is_panorama and query.distortion_sd < 0.03:
-            self._prior[WARP:] = 1e12
         if not query.is_panorama:
             self._low[WARP:], self._high[WARP:] = -_MOST_DISTORTION, _MOST_DISTORTION
+            if not mode.nodes and query.distortion_sd < _SMALL_DISTORTION:
+                self._prior[WARP:] = _HELD
         self._information = self._prior + free**-2.0
         off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
         self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
