@@ -57,6 +57,8 @@ _LOW_SUN_CHANCE = 0.2
 """Of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
+_CUT_SKY_CHANCE = 0.06
+"""Of a sky of one colour: burnt out, or cut away by a program."""
 _PANORAMA_DEG = 90.0
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which no eye would see a skyline."""
@@ -130,6 +132,8 @@ def draw_training_photo(
     if fov_deg[1] > _PANORAMA_DEG:
         stitch(drawing)
     image = developed(rng, drawing.picture)
+    if rng.random() < _CUT_SKY_CHANCE:
+        image[drawing.label == SKY] = 255 if rng.random() < 0.5 else rng.integers(0, 256, 3)
     _written(rng, image)
     return TrainingPhoto(image, drawing.label, _seen(drawing.row, drawing.label, image))
 
@@ -279,8 +283,7 @@ def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
     if rng.random() < 0.3:
         far = np.hypot(np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, np.newaxis])
         light *= (1.0 - rng.uniform(0, 0.5) * np.clip(far - 0.3, 0, 1) ** 2)[..., np.newaxis]
-    gain = rng.normal(0.0, 0.25) + rng.choice([0.0, rng.uniform(0.2, 0.7)], p=[0.88, 0.12])
-    light = np.clip(light * np.exp(gain), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
+    light = np.clip(light * np.exp(rng.normal(0.0, 0.25)), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
     grey = light.mean(axis=2, keepdims=True)
     light = grey + rng.choice([0.0, rng.uniform(0.2, 1.5)], p=[0.07, 0.93]) * (light - grey)
     if rng.random() < 0.4:  # A look: shadows and highlights toned apart.
