@@ -117,6 +117,14 @@ def is_file(path: str | Path) -> bool:
         return False
 
 
+def is_folder(path: str | Path) -> bool:
+    """Return whether there is a folder of this name, as `is_file` does for files."""
+    try:
+        return Path(path).is_dir()
+    except OSError:
+        return False
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """A row of a table: its line in the file, and its cells without spaces around them."""

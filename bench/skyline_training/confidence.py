@@ -49,8 +49,8 @@ Reliability = tuple[str, Float64Array, BoolArray]
 STAGES = ("refined", "retrieved", confidence.FITTED)
 
 _RIDGE = 3e-3
-"""Of ridges from 1e-4 to 0.1 with the likelihoods of 1e-2 on terrain left out, this is the best
-calibrated one: a larger ridge draws all probabilities to the middle."""
+"""Ridges from 1e-4 to 1e-2 are as likely as one another on terrain left out, and this one is the
+best calibrated. A larger ridge draws all probabilities to the middle."""
 _BINS = 10
 
 

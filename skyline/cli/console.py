@@ -61,7 +61,10 @@ StoreFile = Annotated[Path, Argument(metavar="STORE.h5", help="A store, as `buil
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 StoreDem = Annotated[
     list[str] | None,
-    Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
+    Option(
+        metavar="DEM",
+        help="The store's DEM, if it has moved: a file or a folder of them; may be repeated.",
+    ),
 ]
 Workers = Annotated[
     str | None,
@@ -80,8 +83,8 @@ Surfaces = Annotated[
     of_terrain(
         "--surface",
         metavar="FILE",
-        help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
-        "repeat for each tile.",
+        help="A surface or canopy model, a file or a folder of them: how far trees and houses may "
+        "rise above the bare skyline; may be repeated.",
     ),
 ]
 RefractionK = Annotated[

@@ -34,7 +34,10 @@ Facts = dict[str, object]
 
 def info(
     path: Annotated[
-        list[str] | None, Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store.")
+        list[str] | None,
+        Argument(
+            metavar="[DEM...|STORE]", help="The files of a DEM, a folder of them, or a store."
+        ),
     ] = None,
     gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used, and why.")] = False,
     as_json: AsJson = False,

@@ -81,7 +81,9 @@ def serve(
     stores, given = split_stores(store, photos or [])
     for photo in given:
         if not photo.is_file():
-            raise MissingFileError(f"{photo} does not exist; expected a photo")
+            raise MissingFileError(f"{photo} does not exist; expected a photo or a store")
+        if is_store(photo):
+            raise InputError(f"{photo} is a store; name the stores before the photos")
     try:
         from skyline.web.engine import Engine  # noqa: PLC0415  (an extra)
         from skyline.web.server import serve as serve_page  # noqa: PLC0415

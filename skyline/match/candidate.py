@@ -54,7 +54,8 @@ class Candidate:
         Horizontal field of view.
     distortion : float
         Radial distortion k of the lens: a point at r half widths of the photo from its middle would
-        appear at ``(1 + k * r**2) * r`` without it. 0 for a panorama.
+        appear at ``(1 + k * r**2) * r`` without it. 0 for a panorama, and where the pose was
+        not refined.
     wander : tuple of float
         How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
         `skyline.photo.query.wander_of`; empty for a lens, and where it is not known.

@@ -192,7 +192,7 @@ def _warp_figure(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     """Return the rms (M,) of how poses warp the image, in standard deviations, by its name.
 
     It is the distortion of a lens, or the wander of a panorama; see `QueryRays.warp_sd`. A lens
-    that is known not to distort has no such figure.
+    without distortion has no such figure.
     """
     if not len(query.warp_sd):
         return {}
@@ -262,7 +262,7 @@ def shared_probabilities(
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
     """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
 
-    A unit of weight is worth no more in another answer than in the best one.
+    Other answers get no more of it for the same weight than the best one.
     """
     own, others = weight * is_near[best], weight * ~is_near[best]
     worth = sure / own.sum()

@@ -28,8 +28,8 @@ _PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 """Pitches that matchers of renderings assume; the camera is taken not to roll."""
 _DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
 """Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
-6 % of half the width, rms; phones and many cameras correct their photos. The more is expected, the
-more near slopes can be bent to fit."""
+6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
+near slopes bend to fit."""
 _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
@@ -64,8 +64,8 @@ class QueryRays:
     distribution over the range."""
     is_panorama: bool = False
     distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about 0; 0 for a lens known to have none, and for
-    a panorama. A distortion k moves a ray outwards by k times its `reach`; see
+    """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
+    distortion. A distortion k moves a ray outwards by k times its `reach`; see
     `skyline.photo.query.undistorted`."""
 
     @classmethod

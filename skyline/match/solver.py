@@ -71,11 +71,11 @@ _UPWARD = 0.25
 _NO_STEP_M = 1e-6
 _MOST_DISTORTION = 0.3
 """Greatest distortion: a lens with more is a fisheye."""
-_SMALL_DISTORTION = 0.03
-"""Where a smaller distortion is expected, it is 0 in rough rounds. It moves rays by less than the
-errors that these rounds assume, and a free one would bend wrong slopes to fit."""
+_LEAST_ROUGH_DISTORTION = 0.03
+"""Rough rounds fit no distortion of which less is expected: it moves rays by less than the largest
+errors that these rounds assume, and it would bend the skylines of wrong slopes to fit."""
 _HELD = 1e14
-"""Precision that holds an unknown where it is."""
+"""Precision that holds an unknown: at a bound, or a distortion at 0."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 _AGREEMENT_RAD_SD = np.radians(0.3)
 """Shifts of the whole curve that are tried, and the standard deviation of columns about a shift on
@@ -234,7 +234,7 @@ class Solver:
         self._prior[WARP:] = query.warp_sd**-2.0
         if not query.is_panorama:
             self._low[WARP:], self._high[WARP:] = -_MOST_DISTORTION, _MOST_DISTORTION
-            if not mode.nodes and query.distortion_sd < _SMALL_DISTORTION:
+            if not mode.nodes and query.distortion_sd < _LEAST_ROUGH_DISTORTION:
                 self._prior[WARP:] = _HELD
         self._information = self._prior + free**-2.0
         off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD

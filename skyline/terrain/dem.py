@@ -110,7 +110,8 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     Parameters
     ----------
     paths : path, sequence of paths or HeightField
-        Rasters of one band, virtual rasters and STAC items among them; folders of rasters;
+        Rasters of one band, virtual rasters and STAC items among them; folders, of which
+        the ``.tif``, ``.tiff``, ``.vrt``, ``.hgt``, ``.hgt.gz`` and ``.asc`` files are read;
         ``https://`` addresses of rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share
         a CRS and a grid; where they overlap the first named gives the height; samples that none
         covers are holes. A height field is returned as it is, and read as it was from `save_field`.

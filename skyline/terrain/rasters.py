@@ -26,7 +26,7 @@ from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import FetchError, InputError, MissingFileError
-from skyline.files import for_gdal, is_file
+from skyline.files import for_gdal, is_file, is_folder
 from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, vertical_of
@@ -118,14 +118,25 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
 def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
     """Yield paths, with the elevation files of a folder, by name, in place of the folder.
 
-    Raises `InputError` for a folder without any.
+    Hidden files and folders within the folder are left out. Raises `InputError` for a folder
+    without elevation files, or that cannot be read.
     """
     for path in paths:
         folder = Path(path)
-        if not folder.is_dir():
+        if "://" in str(path) or not is_folder(folder):
             yield path
             continue
-        files = sorted(file for file in folder.iterdir() if file.name.lower().endswith(_RASTERS))
+        try:
+            inside = sorted(folder.iterdir())
+        except OSError as error:
+            raise InputError(f"{folder} cannot be read: {error.strerror}") from error
+        files = [
+            file
+            for file in inside
+            if file.name.lower().endswith(_RASTERS)
+            and not file.name.startswith(".")
+            and file.is_file()
+        ]
         if not files:
             raise InputError(
                 f"{folder} has no elevation files; expected {', '.join(_RASTERS)}, or name files"

@@ -13,6 +13,7 @@ from skyline.match.prior import Narrowing, Prior
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.scene import joined_views
 from skyline.match.solver import Curves
+from skyline.photo.query import distorted
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation, stand_on
@@ -84,6 +85,16 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     assert (np.diff(best.score) >= 0.0).all()
     assert found.terrain_share[0] > 0.97
     assert found.residual_deg[0] < 0.05
+
+
+@pytest.mark.parametrize("distortion", [-0.03, 0.02])
+def test_the_distortion_of_a_usual_lens_is_found(scene, rays, distortion):
+    half_width = np.tan(np.radians(30.0))
+    bent = half_width * np.stack(distorted(*(np.stack(rays) / half_width), distortion))
+    query = replace(rays_of(*bent, 60.0, 61.5, (57.0, 63.0)), distortion_sd=0.01)
+    best = Refinement(query, scene, SHORT).run(_around()).hypotheses
+    assert _off_m(best)[0] < 5.0
+    assert best.distortion[0] == pytest.approx(distortion, abs=0.003)
 
 
 @pytest.mark.parametrize(("above_m", "known"), [(2.0, True), (2.0, False), (45.0, False)])

@@ -1,5 +1,5 @@
 // Drawing over a photo: found and rendered skyline, the gap between them, summits, strokes.
-const SURE = 0.6;
+const SURE = 0.85; // Trusted columns of a lower probability are dashed.
 const FOUND = "#ffd23f", OTHER = "#ff8a3d", RENDERED = "#35d0ff", DARK = "rgba(8, 14, 20, 0.75)";
 const MOST_GAP_DEG = 1;
 
