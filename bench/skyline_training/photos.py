@@ -57,7 +57,7 @@ _LOW_SUN_CHANCE = 0.2
 """Of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
-_CUT_SKY_CHANCE = 0.06
+_CUT_SKY_CHANCE = 0.15
 """Of a sky of one colour: burnt out, or cut away by a program."""
 _PANORAMA_DEG = 90.0
 _LEAST_CONTRAST = 2.5

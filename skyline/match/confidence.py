@@ -144,7 +144,8 @@ def refined_figures(
         margin, log_odds = poses.far_margin, _log_odds(poses.hypotheses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
         margin, log_odds = poses.margin, _log_odds(poses.hypotheses, RIGHT_WITHIN_M)
-        log_odds = log_odds - 2.0 * np.log(_LEARNED_EXTENT_M / widest_m)
+    if widest_m > RIGHT_WITHIN_M:
+        log_odds = log_odds - 2.0 * np.log(max(1.0, _LEARNED_EXTENT_M / widest_m))
     return pose_figures(poses, query) | {
         "log_odds": log_odds,
         "log_far_margin": _log_margin(margin),

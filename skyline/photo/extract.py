@@ -44,8 +44,8 @@ _SAMPLES = 500
 """Least number of pixels sampled from a row; shorter rows are read whole."""
 
 TRUST_THRESHOLD = 0.7
-"""Columns of lower confidence are masked. On the half of the sky masks that was looked at, 8 % are
-masked so, and 2.7 % of the others are off by more than 1 % of the height."""
+"""Columns of lower confidence are masked. On the half of the sky masks that was looked at, 7 % are
+masked so, and 2.4 % of the others are off by more than 1 % of the height."""
 _MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""
 _SMOOTHED_PX = 9
@@ -374,7 +374,7 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     wanted = _WORK_PIXELS * max(1.0, _aspect_scale(height, width))
     shrink = min(1.0, sqrt(wanted / (height * width)))
     h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
-    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
     odds = _network_odds(np.asarray(small, dtype=np.uint8))
     # Odds of no skyline, relative to a row of the enlarged picture.
     none = log(h / len(odds))
@@ -416,7 +416,7 @@ def _network_odds(photo: UInt8Array) -> Float32Array:
     wanted = _NETWORK_PIXELS * _aspect_scale(height, width)
     shrink = sqrt(min(wanted, max(height * width, _LEAST_PIXELS)) / (height * width))
     h, w = (max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX for side in (height, width))
-    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
     picture = np.empty((1, 4, h, w), dtype=np.float32)
     picture[0, :3] = levelled(small).transpose(2, 0, 1)
     picture[0, 3] = np.linspace(-1.0, 1.0, h, dtype=np.float32)[:, np.newaxis]
