@@ -33,10 +33,11 @@ from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
-from skyline.photo.query import Projection, QuerySkyline
+from skyline.photo.query import MOST_DISTORTION, WANDER_DEGREES, Projection, QuerySkyline
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer
+from skyline.terrain.rasters import without_folders
 from skyline.terrain.viewpoints import check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
@@ -233,7 +234,7 @@ def pixels(
     Distance, longitude, latitude and elevation are NaN for sky.
     """
     suffix_of(output, PIXEL_FILES)
-    check_outputs([output], [photo, pose])
+    check_outputs([output], [photo, pose, *map(Path, without_folders(dem))])
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
     terrain = read_terrain(dem, crs, reproject)
@@ -269,7 +270,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
                 "give a file of this photo alone"
             )
     record = records[0] if records else None
-    if isinstance(record, dict) and "candidates" in record:
+    if isinstance(record, dict) and isinstance(record.get("candidates"), list):
         candidates = record["candidates"] or [None]
         if record.get("answer") is None and candidates[0] is not None:
             print_note(f"{path} has no answer, so the best candidate is taken")
@@ -278,18 +279,40 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
         print_note(f"the pose in {path} is not trusted: {printable(str(record['refusal']))}")
     if not isinstance(record, dict) or any(record.get(name) is None for name in _NEEDED):
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
+    numbers = _numbers_of(record, path)
+    projection.check_fov_deg(numbers["fov_deg"])
+    return numbers
+
+
+def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the numbers of a pose in a file; raises `InputError` for what no camera has."""
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}
     wander = record.get("wander") or []
-    rows = [("wander", value) for value in (wander if isinstance(wander, list) else [wander])]
-    for name, value in (*given.items(), *rows):
-        if not isinstance(value, int | float) or not math.isfinite(value):
+    if not isinstance(wander, list) or len(wander) not in {0, len(WANDER_DEGREES)}:
+        raise InputError(
+            f"pose {path}: wander is {str(wander)[:40]}; expected a list of {len(WANDER_DEGREES)} "
+            "numbers, or none"
+        )
+    for name, value in (*given.items(), *(("wander", value) for value in wander)):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not _is_finite(value):
             raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
+    if abs(given.get("distortion", 0.0)) > MOST_DISTORTION:
+        raise InputError(
+            f"pose {path}: distortion is {given['distortion']:g}; expected {-MOST_DISTORTION:g} to "
+            f"{MOST_DISTORTION:g}"
+        )
     lon, lat = given["lon"], given["lat"]
     if not are_degrees(lon, lat):
         raise InputError(f"pose {path}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
-    projection.check_fov_deg(given["fov_deg"])
     return {name: float(value) for name, value in given.items()} | {"wander": tuple(wander)}
+
+
+def _is_finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # An integer may have more digits than a float has range.
+        return False
 
 
 def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:

@@ -31,6 +31,7 @@ from skyline.match.noise import (
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.query_rays import QueryRays, level_with_changes, thinned
+from skyline.photo.query import MOST_DISTORTION
 from skyline.terrain.sightlines import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
@@ -69,8 +70,6 @@ _DAMPING_RAD = 0.05
 _UPWARD = 0.25
 """Damping of the eye's height, as a share of that of its place."""
 _NO_STEP_M = 1e-6
-_MOST_DISTORTION = 0.3
-"""Greatest distortion: a lens with more is a fisheye."""
 _LEAST_ROUGH_DISTORTION = 0.03
 """Rough rounds fit no distortion of which less is expected: it moves rays by less than the largest
 errors that these rounds assume, and it would bend the skylines of wrong slopes to fit."""
@@ -233,7 +232,7 @@ class Solver:
         free[LOG_SCALE] = range_sd
         self._prior[WARP:] = query.warp_sd**-2.0
         if not query.is_panorama:
-            self._low[WARP:], self._high[WARP:] = -_MOST_DISTORTION, _MOST_DISTORTION
+            self._low[WARP:], self._high[WARP:] = -MOST_DISTORTION, MOST_DISTORTION
             if not mode.nodes and query.distortion_sd < _LEAST_ROUGH_DISTORTION:
                 self._prior[WARP:] = _HELD
         self._information = self._prior + free**-2.0

@@ -14,6 +14,8 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
 MAX_PANORAMA_DEG = 360.0
+MOST_DISTORTION = 0.3
+"""Greatest distortion of a lens, see `undistorted`; a lens with more is a fisheye."""
 WANDER_DEGREES = range(2, 6)
 """Degrees of the Legendre polynomials by which the rows of a panorama wander."""
 _NEWTON_STEPS = 30

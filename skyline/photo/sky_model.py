@@ -153,8 +153,8 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     drawn = np.isfinite(row_px)
     if not drawn.any():
         raise InputError(
-            "no skyline found: the mask has no column with sky (white) above ground (black); "
-            "expected white for the sky"
+            "no skyline found: the picture is black and white alone, as a sky mask is, and has no "
+            "column with sky (white) above ground (black)"
         )
     is_flat = np.abs(row_px - np.nanmedian(row_px))[drawn] <= _FLAT_PX
     white_below = (np.count_nonzero(sky >= _MIDDLE, axis=0) - first)[drawn].sum()

@@ -122,6 +122,8 @@ def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
     without elevation files, or that cannot be read.
     """
     for path in paths:
+        if not str(path):
+            raise InputError("a DEM has no name; name its files, or the folder of them")
         folder = Path(path)
         if "://" in str(path) or not is_folder(folder):
             yield path
@@ -134,13 +136,16 @@ def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
             file
             for file in inside
             if file.name.lower().endswith(_RASTERS)
-            and not file.name.startswith(".")
-            and file.is_file()
+            and not (file.name.startswith(".") or file.is_dir())
         ]
         if not files:
             raise InputError(
-                f"{folder} has no elevation files; expected {', '.join(_RASTERS)}, or name files"
+                f"{folder} has no elevation files ({', '.join(_RASTERS)}); name the folder that "
+                "holds them, or the files"
             )
+        for file in files:
+            if not file.exists():
+                raise MissingFileError(f"{file} is a link to a file that does not exist; remove it")
         yield from files
 
 
@@ -219,6 +224,8 @@ def _dataset(source: str, held: ExitStack) -> Any:
                 f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
                 "fetch it again"
             ) from error
+        if not content:
+            raise InputError(f"{source} is empty; fetch it again")
         # The .hgt driver reads the corner from the file's name.
         memory = rasterio.MemoryFile(content, filename=Path(source).stem)
         return held.enter_context(held.enter_context(memory).open())

@@ -139,7 +139,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
             np.copyto(old, fresh, where=~known)
         if disagreement_m > AGREEMENT_M:
             _log.warning(
-                "%s differs by up to %.2f m from tiles named before it, whose heights are kept",
+                "%s differs by up to %.2f m from the tiles before it, whose heights are kept",
                 tile.source,
                 disagreement_m,
             )

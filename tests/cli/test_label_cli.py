@@ -121,6 +121,9 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
     assert "not trusted: fog" in notes["refused"]
 
 
+_POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -129,7 +132,12 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
         ('{"lon": 9, "lat": 46, "heading_deg": "N", "fov_deg": 60}', "heading_deg is N"),
         ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
-        ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60, "wander": ["a"]}', "wander is a;"),
+        (f'{_POSED}, "wander": ["a", 0, 0, 0]}}', "wander is a;"),
+        (f'{_POSED}, "wander": 0.1}}', "expected a list of 4 numbers"),
+        (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
+        (f'{_POSED}, "distortion": true}}', "distortion is True"),
+        (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
+        ('{"candidates": {"a": 1}}', "has no pose"),
         ('{"query": "a"}\n{"query": "b"}', "has 0 lines whose `query`"),
     ],
 )
@@ -139,6 +147,11 @@ def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
     out = tmp_path / "out.npz"
     assert_refused(run("pixels", photo, "--pose", bad, "--dem", dem, "-o", out), message)
     assert not out.exists()
+
+
+def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
+    done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
+    assert_refused(done, "is an input")
 
 
 def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):

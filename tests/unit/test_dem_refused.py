@@ -27,6 +27,20 @@ def test_missing_files_and_folders(tmp_path):
         read_dem(tmp_path / "no.tif")
     assert "has no elevation files" in refused(tmp_path)
     assert "no DEM file" in refused([])
+    assert "has no name" in refused("")
+    with pytest.raises(MissingFileError, match="no file"):
+        read_dem("x" * 300 + ".tif")
+    (tmp_path / "._a.tif").write_bytes(b"hidden")
+    (tmp_path / "b.tif").mkdir()
+    assert "has no elevation files" in refused(tmp_path)
+    (tmp_path / "c.tif").symlink_to(tmp_path / "gone.tif")
+    with pytest.raises(MissingFileError, match=r"c\.tif is a link"):
+        read_dem(tmp_path)
+
+
+def test_an_empty_gzip_is_refused(tmp_path):
+    (tmp_path / "N46E009.hgt.gz").write_bytes(b"")
+    assert "is empty; fetch it again" in refused(tmp_path / "N46E009.hgt.gz")
 
 
 ONES = np.ones((4, 4), np.int16)
