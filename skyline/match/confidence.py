@@ -60,7 +60,7 @@ photos: wrong slopes fit as well (docs/accuracy.md)."""
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the searched range if its distance from the end is less
 than this share of the range: fits that are held to a bound miss it by rounding."""
-_LEAST_OF_FIT = 2.0 / 3.0
+_LEAST_OF_FIT = 0.7
 """Least share of right ones among poses that fit like a given one. The share is that of the best
 poses of searches; a pose that a person gives is right more often."""
 FITTED = "fitted"

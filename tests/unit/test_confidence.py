@@ -28,7 +28,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[:2] > 0.8).all()
-    assert (sure[2:] < 2.0 / 3.0).all()
+    assert (sure[2:] < confidence._LEAST_OF_FIT).all()
 
 
 def test_poses_near_one_another_share_one_probability_and_others_the_rest():
