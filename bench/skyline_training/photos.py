@@ -297,7 +297,7 @@ def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
     sigma = rng.choice([0.3, 0.6, 1.0, 2.0], p=[0.45, 0.35, 0.15, 0.05])
     light = ndimage.gaussian_filter(light, (sigma, sigma, 0))
     noise = rng.choice([0.0, 0.004, 0.012, 0.03], p=[0.3, 0.35, 0.27, 0.08])
-    if noise > 0.0:  # Telephones and programs remove theirs.
+    if noise > 0.0:  # Phones and programs remove theirs.
         light += noise * rng.standard_normal(light.shape)
     image = np.clip(np.rint(255.0 * light), 0, 255).astype(np.uint8)
     if rng.random() < 0.5:

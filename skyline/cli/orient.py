@@ -285,7 +285,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
 
 
 def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return the numbers of a pose in a file; raises `InputError` for what no camera has."""
+    """Return the numbers of a pose in a file; raises `InputError` for values that no camera has."""
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}
     wander = record.get("wander") or []

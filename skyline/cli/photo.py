@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 from skyline.cli.console import PEAKS, StoreDem, StoreFile, output_option, panel, print_written
 from skyline.errors import InputError, MissingFileError
+from skyline.files import is_file
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
@@ -104,7 +105,7 @@ def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
     """Raise `InputError` if an output file is one of the input files."""
-    read = [path for path in inputs if path.exists()]
+    read = [path for path in inputs if is_file(path)]
     for path in outputs:
         if path is not None and path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")

@@ -43,7 +43,7 @@ _MAX_MARGIN = 60.0
 have been fitted with margins of 124."""
 _LEARNED_EXTENT_M = 8_500.0
 """Greatest distance in the smallest areas that the models learned from, squares of 6 km. A narrower
-search has met fewer rivals, by the square of its extent, and its odds count as much less."""
+search meets fewer rivals, as the square of its extent; its odds are divided by the same factor."""
 _MIN_MARGIN = 1e-3
 _LEAST_WEIGHT = 1e-9
 """Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
@@ -82,7 +82,7 @@ class MatchConfig:
         The best place is the answer if it is right within 1 km with at least this probability, 0 to
         1. The answer is stated to 200 m if the probability of an error above 200 m is at
         most half of what is allowed for 1 km: with the default, if it is right with a probability
-        of 0.9. Of 105 answers to queries of the terrain that was held out from learning, 103 were
+        of 0.9. Of 101 answers to queries of the terrain that was held out from learning, 98 were
         right; docs/accuracy.md says how hard those are.
     fov_slack : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
@@ -263,7 +263,7 @@ def shared_probabilities(
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
     """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
 
-    Other answers get no more of it for the same weight than the best one.
+    Another answer gets no more of the probability for its weight than the best one.
     """
     own, others = weight * is_near[best], weight * ~is_near[best]
     worth = sure / own.sum()

@@ -375,7 +375,7 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     shrink = min(1.0, sqrt(wanted / (height * width)))
     h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
     small = np.asarray(cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
-    odds = _network_odds(np.asarray(small, dtype=np.uint8))
+    odds = _network_odds(small)
     # Odds of no skyline, relative to a row of the enlarged picture.
     none = log(h / len(odds))
     odds = np.asarray(cv2.resize(odds, (w, h), interpolation=cv2.INTER_LINEAR), np.float32)

@@ -405,7 +405,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 def is_store(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is that of a store, even of a damaged or an unfinished one."""
     path = Path(path)
-    if path.name and parts_folder(path).is_dir():
+    if path.name and parts_folder(path).is_dir():  # The current folder has no name.
         return True
     try:
         with path.open("rb", buffering=0) as raw, h5py.File(raw, "r") as file:

@@ -123,7 +123,9 @@ def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
     """
     for path in paths:
         if not str(path):
-            raise InputError("a DEM has no name; name its files, or the folder of them")
+            raise InputError(
+                "a DEM was given without a name; name its files, or the folder of them"
+            )
         folder = Path(path)
         if "://" in str(path) or not is_folder(folder):
             yield path

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 from scenes import candidate_at
 
 from skyline import read_dem
+from skyline.cli.photo import check_outputs
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +154,7 @@ def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
 def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
     done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
     assert_refused(done, "is an input")
+    check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
 
 
 def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):

@@ -16,19 +16,37 @@ def retrieved(easting_m, score):
     return poses(len(score), easting_m=easting_m, score=score)
 
 
+def fitted(residual_deg):
+    """Refined poses at one place that differ by their residuals alone."""
+    count = len(residual_deg)
+    one, zero = np.ones(count), np.zeros((3, count))
+    figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *zero
+    covariance_m2 = np.tile(100.0 * np.eye(2), (count, 1, 1))
+    figures = *figures, np.ones((count, 4)), np.zeros((count, 0))
+    return RefinedPoses(retrieved([0.0] * count, [0.0] * count), covariance_m2, *figures)
+
+
 @pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name(confidence.FITTED, within_m)]
-    residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
-    figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *np.zeros((3, 4))
-    covariance_m2 = np.tile(100.0 * np.eye(2), (4, 1, 1))
-    figures = *figures, np.ones((4, 4)), np.zeros((4, 0))
-    poses = RefinedPoses(retrieved([0.0] * 4, [0.0] * 4), covariance_m2, *figures)
+    poses = fitted(np.array([0.02, 0.1, 0.5, 1.44]))
     sure = model.probability(confidence.pose_figures(poses, QUERY))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[:2] > 0.8).all()
-    assert (sure[2:] < confidence._LEAST_OF_FIT).all()
+    assert (sure[2:] < 0.7).all()  # Such fits have failed.
+
+
+def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():
+    def log_odds(extent_m):
+        found = retrieved([0.0, extent_m], [1.0, 2.0])
+        return confidence.refined_figures(fitted(np.full(2, 0.1)), found, QUERY)["log_odds"]
+
+    # From the extent that was learned from, 8.5 km, nothing is taken off.
+    np.testing.assert_array_equal(log_odds(8_500.0), log_odds(80_000.0))
+    for extent_m in (990.0, 1_010.0, 4_000.0):
+        off = log_odds(80_000.0) - log_odds(extent_m)
+        assert off == pytest.approx(2.0 * np.log(8_500.0 / extent_m))
 
 
 def test_poses_near_one_another_share_one_probability_and_others_the_rest():

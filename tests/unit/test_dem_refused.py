@@ -27,7 +27,7 @@ def test_missing_files_and_folders(tmp_path):
         read_dem(tmp_path / "no.tif")
     assert "has no elevation files" in refused(tmp_path)
     assert "no DEM file" in refused([])
-    assert "has no name" in refused("")
+    assert "without a name" in refused("")
     with pytest.raises(MissingFileError, match="no file"):
         read_dem("x" * 300 + ".tif")
     (tmp_path / "._a.tif").write_bytes(b"hidden")
