@@ -3,10 +3,10 @@
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
 and Everest: skylines with errors and things in front, of the store's own model and of others; made
 photographs, whose skylines are extracted; photos that note where they were taken, rightly or
-wrongly. For each query the figures of the best pose (`skyline.match.confidence`) and its error are
-an example. A pose is right if it lies near the truth and looks the same way. A logistic model is
-fitted to the examples with a small ridge, and its reliability is shown on Davos. From kept
-examples, another model is learned in seconds.
+wrongly. Of half of all queries the field of view is unknown. For each query the figures of the best
+pose (`skyline.match.confidence`) and its error are an example. A pose is right if it lies near the
+truth and looks the same way. A logistic model is fitted to the examples with a small ridge, and its
+reliability is shown on Davos. From kept examples, another model is learned in seconds.
 """
 
 import json
@@ -48,7 +48,7 @@ Reliability = tuple[str, Float64Array, BoolArray]
 
 STAGES = ("refined", "retrieved", confidence.FITTED)
 
-_RIDGE = 3e-3
+_RIDGE = 1e-2
 """Ridges from 1e-4 to 1e-2 are as likely as one another on terrain left out, and this one is the
 best calibrated. A larger ridge draws all probabilities to the middle."""
 _BINS = 10
@@ -111,11 +111,13 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
             f"{int(right.sum())} of {len(examples)} examples are right; a confidence is "
             "learned from both kinds"
         )
-    names = tuple(examples[0].figures)
-    figures = np.array([[example.figures[name] for name in names] for example in examples])
-    mean, scale = figures.mean(axis=0), np.maximum(figures.std(axis=0), 1e-9)
-    unit = (figures - mean) / scale
-    sign = np.where(right, 1.0, -1.0)
+    names = list(examples[0].figures)
+    figures = _figures(names, examples)
+    mean = [float(figures[name].mean()) for name in names]
+    scale = [max(float(figures[name].std()), 1e-9) for name in names]
+    terms = Logistic(names, mean, scale, (), 0.0).terms(figures)
+    middle, spread = terms.mean(axis=0), np.maximum(terms.std(axis=0), 1e-9)
+    unit, sign = (terms - middle) / spread, np.where(right, 1.0, -1.0)
 
     def loss(parameters: Float64Array) -> tuple[float, Float64Array]:
         logit = sign * (unit @ parameters[:-1] + parameters[-1])
@@ -124,23 +126,24 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
         gradient = np.append(unit.T @ pull + ridge, pull.sum())
         return float(np.logaddexp(0.0, -logit).mean() + 0.5 * ridge @ parameters[:-1]), gradient
 
-    best = minimize(loss, np.zeros(len(names) + 1), jac=True, method="L-BFGS-B").x
-    weight, bias = best[:-1].tolist(), float(best[-1])
-    return Logistic(list(names), mean.tolist(), scale.tolist(), weight, bias)
+    best = minimize(loss, np.zeros(unit.shape[1] + 1), jac=True, method="L-BFGS-B").x
+    weight = best[:-1] / spread
+    return Logistic(names, mean, scale, weight.tolist(), float(best[-1] - weight @ middle))
 
 
 def probabilities(model: Logistic, examples: Sequence[Example]) -> Float64Array:
     """Return the probability that a model gives each example, (N,)."""
-    figures = {
-        name: np.array([example.figures[name] for example in examples]) for name in model.names
-    }
-    return model.probability(figures)
+    return model.probability(_figures(model.names, examples))
+
+
+def _figures(names: Iterable[str], examples: Sequence[Example]) -> dict[str, Float64Array]:
+    return {name: np.array([one.figures[name] for one in examples]) for name in names}
 
 
 def write_models(path: Path, models: Mapping[str, Logistic], about: Mapping[str, object]) -> None:
     """Write models for `matching.confidence.models`, and what they were learned from."""
     written = {"about": about, "models": models}
-    path.write_text(json.dumps(written, indent=1, default=asdict) + "\n")
+    path.write_text(json.dumps(written, default=asdict) + "\n")
 
 
 def calibration_error(sure: Float64Array, right: BoolArray) -> float:
@@ -174,8 +177,8 @@ HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
 
 STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", "davos": "sierra"}
 """Terrain -> one whose skylines its store must refuse."""
-STRANGERS_SHARE = 5
-"""One stranger to so many queries of a kind."""
+STRANGERS_SHARE = 3
+"""One stranger of each of four kinds to so many queries of a kind."""
 
 Examples = dict[str, dict[str, list[Example]]]
 """Examples by terrain and stage."""
@@ -222,7 +225,7 @@ def _examples_on(
     def made(
         seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
     ) -> Sequence[SyntheticQuery]:
-        return make_queries(seen, area_m, queries, seed + number, config)
+        return lenses_forgotten(make_queries(seen, area_m, queries, seed + number, config))
 
     own = {
         "own model, plain": _without_prior(made(terrain, area, 9, QueryConfig())),
@@ -292,7 +295,7 @@ def _photographed(
                 skyline = extract_skyline(image)
             except InputError:
                 continue
-            yield replace(query, skyline=skyline.with_fov(query.given_fov_deg))
+            yield replace(query, skyline=replace(skyline, fov_deg=query.skyline.fov_deg))
 
 
 @contextmanager
@@ -320,11 +323,20 @@ def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) 
 
 
 def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
-    """Make queries of every kind, and plain ones, in a terrain's middle."""
+    """Make queries of every kind, plain ones and photographs, in a terrain's middle."""
+    made = {
+        kind: lenses_forgotten(make_queries(terrain, middle_of(terrain), queries, number, kind))
+        for number, kind in enumerate((*KINDS, QueryConfig(), _PHOTO), start=seed + 100)
+    }
+    made[_PHOTO] = list(_photographed(terrain, made[_PHOTO], seed + 100))
+    return [query for some in made.values() for query in some]
+
+
+def lenses_forgotten(queries: Iterable[SyntheticQuery]) -> list[SyntheticQuery]:
+    """Return queries, every second one without a field of view, as a photo without EXIF."""
     return [
-        query
-        for number, kind in enumerate((*KINDS, QueryConfig()), start=100)
-        for query in make_queries(terrain, middle_of(terrain), queries, seed + number, kind)
+        replace(query, skyline=replace(query.skyline, fov_deg=None)) if number % 2 else query
+        for number, query in enumerate(queries)
     ]
 
 

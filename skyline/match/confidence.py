@@ -3,13 +3,17 @@ r"""Confidence: the probability that a pose is right, and the reason why a low o
 A pose is right if it lies within 200 m of the truth, or roughly right within 1 km, and looks the
 same way, within 30 degrees.
 
-It is a logistic model of figures that a match gives, learned from synthetic queries on terrain
-for which no result is reported (``python -m skyline_training confidence``, which also draws
-the reliability diagram):
+It is a logistic model of figures that a match gives and of their products, learned from synthetic
+queries on terrain for which no result is reported (``python -m skyline_training confidence``, which
+also draws the reliability diagram):
 
 .. math::
 
-    P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
+    P = \frac{1}{1 + \exp(-(b + \sum_f w_f u_f + \sum_{f \le g} w_{fg} u_f u_g))}, \quad
+    u_f = (x_f - m_f) / s_f
+
+These are the odds between two normal distributions of the figures, of right poses and of wrong
+ones, each with its own covariance.
 
 The figures describe how well the best pose fits, its margin over all other answers, how unusual its
 camera is, and how much skyline there was to fit: a fit to too little of a skyline is never trusted.
@@ -51,6 +55,9 @@ _MOST_VISIBLE_DEG = 90.0
 """Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
 one."""
 _MOST_LENS_DEVIATIONS = 4.0
+_MOST_DEVIATIONS = 4.0
+"""Cap of each figure's distance from its mean, in standard deviations: few examples lie beyond, and
+a product grows with the square."""
 _MIN_VISIBLE_DEG = 14.0
 """Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
 seven unknowns: below 14 degrees there are fewer rises than unknowns."""
@@ -108,22 +115,34 @@ class MatchConfig:
 
 @dataclass(frozen=True, slots=True)
 class Logistic:
-    """A logistic model of F figures."""
+    """A logistic model of F figures and their products."""
 
     names: Sequence[str]
     mean: Sequence[float]
     scale: Sequence[float]
+    """``names``, ``mean``, ``scale``: F each."""
     weight: Sequence[float]
-    """``names``, ``mean``, ``scale``, ``weight``: F each."""
+    """F (F + 3) / 2, in the order of `terms`."""
     bias: float
 
-    def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return probabilities (M,) from figures (M,) by name; a missing one counts as its mean."""
-        logit = np.full(len(next(iter(figures.values()))), self.bias)
-        for name, mean, scale, weight in zip(
-            self.names, self.mean, self.scale, self.weight, strict=True
+    def terms(self, figures: Mapping[str, Float64Array]) -> Float64Array:
+        """Return the terms (M, F (F + 3) / 2) of figures (M,) by name: figures, then products.
+
+        Figures are in standard deviations from their means. A missing one counts as its mean.
+        """
+        count = len(next(iter(figures.values())))
+        unit = np.zeros((count, len(self.names)))
+        for column, (name, mean, scale) in enumerate(
+            zip(self.names, self.mean, self.scale, strict=True)
         ):
-            logit = logit + weight * (figures.get(name, mean) - mean) / scale
+            unit[:, column] = (figures.get(name, mean) - mean) / scale
+        unit = np.clip(unit, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        first, second = np.triu_indices(len(self.names))
+        return np.hstack([unit, unit[:, first] * unit[:, second]])
+
+    def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
+        """Return probabilities (M,) from figures (M,) by name; see `terms`."""
+        logit = self.bias + self.terms(figures) @ np.asarray(self.weight, float)
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
@@ -288,7 +307,7 @@ def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Fl
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
-    """Return the figures of the width and of the relief of the query's skyline."""
+    """Return the figures of the width and of the relief of the query's skyline, and of its lens."""
     azimuth, y = level(query.u, query.v, 0.0, 0.0, is_panorama=query.is_panorama)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
@@ -297,6 +316,7 @@ def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
     return {
         "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
         "log_visible": np.full(count, np.log(np.clip(visible_deg, 1.0, _MOST_VISIBLE_DEG))),
+        "log_lens_sd": np.full(count, np.log(max(query.log_scale_sd, 1e-3))),
     }
 
 
