@@ -1,8 +1,8 @@
 """Files: reading them, writing them whole or not at all, CSV tables, locks, and names for GDAL.
 
 Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
-separated by commas, semicolons or tabs, whichever the header has most of; where commas do not
-separate, they may be decimal commas. Lines before the header that begin with # are notes.
+separated by the most frequent of comma, semicolon and tab in the header; with semicolons or tabs,
+numbers may have decimal commas. Lines before the header that begin with # are notes.
 """
 
 import csv

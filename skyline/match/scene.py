@@ -1,4 +1,4 @@
-"""The terrain of a store: found, rendered, and its views joined to skylines all the way round."""
+"""The terrain of a store: its files, and its rendered views, joined all the way round."""
 
 import logging
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""All commands of ``skyline-bench``: what its help says, records, and the short ones run small."""
+"""All commands of ``skyline-bench``: help, records, and small runs of the short ones."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What poses see in photos, poses fitted from by hand, and rendering for many threads."""
+"""Skylines and summits at poses, fits from poses set by hand, and rendering for many threads."""
 
 import math
 from dataclasses import replace

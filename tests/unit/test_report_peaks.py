@@ -1,4 +1,4 @@
-"""Which peaks an eye sees, and what a gazetteer must look like."""
+"""The peaks that are visible from an eye, and the form of a gazetteer."""
 
 import json
 import logging

@@ -1,4 +1,4 @@
-"""The server under people of all intents: what it refuses, and what it keeps."""
+"""The server under honest and hostile requests: refusals, and files that are kept."""
 
 import http.client
 import json
