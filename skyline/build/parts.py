@@ -26,9 +26,8 @@ from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
-from skyline.store.hdf5 import check_folder
-from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
+from skyline.store.write import check_folder, merged_rows, whole_rows
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

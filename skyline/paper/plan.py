@@ -31,8 +31,7 @@ from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
 from skyline.store import write_store
-from skyline.store.hdf5 import check_folder
-from skyline.store.merge import sorted_once
+from skyline.store.write import check_folder, sorted_once
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
