@@ -120,9 +120,6 @@ REBUILD = "copy or build it again"
 UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 """The exceptions of h5py on files that are damaged or made by another program."""
 
-_NAMED = 3
-"""Files of a DEM that an error names."""
-
 
 @dataclass(frozen=True, slots=True)
 class StoreHeader:
@@ -274,14 +271,17 @@ class StoreHeader:
 
 
 def refuse_mismatch(
-    one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], subject: str, advice: str
+    a: StoreHeader,
+    b: StoreHeader,
+    subject: str,
+    advice: str,
+    words: tuple[str, str] = ("there", "here"),
 ) -> None:
     """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
-    Paths and releases may differ. Each header comes with the words that describe it in the message.
-    The message begins with ``subject`` and ends with ``advice``.
+    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``;
+    ``words`` describe the two headers in it.
     """
-    (a, in_a), (b, in_b) = one, other
     compared: dict[str, tuple[object, object]] = {"kind of rows": (a.holds, b.holds)}
     if a.holds != b.holds:
         advice = "a store holds rows of one kind; name another store"
@@ -290,9 +290,14 @@ def refuse_mismatch(
             compared["elevation model"] = _model(a), _model(b)
         compared["width"] = a.width, b.width
         for key in sorted({*a.config, *b.config}):
-            compared[f"config {key}"] = a.config.get(key, "absent"), b.config.get(key, "absent")
+            one, other = a.config.get(key, "absent"), b.config.get(key, "absent")
+            if isinstance(one, dict) and isinstance(other, dict):
+                pairs = one.items(), other.items()
+                one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
+                other = {name: value for name, value in pairs[1] if (name, value) not in pairs[0]}
+            compared[f"config {key}"] = one, other
     differences = [
-        f"{name} is {was!r} {in_a}, {now!r} {in_b}"
+        f"{name} is {was!r} {words[0]}, {now!r} {words[1]}"
         for name, (was, now) in compared.items()
         if was != now
     ]
@@ -301,12 +306,11 @@ def refuse_mismatch(
 
 
 def _model(header: StoreHeader) -> str:
-    """Return the files of a store's DEM, its frame and its digest, in one line."""
-    names = [Path(file).name for file in header.dem_files]
-    if len(names) > _NAMED:
-        names[_NAMED:] = [f"and {len(names) - _NAMED} more"]
+    """Return a file of a store's DEM, its frame and its digest, in one line."""
+    names = [Path(file).name for file in header.dem_files] or ["no file"]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
-    return f"{', '.join(names) or 'no file'} ({frame}, digest {header.dem_digest[:12]})"
+    return f"{names[0]}{more} ({frame}, digest {header.dem_digest[:12]})"
 
 
 def columns_of(

@@ -239,8 +239,8 @@ class Store:
             Damaged data.
         """
         self._expect(RENDERINGS)
-        columns = self.stored(index)
-        fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
+        rows = self._indexed(index)
+        fields: Any = {field: self._read(name, rows) for field, name in self.header.fields.items()}
         return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
@@ -497,7 +497,8 @@ def _absence(path: Path) -> str:
     if names:
         holds, _, _, total = names[0]
         command = MADE_BY.get(holds, command)
-        there = f"{len(names)} of {int(total) if total.isdecimal() else 0} parts are there"
+        number, of = len(names), int(total) if total.isdecimal() else 0
+        there = f"{number} of {of} parts {'is' if number == 1 else 'are'} there"
     return (
         f"store {path} cannot be read: its build is not finished ({there}); give the same "
         f"{command} command again, which continues from there"

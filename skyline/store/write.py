@@ -56,10 +56,8 @@ _ALIGNED = {"alignment_threshold": 1024, "alignment_interval": 64}
 """Chunks of places begin at whole cache lines, for half a byte a place."""
 
 _ROWS_AT_ONCE = 1024
-"""Rows written at once, whole chunks: a packed chunk that is written twice leaves dead bytes."""
-
-_BLOCK_ROWS = 1024
-"""Rows that are read at a time, a whole number of chunks."""
+"""Rows read or written at once, whole chunks: a packed chunk that is written twice leaves dead
+bytes."""
 
 _LIMIT_S = 60.0
 _LIMIT_S_PER_BYTE = 1e-6
@@ -85,15 +83,15 @@ def write_store(
 
     The same rows, order and header give the same bytes. Columns are as
     `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to write, by default
-    all. A store that already exists is replaced. Raises `MissingFileError` where there is no
-    folder, and `StoreError` where the file cannot be written.
+    all. Its folder is made if need be, and a store that already exists is replaced. Raises
+    `StoreError` where the file cannot be written.
     """
     path = Path(path).resolve()
-    check_folder(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
     with explained(path, "it cannot be written", "check the folder's rights and space"):
+        path.parent.mkdir(exist_ok=True)
         try:
             with _Target(partial, "x+b") as target:
                 aligned = _ALIGNED if header.holds == PLACES else {}
@@ -250,16 +248,17 @@ def merged_rows(
     one, header = counted[0][0], headers[0]
     for (other, _), differing in zip(counted[1:], headers[1:], strict=True):
         refuse_mismatch(
-            (header.anywhere, f"in {one.name}"),
-            (differing.anywhere, f"in {other.name}"),
+            header.anywhere,
+            differing.anywhere,
             f"stores {one} and {other} cannot be joined",
             "build both with the same settings from one DEM of both areas: skylines show terrain "
             "far around them",
+            (f"in {one.name}", f"in {other.name}"),
         )
     # The header must not depend on the order of the stores.
     header = replace(
         header,
-        config=_joint_config(headers),
+        config=joint_config(headers),
         dem_files=min(header.dem_files for header in headers),
         renderer="; ".join(
             sorted({name for header in headers for name in header.renderer.split("; ")})
@@ -288,7 +287,7 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
             yield store
 
 
-def _joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
+def joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
     """Return the configuration of stores that may differ in their boxes."""
     config = dict(headers[0].config)
     if "bounds_deg" in config:
@@ -377,10 +376,11 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
         env={**os.environ, "PYTHONPATH": searched},
         check=False,
     )
-    if child.returncode == -signal.SIGXCPU:
-        return _unreadable(f"HDF5 had not read it after {limit_s:.0f} s of processor time")
     if child.returncode < 0:
-        return _unreadable(f"HDF5 crashes on it (signal {-child.returncode})")
+        reason = f"HDF5 crashes on it (signal {-child.returncode})"
+        if child.returncode == -signal.SIGXCPU:
+            reason = f"HDF5 had not read it after {limit_s:.0f} s of processor time"
+        return _unreadable(f"store {path} is damaged: {reason}")
     try:
         report = json.loads(child.stdout)
     except ValueError as error:
@@ -410,8 +410,8 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage
     A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
     """
     size = store.header.chunk_rows(len(store))
-    for start in range(0, len(store), _BLOCK_ROWS):
-        stop = min(start + _BLOCK_ROWS, len(store))
+    for start in range(0, len(store), _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, len(store))
         try:
             yield _compared(store, start, stop)
         except StoreError:
