@@ -32,6 +32,7 @@ from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 from skyline.store.read import parts_folder
+from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -271,7 +272,8 @@ def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
 
 
 def _advise_to_continue(store: Path) -> None:
-    """Have the error after Ctrl-C say that a build continues, if parts of its store are there."""
+    """Check a store's folder; have the error after Ctrl-C say that a build with parts continues."""
+    check_folder(store.resolve())
     on_interrupt(
         "what was built is kept, and the same command continues from there",
         lambda: any(parts_folder(store.resolve()).glob("*.h5")),

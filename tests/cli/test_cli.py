@@ -96,7 +96,7 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
         done = run("render", dem, "-o", store, *which)
         assert_refused(done, "is 'places' there, 'renderings' here")
     done = run("store", "merge", store, renderings, "-o", tmp_path / "both.h5")
-    assert_refused(done, "kind of rows")
+    assert_refused(done, "a store holds rows of one kind; name another store")
     assert (store.read_bytes(), renderings.read_bytes()) == before
     assert not (tmp_path / "both.h5").exists()
 
