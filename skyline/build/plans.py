@@ -99,20 +99,23 @@ class PlacePlan:
         """Return a renderer of the parts; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        render = renderer.render
-        places: Callable[[Any], Places]
-        if self.spacing_m is not None:
-            half_m = self.spacing_m / 2.0
-            places = lambda eyes: Places.of(render(eyes), half_m)  # noqa: E731
-        else:
+        planner = None
+        if self.spacing_m is None:
             area = map_bounds(terrain, self.bounds_deg)
-            prices = Prices(terrain, area, render)
+            prices = Prices(terrain, area, renderer.render)
             price = prices.of_number(self.places or DEFAULT_PLACES)
             if self.places is None:
                 densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
                 price = min(max(price, densest), sparsest)
-            places = AdaptivePlanner(terrain, render, area, price).places
-        return PartRenderer(renderer, header, lambda part: columns_of(header, places(part)))
+            planner = AdaptivePlanner(terrain, renderer.render, area, price)
+        half_m = (self.spacing_m or 0.0) / 2.0
+
+        def columns(part: Any) -> Columns:
+            if planner is None:
+                return columns_of(header, Places.of(renderer.render(part), half_m))
+            return columns_of(header, planner.places(part))
+
+        return PartRenderer(renderer, header, columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
