@@ -120,7 +120,7 @@ def orient(
             oriented += 1
             if csv_file is not None and str(csv_file) == STANDARD:
                 continue
-            text = json.dumps(row) if as_json else result.to_text()
+            text = json.dumps(result.to_dict() | label) if as_json else result.to_text()
             try:
                 for line in text.splitlines():
                     print_line(line)
