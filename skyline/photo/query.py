@@ -131,7 +131,9 @@ class Lens:
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
-        slack = "" if self.sd_deg is None else f", give or take {self.sd_deg:.0f}"
+        slack = ""
+        if self.sd_deg is not None:
+            slack = f", give or take {self.sd_deg:.{0 if self.sd_deg >= 1.0 else 1}f}"
         return f"field of view: {fov}{slack}; {self.reason}"
 
 

@@ -292,7 +292,9 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
             with Image.open(source, formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
-        reason = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
+        reason = "not an image that can be read; expected JPEG, PNG, TIFF or WebP"
+        if not is_table(path):
+            reason += ", or a trace named .csv"
         if path.suffix.lower() in {".heic", ".heif"}:
             reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
@@ -310,8 +312,8 @@ def _decoded(name: str) -> Iterator[None]:
         raise
     except Exception as error:  # Decoders raise nearly anything on damaged files.
         raise InputError(
-            f"{name} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
-            "open and save it as PNG"
+            f"{name} cannot be decoded ({str(error).partition(' (')[0]}); it is damaged or cut "
+            "short: copy it again, or open and save it as PNG"
         ) from error
 
 

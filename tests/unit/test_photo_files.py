@@ -139,7 +139,7 @@ HEIC = b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("text.jpg", b"not a photo", "not an image that can be read; expected JPEG"),
+        ("text.jpg", b"not a photo", "not an image that can be read; expected JPEG.* or a trace"),
         ("empty.png", b"", "not an image that can be read"),
         ("phone.heic", HEIC, "HEIC photo.*to JPEG or PNG, or pip install pillow-heif"),
     ],
@@ -178,7 +178,7 @@ def test_an_opened_picture_that_is_cut_short_is_refused(tmp_path, scene):
     content = (tmp_path / "a.jpg").read_bytes()
     with (
         Image.open(io.BytesIO(content[: len(content) // 2])) as picture,
-        pytest.raises(InputError, match="the image cannot be decoded"),
+        pytest.raises(InputError, match=r"the image cannot be decoded \([^(]*\); it is damaged"),
     ):
         read_query(picture)
 
