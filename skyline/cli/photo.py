@@ -103,9 +103,12 @@ def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
     return stores, others[len(stores) - 1 :]
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` if an output file is one of the input files."""
+def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path]) -> None:
+    """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
     read = [path for path in inputs if is_file(path)]
-    for path in outputs:
-        if path is not None and path.exists() and any(path.samefile(one) for one in read):
+    named = [path.absolute() for path in outputs if path is not None]
+    for path in filter(None, outputs):
+        if named.count(path.absolute()) > 1:
+            raise InputError(f"{path} is the name of two outputs; choose another name for one")
+        if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")

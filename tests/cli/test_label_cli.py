@@ -12,6 +12,7 @@ from scenes import candidate_at
 
 from skyline import read_dem
 from skyline.cli.photo import check_outputs
+from skyline.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +156,8 @@ def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
     done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
     assert_refused(done, "is an input")
     check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
+    with pytest.raises(InputError, match="the name of two outputs"):
+        check_outputs([dem, None, dem], [])
 
 
 def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):
