@@ -19,12 +19,12 @@ from typing import Any
 import cv2
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
-from PIL.ExifTags import IFD
+from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import STANDARD, is_table, read_bytes, write_whole
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif, positive
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
@@ -48,6 +48,8 @@ _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
 """Formats that Pillow may decode; others run programs, or are no pictures."""
+_PREVIEW = 1.0
+"""Value of NewSubfileType for a picture of which the file has a larger version."""
 _SKYLINE_RGB, _OTHER_RGB = (255, 0, 60), (255, 160, 0)
 
 
@@ -180,7 +182,7 @@ def read_photo(
     name = name_of(path)
     with opened_image(path) as image:
         width, height = image.size
-        _require_bounded(name, image)
+        _require_usable(name, image)
         upright = ImageOps.exif_transpose(image)
         # Decoders differ: some have already turned the pixels, some the size as well, and each
         # leaves other tags. The upright picture shows whether the file's size is upright.
@@ -319,7 +321,7 @@ def _decoded(name: str) -> Iterator[None]:
 
 @contextmanager
 def _unlimited_size() -> Iterator[None]:
-    """Lift Pillow's limit, which refuses pictures that `_require_bounded` shrinks."""
+    """Lift Pillow's limit, which refuses pictures that `_require_usable` shrinks."""
     with _size_limit:
         before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
@@ -328,9 +330,17 @@ def _unlimited_size() -> Iterator[None]:
             Image.MAX_IMAGE_PIXELS = before
 
 
-def _require_bounded(name: str, image: Image.Image) -> None:
-    """Let a large JPEG be decoded smaller; raise `InputError` for other large images."""
+def _require_usable(name: str, image: Image.Image) -> None:
+    """Let a large JPEG be decoded smaller; raise `InputError` for other large images and raw files.
+
+    The first picture of a raw file, which is a TIFF, is a small preview of another shape.
+    """
     width, height = image.size
+    if image.format == "TIFF" and positive(image.getexif().get(Base.NewSubfileType)) == _PREVIEW:
+        raise InputError(
+            f"{name} begins with a preview of {width} x {height} px, as a raw file does; develop "
+            "it, and save it as JPEG, PNG or TIFF"
+        )
     if width * height <= MAX_JPEG_PIXELS:
         for shrink in (2, 4, 8):
             if image.width * image.height > MAX_DECODED_PIXELS:

@@ -183,6 +183,11 @@ def test_an_opened_picture_that_is_cut_short_is_refused(tmp_path, scene):
         read_query(picture)
 
 
+def test_the_preview_that_a_raw_file_begins_with_is_refused(tmp_path):
+    Image.new("L", (160, 120)).save(tmp_path / "raw.tif", tiffinfo={Base.NewSubfileType: 1})
+    refused(tmp_path / "raw.tif", "begins with a preview of 160 x 120 px")
+
+
 def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     Image.new("1", (20_000, 10_000)).save(tmp_path / "huge.png")
     refused(tmp_path / "huge.png", "megapixels; expected at most 100")
