@@ -418,4 +418,4 @@ def noted_place(query: QuerySkyline, name: str) -> Place:
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
     within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
-    return (*query.noted.lonlat_deg, None, min(within_m, _MOST_WITHIN_M))
+    return (*query.noted.lonlat_deg, None, within_m)
