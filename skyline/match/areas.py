@@ -40,8 +40,6 @@ _SEEN_KM = 30.0
 is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
-_DEFAULT_SOURCE = "copernicus"
-
 _PLACE_BYTES_KM2 = 200_000
 _SAMPLE_BYTES_DEG2 = 8 * 3600**2
 """Greatest usual size of a store, for a square kilometre, and of tiles of 1 arc-second with the
@@ -151,7 +149,7 @@ def prepare_area(
     """
     check_bounds(area.built)
     files = tuple(map(absolute_name, without_folders(dem)))
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or _DEFAULT_SOURCE
+    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
     home = _areas() / _origin(files, source)
     with _explained():
         # The smallest that serves.
