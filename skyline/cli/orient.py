@@ -282,6 +282,10 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
     numbers = _numbers_of(record, path)
     projection.check_fov_deg(numbers["fov_deg"])
+    if any(numbers["wander"]) and not projection.is_panorama:
+        raise InputError(
+            f"pose {path} is of a panorama, which {photo} does not note; give --projection"
+        )
     return numbers
 
 

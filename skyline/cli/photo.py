@@ -103,12 +103,12 @@ def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
     return stores, others[len(stores) - 1 :]
 
 
-def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path]) -> None:
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
     """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
     read = [path for path in inputs if is_file(path)]
-    named = [path.absolute() for path in outputs if path is not None]
-    for path in filter(None, outputs):
-        if named.count(path.absolute()) > 1:
+    named = [path for path in outputs if path is not None]
+    for path in named:
+        if named.count(path) > 1:
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")

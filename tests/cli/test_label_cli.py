@@ -137,6 +137,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
         (f'{_POSED}, "wander": ["a", 0, 0, 0]}}', "wander is a;"),
         (f'{_POSED}, "wander": 0.1}}', "expected a list of 4 numbers"),
+        (f'{_POSED}, "wander": [0.1, 0, 0, 0]}}', "is of a panorama"),
         (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
         (f'{_POSED}, "distortion": true}}', "distortion is True"),
         (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
