@@ -24,7 +24,7 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import STANDARD, is_table, read_bytes, write_whole
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif, positive
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
@@ -48,8 +48,6 @@ _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
 """Formats that Pillow may decode; others run programs, or are no pictures."""
-_PREVIEW = 1.0
-"""Value of NewSubfileType for a picture of which the file has a larger version."""
 _SKYLINE_RGB, _OTHER_RGB = (255, 0, 60), (255, 160, 0)
 
 
@@ -333,10 +331,10 @@ def _unlimited_size() -> Iterator[None]:
 def _require_usable(name: str, image: Image.Image) -> None:
     """Let a large JPEG be decoded smaller; raise `InputError` for other large images and raw files.
 
-    The first picture of a raw file, which is a TIFF, is a small preview of another shape.
+    Raw files are TIFFs whose first picture is a preview, of which NewSubfileType is 1.
     """
     width, height = image.size
-    if image.format == "TIFF" and positive(image.getexif().get(Base.NewSubfileType)) == _PREVIEW:
+    if image.format == "TIFF" and image.getexif().get(Base.NewSubfileType) == 1:
         raise InputError(
             f"{name} begins with a preview of {width} x {height} px, as a raw file does; develop "
             "it, and save it as JPEG, PNG or TIFF"
