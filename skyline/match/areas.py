@@ -47,8 +47,6 @@ terrain that is read from them."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _LOCK = "lock"
-_LOCK_TRIES = 1000
-"""Times that a lock is sought anew because another process has removed its folder."""
 
 PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
@@ -385,7 +383,7 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
 def _lock(folder: Path, print_note: PrintNote | None) -> tuple[TextIO, bool]:
     """Return the open file of an area's lock, and whether the lock is held."""
     path = folder / _LOCK
-    for _ in range(_LOCK_TRIES):
+    for _ in range(1000):
         # Another process may remove the folder at any time: mkdir raises either error then.
         with suppress(FileNotFoundError, FileExistsError), ExitStack() as opened:
             folder.mkdir(parents=True, exist_ok=True)
