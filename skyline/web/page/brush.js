@@ -8,7 +8,8 @@ const canvas = $("photo");
 const PAINTS = ["sky", "ground", "line", "erase"];
 const KEYS = { m: "move", s: "sky", g: "ground", l: "line", e: "erase", t: "turn" };
 const undone = [];
-let solving = false, again = false;
+const unsent = new Set(); // photos with strokes that the server has not seen
+let solving = false;
 
 const tool = () => document.querySelector("input[name=tool]:checked").value;
 const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
@@ -37,14 +38,14 @@ function finish() {
   solve();
 }
 
-export function undo() {
+function undo() {
   const stroke = state.photo?.strokes.pop();
   if (!stroke) return;
   undone.push(stroke);
   solve();
 }
 
-export function redo() {
+function redo() {
   const stroke = undone.pop();
   if (!stroke) return;
   state.photo.strokes.push(stroke);
@@ -54,24 +55,22 @@ export function redo() {
 // One request at a time; strokes drawn meanwhile go with the next.
 async function solve() {
   buttons();
-  if (solving) {
-    again = true;
-    return;
-  }
+  unsent.add(state.photo);
+  if (solving) return;
   solving = true;
-  do {
-    again = false;
-    const photo = state.photo;
+  for (const photo of unsent) {
+    unsent.delete(photo);
     const began = performance.now();
     try {
       const lines = await server.skyline(photo, photo.strokes);
-      if (photo === state.photo) showSkyline(lines);
       performance.measure("stroke", { start: began, end: performance.now() });
+      if (photo !== state.photo) continue;
+      showSkyline(lines);
       showStatus(`Skyline in ${Math.round(100 * share())} % of the columns`);
     } catch (error) {
       alertUser(error.message);
     }
-  } while (again);
+  }
   solving = false;
 }
 
@@ -113,7 +112,7 @@ function dragging(event) {
     else if (tool() === "turn") release();
   };
   canvas.addEventListener("pointermove", move);
-  canvas.addEventListener("pointerup", end, { once: true });
+  canvas.addEventListener("lostpointercapture", end, { once: true });
 }
 
 function moveCross([across, down], event) {
@@ -165,10 +164,12 @@ async function loadTrace() {
 }
 
 export async function traceFrom(file) {
-  if (!state.photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
+  const photo = state.photo;
+  if (!photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
   try {
-    const lines = await server.loadTrace(state.photo, file);
-    state.photo.strokes = [];
+    const lines = await server.loadTrace(photo, file);
+    photo.strokes = [];
+    if (photo !== state.photo) return;
     forget();
     showSkyline(lines);
     showStatus(`${file.name} loaded`);

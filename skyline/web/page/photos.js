@@ -33,6 +33,7 @@ export async function choose(photo) {
   for (const id of ["tools", "legend"]) $(id).hidden = false;
   $("welcome").hidden = true;
   $("busy").hidden = false;
+  show(null);
   list();
   try {
     const [blob, lines] = await Promise.all([server.picture(photo), server.skyline(photo, null)]);
@@ -43,6 +44,7 @@ export async function choose(photo) {
     showStatus(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
   } catch (error) {
     alertUser(error.message);
+    if (photo !== state.photo) return;
   }
   $("busy").hidden = true;
   buttons();
@@ -71,23 +73,23 @@ async function open(photo, opened) {
   list();
 }
 
-export async function add(files) {
-  const all = [...files];
-  const photos = all.filter((file) => !/\.csv$/i.test(file.name));
-  const records = photos.map((file) => ({ name: file.name, state: "waiting", file }));
+export async function add(chosen) {
+  const all = [...chosen];
+  const traces = all.filter((file) => /\.csv$/i.test(file.name));
+  const files = all.filter((file) => !traces.includes(file));
+  const records = files.map(({ name }) => ({ name, state: "waiting" }));
   state.photos.push(...records);
   list();
   let first = true;
-  for (const record of records) {
-    const { file } = record;
-    delete record.file;
-    await open(record, () => server.upload(file));
+  for (const [index, record] of records.entries()) {
+    if (!state.photos.includes(record)) continue;
+    await open(record, () => server.upload(files[index]));
     if (first && record.state === "ready") {
       first = false;
       await choose(record);
     }
   }
-  for (const trace of all.filter((file) => /\.csv$/i.test(file.name))) await traceFrom(trace);
+  for (const trace of traces) await traceFrom(trace);
 }
 
 async function drop(photo) {
@@ -98,6 +100,7 @@ async function drop(photo) {
     for (const id of ["tools", "legend"]) $(id).hidden = true;
     $("welcome").hidden = false;
     show(null);
+    showStatus("");
     emit("photo", null);
   }
   list();
@@ -132,7 +135,6 @@ export async function start(kept) {
   dropping();
   on("states", list);
   const given = state.store.given.map((name, index) => ({ name, given: index, state: "ready" }));
-  for (const photo of kept ?? []) if (photo.result) state.results.set(photo.id, photo.result);
   const opened = new Set(kept?.map((photo) => photo.name));
   state.photos = [...(kept ?? []), ...given.filter((photo) => !opened.has(photo.name))];
   list();

@@ -17,13 +17,14 @@ const KINDS = [
 const SUFFIXES = { photo: "-located", names: "-names", report: "-report" };
 
 async function save(kind, suffix, button) {
+  const photo = state.photo;
   button.disabled = true;
   showStatus("Writing…");
   try {
     const isFound = state.origin === "found" && standing();
     const chosen = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
-    const blob = await server.save(state.photo, kind, chosen);
-    const stem = state.photo.name.replace(/\.[^.]*$/, "");
+    const blob = await server.save(photo, kind, chosen);
+    const stem = photo.name.replace(/\.[^.]*$/, "");
     const link = element("a", { download: `${stem}${SUFFIXES[kind] ?? ""}.${suffix}`, href: URL.createObjectURL(blob) });
     document.body.append(link);
     link.click();
