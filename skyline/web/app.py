@@ -125,7 +125,7 @@ class PageApp:
 
     async def _begin(self, _: Request) -> Response:
         session = self._sessions.begin()
-        return JSONResponse({"session": session.id})
+        return JSONResponse({"session": session.id, "photos": []})
 
     async def _all(self, request: Request) -> Response:
         session = self._session(request)
@@ -225,7 +225,7 @@ class PageApp:
         candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine)
         arguments = kind, self._engine, photo, candidates, session.folder
         content = await self._engine.work("files", saved, *arguments)
-        return Response(content, media_type=KINDS[kind][1])
+        return Response(content, media_type="application/octet-stream")
 
     def _session(self, request: Request) -> Session:
         return self._sessions.of(request.path_params["session"])
@@ -364,11 +364,9 @@ async def _page(_: Request) -> Response:
 
 async def _refused(_: Request, error: Exception) -> Response:
     """Answer an error with one line."""
-    status = (
-        404 if isinstance(error, GoneError) else 413 if isinstance(error, TooLargeError) else 400
-    )
-    headers = {"Connection": "close"} if status == 413 else {}
-    return JSONResponse({"error": str(error)}, status, headers)
+    if isinstance(error, TooLargeError):
+        return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
+    return JSONResponse({"error": str(error)}, 404 if isinstance(error, GoneError) else 400)
 
 
 async def _json(request: Request) -> Mapping[str, Any]:

@@ -53,16 +53,10 @@ POSE = {
 }  # fmt: skip
 """The numbers of a pose: their names on the page and in Skyline."""
 KINDS = {
-    "geojson": ("geojson", "application/geo+json"),
-    "kml": ("kml", "application/vnd.google-earth.kml+xml"),
-    "kmz": ("kmz", "application/vnd.google-earth.kmz"),
-    "gpx": ("gpx", "application/gpx+xml"),
-    "trace": ("csv", "text/csv"),
-    "report": ("html", "application/octet-stream"),
-    "photo": ("jpg", "image/jpeg"),
-    "names": ("png", "image/png"),
-}
-"""Suffix and media type of each kind of file that the page saves."""
+    "geojson": "geojson", "kml": "kml", "kmz": "kmz", "gpx": "gpx", "trace": "csv",
+    "report": "html", "photo": "jpg", "names": "png",
+}  # fmt: skip
+"""Suffix of each kind of file that the page saves."""
 
 
 class GoneError(InputError):
@@ -267,7 +261,7 @@ def saved(
     """
     if kind != "trace" and not candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
-    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind][0]}"
+    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
     matcher, beside = engine.matcher, path.with_suffix("")
     try:
         if kind == "trace":
@@ -398,6 +392,6 @@ class Sessions:
 
     def _end(self, session: Session) -> None:
         for photo in list(session.photos.values()):
-            session.remove(photo)
+            photo.cancel()
         self._sessions.pop(session.id, None)
         shutil.rmtree(session.folder, ignore_errors=True)

@@ -14,7 +14,7 @@ let solving = false;
 const tool = () => document.querySelector("input[name=tool]:checked").value;
 const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
 
-export function choose(name) {
+function choose(name) {
   document.querySelector(`input[name=tool][value=${name}]`).checked = true;
   chosen();
 }
@@ -157,12 +157,6 @@ function pressed(event) {
   event.preventDefault();
 }
 
-async function loadTrace() {
-  const file = $("trace-file").files[0];
-  $("trace-file").value = "";
-  if (file) await traceFrom(file);
-}
-
 export async function traceFrom(file) {
   const photo = state.photo;
   if (!photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
@@ -194,6 +188,9 @@ export function start() {
   $("undo").onclick = undo;
   $("redo").onclick = redo;
   $("load-trace").onclick = () => $("trace-file").click();
-  $("trace-file").onchange = loadTrace;
+  $("trace-file").onchange = async () => {
+    for (const file of $("trace-file").files) await traceFrom(file);
+    $("trace-file").value = "";
+  };
   chosen();
 }

@@ -141,16 +141,11 @@ export function circled() {
 }
 
 export function showCircle(km, place = null) {
-  if (place) {
-    for (const one of [circle, centre]) one.setLatLng(onMap(place.lat, place.lng));
+  if (km !== null) circle.setRadius(1000 * km);
+  for (const one of [circle, centre]) {
+    if (place) one.setLatLng(onMap(place.lat, place.lng));
+    km === null ? one.remove() : one.addTo(map);
   }
-  if (km === null) {
-    circle.remove();
-    centre.remove();
-    return;
-  }
-  circle.setRadius(1000 * km).addTo(map);
-  centre.addTo(map);
 }
 
 export const middle = () => offMap(map.getCenter());

@@ -28,19 +28,13 @@ const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
 
 export async function begin() {
   session = sessionStorage.getItem(KEY);
-  if (session) {
-    try {
-      const photos = await records();
-      listen();
-      return photos;
-    } catch {
-      session = null;
-    }
+  let kept = session && (await records().catch(() => null));
+  if (!kept) {
+    ({ session, photos: kept } = await (await ask("POST", "session")).json());
+    sessionStorage.setItem(KEY, session);
   }
-  session = (await (await ask("POST", "session")).json()).session;
-  sessionStorage.setItem(KEY, session);
   listen();
-  return null;
+  return kept;
 }
 
 export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
