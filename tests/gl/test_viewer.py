@@ -7,16 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline import (
-    ContextError,
-    InputError,
-    Matcher,
-    OffMapError,
-    Viewer,
-    read_dem,
-    read_query,
-)
+from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
 from skyline.camera import HEADINGS
+from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.report.viewer import sight_of
 from skyline.terrain.viewpoints import stand_on
