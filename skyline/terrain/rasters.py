@@ -272,7 +272,8 @@ def _tile_of(
             for rows in strips(dataset):
                 window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
                 band = dataset.read(1, window=window, masked=True)
-                voids = np.ma.getmaskarray(band)
+                # Where a file has a mask, GDAL leaves its nodata value aside.
+                voids = np.ma.getmaskarray(band) | (band.data == dataset.nodata)
                 yield rows, _heights_of(source, band.data, voids, scale, offset, vertical.metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
