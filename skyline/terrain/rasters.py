@@ -341,8 +341,6 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
             f"the coordinate reference system of {source} is not understood ({error}); "
             "set a valid one in the file (gdal_edit.py -a_srs)"
         ) from error
-    if wkt.endswith('AUTHORITY["EPSG","9311"]]'):  # On a sphere, which WKT1 cannot say.
-        crs = CRS.from_epsg(9311)
     if default_crs is None:
         return crs
     same_map = without_vertical(crs).equals(without_vertical(default_crs), ignore_axis_order=True)
