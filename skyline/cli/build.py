@@ -202,6 +202,8 @@ def render(
         return
     _advise_to_continue(output)
     _refuse_given(of_planners, "give --planner too")
+    if depth_images is not None and depth_images.resolve() in {Path(one).resolve() for one in dem}:
+        _refuse_given({"--depth-images": depth_images}, "name a folder that holds no DEM")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
     terrain = read_terrain(dem, crs, reproject)

@@ -18,6 +18,7 @@ import numpy as np
 import rasterio
 from numpy.typing import DTypeLike, NDArray
 from rasterio import windows
+from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
@@ -202,8 +203,10 @@ def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
     where, transform = without_secrets(url), file.transform
-    if file.count != 1:
-        raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
+    has_mask = MaskFlags.per_dataset in file.mask_flag_enums[0]
+    if file.count != 1 or has_mask:
+        found = f"{file.count} bands" if file.count != 1 else "a mask of voids"
+        raise InputError(f"{where} has {found}; expected one band: check the source")
     if file.crs is None or not file.crs.is_geographic:
         raise InputError(
             f"{where} is in {file.crs or 'no coordinate reference system'}; expected degrees of "
@@ -275,8 +278,6 @@ def _copy_held(
         col = round((file.transform.c - transform.c) / transform.a)
         row = round((file.transform.f - transform.f) / transform.e)
         held = Window(col, row, file.width, file.height)
-        if not windows.intersect(held, cut.window):
-            return
         both = windows.intersection(held, cut.window)
         there, here = (
             Window(both.col_off - one.col_off, both.row_off - one.row_off, both.width, both.height)
@@ -305,6 +306,6 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
             # This tag holds whether samples stand for points or areas.
-            kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
-            file.update_tags(**{_TAG: cut.tag}, **kept)
+            kept = origin.tags().get("AREA_OR_POINT", "Area")
+            file.update_tags(**{_TAG: cut.tag}, AREA_OR_POINT=kept)
         return bytes(memory.getbuffer())
