@@ -18,7 +18,6 @@ import numpy as np
 import rasterio
 from numpy.typing import DTypeLike, NDArray
 from rasterio import windows
-from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
@@ -203,10 +202,8 @@ def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
     where, transform = without_secrets(url), file.transform
-    has_mask = MaskFlags.per_dataset in file.mask_flag_enums[0]
-    if file.count != 1 or has_mask:
-        found = f"{file.count} bands" if file.count != 1 else "a mask of voids"
-        raise InputError(f"{where} has {found}; expected one band: check the source")
+    if file.count != 1:
+        raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
     if file.crs is None or not file.crs.is_geographic:
         raise InputError(
             f"{where} is in {file.crs or 'no coordinate reference system'}; expected degrees of "

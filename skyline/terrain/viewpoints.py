@@ -282,6 +282,9 @@ def read_viewpoints(
     labels = tuple(row.label for row in table.rows) if {*_LABELS} & {*table.header} else ()
     if places == ("lon", "lat"):
         first, second = place_on(field.frame, field.bounds_m, first, second)
+    elif is_inside(field.bounds_m, *field.frame.from_lonlat(first, second)).all():
+        # In a frame around the model they would lie in its middle, unnoticed.
+        raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
     if eyes == ["eye_elevation_m"]:
         return at_elevation(field, first, second, *height), labels
     stood = stand_on(

@@ -19,10 +19,10 @@ EAST = "/N46E010.tif"
 VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
-def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, has_mask=False, **options):
+def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
     """Return a tiled GeoTIFF whose first sample stands, as Copernicus', on the corner."""
     options = {"crs": "EPSG:4326", "compress": "deflate", "blockxsize": 128, **options}
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), MemoryFile() as memory:
+    with MemoryFile() as memory:
         with memory.open(
             driver="GTiff", width=heights.shape[1], height=heights.shape[0], count=1,
             dtype=heights.dtype, tiled=True, blockysize=128,
@@ -30,8 +30,6 @@ def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, has_mask=False, *
         ) as file:  # fmt: skip
             file.update_tags(AREA_OR_POINT="Point")
             file.write(heights, 1)
-            if has_mask:
-                file.write_mask(heights > 0.0)
         return bytes(memory.getbuffer())
 
 
@@ -197,11 +195,7 @@ def test_too_much_is_refused_before_anything_is_asked(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        ({"crs": "EPSG:32632"}, "expected degrees"),
-        ({"west": 20.0}, "no part of the bounds"),
-        ({"has_mask": True}, "has a mask of voids"),
-    ],
+    [({"crs": "EPSG:32632"}, "expected degrees"), ({"west": 20.0}, "no part of the bounds")],
 )
 def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, message):
     server.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})
