@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 # The longest first.
 TESTS := tests/cli tests/gl tests/bench tests/unit tests/web
 # Tests use a core for the most part, and wait now and then: four folders run at once on two cores,
-# and each says at its end what it found.
+# and the results of each are printed when it is done.
 AT_ONCE := --jobs=4 --output-sync --keep-going --no-print-directory
 
 .DEFAULT_GOAL := help

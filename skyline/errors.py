@@ -93,6 +93,17 @@ def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
     return known[name]
 
 
+def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
+    """Return ``count`` given numbers as floats; raises `InputError` with ``error`` otherwise."""
+    try:
+        numbers = () if isinstance(given, str | bytes) else tuple(map(float, given))
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(error)
+    return numbers
+
+
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:
     """Return a path's suffix in small letters; raises `InputError` for one that is not known."""
     suffix = Path(path).suffix.lower()

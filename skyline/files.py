@@ -1,14 +1,15 @@
 """Files: reading them, writing them whole or not at all, CSV tables, locks, and names for GDAL.
 
 Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
-separated by commas, semicolons or tabs, whichever the header has most of; where commas do not
-separate, they may be decimal commas. Lines before the header that begin with # are notes.
+separated by the most frequent of comma, semicolon and tab in the header; with semicolons or tabs,
+numbers may have decimal commas. Lines before the header that begin with # are notes.
 """
 
 import csv
 import fcntl
 import io
 import math
+import os
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -111,18 +112,7 @@ def for_gdal(name: str) -> str:
 
 def is_file(path: str | Path) -> bool:
     """Return whether there is a file of this name; an address may be too long to be one."""
-    try:
-        return Path(path).is_file()
-    except OSError:
-        return False
-
-
-def is_folder(path: str | Path) -> bool:
-    """Return whether there is a folder of this name, as `is_file` does for files."""
-    try:
-        return Path(path).is_dir()
-    except OSError:
-        return False
+    return os.path.isfile(path)  # noqa: PTH113  (`Path.is_file` raises an error for long names)
 
 
 @dataclass(frozen=True, slots=True)

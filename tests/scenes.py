@@ -1,4 +1,4 @@
-"""Small terrains that tests look at."""
+"""Small terrains for tests."""
 
 from dataclasses import replace
 

@@ -30,8 +30,8 @@ from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 from skyline.store.format import PLACES
-from skyline.store.merge import examine
 from skyline.store.read import parts_folder
+from skyline.store.write import examine
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options

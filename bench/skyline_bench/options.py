@@ -68,11 +68,19 @@ def report(
 
 
 def rows_but(json_file: Path | None, key: str, value: str) -> list[Row]:
-    """Return the rows of an existing record, but those of a value, which are measured anew."""
+    """Return the rows of an existing record, but those of a value, which are measured anew.
+
+    Raises `InputError` for a file that is no record of the same benchmark.
+    """
     if json_file is None or not json_file.exists():
         return []
-    rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
-    return [row for row in rows if row[key] != value]
+    try:
+        rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
+        return [row for row in rows if row[key] != value]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"--json {json_file} is no record of this benchmark; name a new file, or remove it"
+        ) from error
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:

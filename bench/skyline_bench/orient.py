@@ -98,6 +98,7 @@ def orient(
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []
     if photos and not wanted:
         raise InputError(f"{photos} names no photograph to locate or to refuse; expected some")
+    kept = options.rows_but(json_file, "of", name)
     terrain = read_dem(dem, DemOptions(crs=crs))
     other = read_dem(strange, DemOptions(reproject=True)) if strange else None
     count = min(queries, _QUICK) if quick else queries
@@ -111,7 +112,7 @@ def orient(
         some = [row for row in rows if row["measured"] == measured]
         if some:
             options.print_rows(some, columns)
-    write_record(json_file, "orient", options.rows_but(json_file, "of", name) + rows)
+    write_record(json_file, "orient", kept + rows)
 
 
 def photograph_rows(

@@ -1,7 +1,4 @@
-"""The page measured in a browser.
-
-How soon the page is ready, how long strokes take, and how closely the skyline follows the mouse.
-"""
+"""The page measured in a browser: loading, strokes, and the skyline that follows the mouse."""
 
 import re
 import shutil

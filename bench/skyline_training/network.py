@@ -1,7 +1,7 @@
 """Train the network that finds each column's skyline, and write it as Skyline reads it.
 
-The encoder is EfficientNet-Lite0 (Tan and Le 2019), which has seen a million real photographs: its
-weights come from ImageNet, and training on drawn photographs changes them little. A decoder goes
+The encoder is EfficientNet-Lite0 (Tan and Le 2019), whose weights were trained on a million real
+photographs (ImageNet); training on drawn photographs changes them little. A decoder goes
 from a thirty-second of the size back up to half of it. Each of these pixels gets four numbers: the
 log-odds that the column's skyline runs there, relative to a column without a skyline (0), and
 scores of sky, ground and cover, which only training uses.

@@ -10,9 +10,9 @@ Every part is rendered over the whole DEM, since terrain can rise into a skyline
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,8 @@ from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
-from skyline.store.hdf5 import check_folder
-from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
+from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -147,46 +146,33 @@ def build_store(
     path = Path(path).resolve()
     check_folder(path)
     folder = parts_folder(path)
-    others, held = [], 0
-    if path.exists():
-        if finished := finished_store(path, header):
-            # A build that was killed at its very end leaves parts beside a finished store.
-            _remove(folder)
-            return finished
-        # The store of other boxes is one more part of the new store, which replaces it.
-        others = [path]
-        with open_store(path) as store:
-            held = len(store)
+    if path.exists() and (finished := finished_store(path, header)):
+        # A build that was killed at its very end leaves parts beside a finished store.
+        _remove(folder)
+        return finished
     numbers = range(1, len(work) + 1)
     parts = [folder / part_name(header.holds, number, len(work)) for number in numbers]
     there = _whole_parts(folder, header)
     left = {part: some for part, some in zip(parts, work, strict=True) if part not in there}
     done, rendered = len(parts) - len(left), 0
-
-    def advance(steps: int = 1) -> None:
-        nonlocal done
-        done += steps
-        if progress:
-            progress(done, len(parts))
-
+    show = progress or (lambda *_: None)
+    written: Iterable[int] = ()
     with plan.opened(terrain) if runner is None and left else nullcontext() as renderer:
         started = time.perf_counter()
-        advance(0)
+        show(done, len(parts))
+        if runner is not None:
+            written = _on_workers(runner, header, plan, left)
+        elif renderer is not None:
+            written = (
+                write_store(part, renderer.header, renderer.columns(some))
+                for part, some in left.items()
+            )
         try:
-            if runner is not None:
-                rendered = _on_workers(runner, header, plan, left, advance)
-            elif renderer is not None:
-                for part, some in left.items():
-                    rows_of_part = renderer.columns(some)
-                    folder.mkdir(exist_ok=True)
-                    rendered += write_store(part, renderer.header, rows_of_part)
-                    advance()
-            with merged_rows([*parts, *others], folder) as (joint, columns, order):
-                rows = len(order) if len(columns[joint.checksum]) > held else 0
-                if rows:
-                    # A build that is killed here leaves its files to `_remove`.
-                    write_store(folder / path.name, joint, columns, order)
-                    (folder / path.name).replace(path)
+            for rows_of_part in written:
+                rendered += rows_of_part
+                done += 1
+                show(done, len(parts))
+            rows = _merge_parts(parts, path, header)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists() or not (finished := finished_store(path, header)):
@@ -205,6 +191,45 @@ def build_store(
     return BuildResult(rows, rendered, time.perf_counter() - started)
 
 
+def _merge_parts(parts: list[Path], path: Path, header: StoreHeader) -> int:
+    """Merge parts into a store, and return its number of rows; 0 where the parts have none.
+
+    A store of other boxes at ``path`` is one more part of the new store, which replaces it.
+    """
+    folder, others, headers, held, was = parts[0].parent, list[Path](), [header], 0, _inode(path)
+    if path.exists():
+        with open_store(path) as store:
+            others, held = [path], len(store)
+            headers.append(store.header)
+    with merged_rows([*parts, *others], folder) as (joint, columns, order):
+        # Another build of this path may have written parts under the same names.
+        _refuse_other_parts(folder, joint, replace(header, config=joint_config(headers)))
+        if len(columns[joint.checksum]) == held:
+            return 0
+        # A build that is killed here leaves its files to `_remove`.
+        write_store(folder / path.name, joint, columns, order)
+    if _inode(path) != was:
+        raise StoreError(
+            f"another build wrote {path} meanwhile; give the same command again, which adds to it"
+        )
+    (folder / path.name).replace(path)
+    return len(order)
+
+
+def _inode(path: Path) -> int | None:
+    """Return the number of the file at a path, which changes as the file is replaced."""
+    return path.stat().st_ino if path.exists() else None
+
+
+def _refuse_other_parts(folder: Path, there: StoreHeader, here: StoreHeader) -> None:
+    refuse_mismatch(
+        there,
+        here,
+        f"{folder} has parts of a store that was built otherwise",
+        "repeat its settings, or remove the folder to build anew",
+    )
+
+
 def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
     """Return the result of a finished build; None where the store has only other boxes.
 
@@ -212,8 +237,8 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
     """
     with open_store(path) as store:
         refuse_mismatch(
-            (store.header.anywhere, "there"),
-            (header.anywhere, "here"),
+            store.header.anywhere,
+            header.anywhere,
             f"store {path} was built otherwise",
             "repeat its settings or write to another file",
         )
@@ -228,12 +253,7 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     whole = set()
     for part in sorted(folder.glob("*-of-*.h5")):
         with suppress(StoreError), open_store(part) as store:
-            refuse_mismatch(
-                (store.header, "there"),
-                (header, "here"),
-                f"{folder} has parts of a store that was built otherwise",
-                "repeat its settings, or remove the folder to build anew",
-            )
+            _refuse_other_parts(folder, store.header, header)
             if all(damage is None for *_, damage in whole_rows(store)):
                 whole.add(part)
     return whole
@@ -259,9 +279,7 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
             ) from error
         _open_renderer[build] = plan.opened(terrain)
     renderer = _open_renderer[build]
-    columns = renderer.columns(work)
-    path.parent.mkdir(exist_ok=True)
-    return write_store(path, renderer.header, columns)
+    return write_store(path, renderer.header, renderer.columns(work))
 
 
 _open_renderer: dict[str, PartRenderer] = {}
@@ -269,23 +287,19 @@ _open_renderer: dict[str, PartRenderer] = {}
 
 
 def _on_workers(
-    runner: Runner,
-    header: StoreHeader,
-    plan: Plan,
-    left: dict[Path, Any],
-    finished: Callable[[], None],
-) -> int:
-    """Render and write parts by a runner; return their number of rows.
+    runner: Runner, header: StoreHeader, plan: Plan, left: dict[Path, Any]
+) -> Iterator[int]:
+    """Render and write parts by a runner; yield the number of rows of each.
 
-    ``finished`` is called after each part. Raises the error of the parts if all of them failed with
-    the same one, and `BuildError` with the names of the first few otherwise.
+    Raises at the end the error of the parts if all of them failed with the same one, and
+    `BuildError` with the names of the first few otherwise.
     """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
-    names, rows = [part.stem for part in left], 0
+    names = [part.stem for part in left]
     failures: dict[str, SkylineError] = {}
     write = partial(_write_part, uuid4().hex, plan, header)
     jobs = runner(write, list(left.items()), names)
@@ -294,8 +308,7 @@ def _on_workers(
             failures[name] = outcome
             _log.warning("%s failed: %s", name, outcome)
         else:
-            rows += outcome
-            finished()
+            yield outcome
     if failures:
         if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
             raise failures[names[0]]
@@ -306,7 +319,6 @@ def _on_workers(
             "others are kept: mend the cause and give the same command, which continues with the "
             "rest"
         )
-    return rows
 
 
 def _remove(folder: Path) -> None:

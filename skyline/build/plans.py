@@ -36,6 +36,9 @@ _PLACES_A_PART = 4096
 _VIEWPOINTS_A_PART = 1024
 """Size of a part: some seconds of work without a GPU, which are lost if the process is killed."""
 
+_MOST_VIEWPOINTS = 50_000_000
+"""Viewpoints of the largest uniform grid."""
+
 _KEYPOINT_TOLERANCE_PX = 1.0
 """Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
 
@@ -59,17 +62,7 @@ class PartRenderer(Releasable):
 class PlacePlan:
     """The plan of a store of places, on a uniform grid or as far apart as the skyline allows.
 
-    Attributes
-    ----------
-    spacing_m : float, optional
-        Distance between the places of a uniform grid. By default places are planned; see
-        `skyline.build.spacing`.
-    bounds_deg : tuple, optional
-        W, S, E, N in degrees; by default all of the terrain.
-    places : int, optional
-        Number of planned places, about. By default 100,000, but as many as lose 5 % of the views,
-        60 degrees wide, suffice, and no more than 20 % are lost.
-    curvature : Curvature
+    Its settings are the parameters of `skyline.build_places`.
     """
 
     spacing_m: float | None = None
@@ -106,27 +99,23 @@ class PlacePlan:
         """Return a renderer of the parts; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        if self.spacing_m is not None:
-            half_m = self.spacing_m / 2.0
-
-            def columns(part: Any) -> Columns:
-                return columns_of(header, Places.of(renderer.render(part), half_m))
-
-        else:
+        planner = None
+        if self.spacing_m is None:
             area = map_bounds(terrain, self.bounds_deg)
-            price = self._price(Prices(terrain, area, renderer.render))
+            prices = Prices(terrain, area, renderer.render)
+            price = prices.of_number(self.places or DEFAULT_PLACES)
+            if self.places is None:
+                densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
+                price = min(max(price, densest), sparsest)
             planner = AdaptivePlanner(terrain, renderer.render, area, price)
+        half_m = (self.spacing_m or 0.0) / 2.0
 
-            def columns(part: Any) -> Columns:
-                return columns_of(header, planner.places(part))
+        def columns(part: Any) -> Columns:
+            if planner is None:
+                return columns_of(header, Places.of(renderer.render(part), half_m))
+            return columns_of(header, planner.places(part))
 
         return PartRenderer(renderer, header, columns)
-
-    def _price(self, prices: Prices) -> float:
-        if self.places is not None:
-            return prices.of_number(self.places)
-        densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
-        return min(max(prices.of_number(DEFAULT_PLACES), densest), sparsest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,12 +258,7 @@ def uniform_grid(
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
     west, south, east, north = bounds_m or field.bounds_m
-    easting_m, northing_m = lattice_m((west, south, east, north), spacing_m)
-    if len(easting_m) * len(northing_m) > 50_000_000:
-        raise InputError(
-            f"a spacing of {spacing_m} m asks for {len(easting_m) * len(northing_m)} viewpoints; "
-            "choose a larger spacing or smaller bounds"
-        )
+    easting_m, northing_m = lattice_m((west, south, east, north), spacing_m, _MOST_VIEWPOINTS)
     easting, northing = (grid.ravel() for grid in np.meshgrid(easting_m, northing_m))
     eyes, _ = stand_where_possible(field, easting, northing)
     if not len(eyes):
@@ -285,9 +269,20 @@ def uniform_grid(
     return eyes
 
 
-def lattice_m(bounds_m: Rectangle, spacing_m: float) -> tuple[Float64Array, Float64Array]:
-    """Return the multiples of a spacing in bounds: eastings, and northings from the north."""
+def lattice_m(
+    bounds_m: Rectangle, spacing_m: float, most: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return the multiples of a spacing in bounds: eastings, and northings from the north.
+
+    Raises `InputError` for more than ``most`` locations.
+    """
     west, south, east, north = (side / spacing_m for side in bounds_m)
+    number = (east - west + 1.0) * (north - south + 1.0)
+    if not number <= most:
+        raise InputError(
+            f"{number:.2g} locations {spacing_m:g} m apart are too many; choose a larger spacing "
+            "or smaller bounds"
+        )
     return (
         np.arange(np.ceil(west), np.floor(east) + 1.0) * spacing_m,
         np.arange(np.floor(north), np.ceil(south) - 1.0, -1.0) * spacing_m,

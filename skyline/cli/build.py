@@ -32,6 +32,7 @@ from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 from skyline.store.read import parts_folder
+from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -201,6 +202,8 @@ def render(
         return
     _advise_to_continue(output)
     _refuse_given(of_planners, "give --planner too")
+    if depth_images is not None and depth_images.resolve() in {Path(one).resolve() for one in dem}:
+        _refuse_given({"--depth-images": depth_images}, "name a folder that holds no DEM")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
     terrain = read_terrain(dem, crs, reproject)
@@ -271,7 +274,8 @@ def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
 
 
 def _advise_to_continue(store: Path) -> None:
-    """Have the error after Ctrl-C say that a build continues, if parts of its store are there."""
+    """Check a store's folder; have the error after Ctrl-C say that a build with parts continues."""
+    check_folder(store.resolve())
     on_interrupt(
         "what was built is kept, and the same command continues from there",
         lambda: any(parts_folder(store.resolve()).glob("*.h5")),

@@ -23,7 +23,14 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from skyline import __version__
-from skyline.errors import InputError, SkylineError, printable, start_logging, swapped_in_words
+from skyline.errors import (
+    InputError,
+    SkylineError,
+    numbers_of,
+    printable,
+    start_logging,
+    swapped_in_words,
+)
 from skyline.files import STANDARD
 
 if TYPE_CHECKING:
@@ -132,10 +139,7 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
 
 
 def with_quiet(command: Any) -> Any:
-    """Give a command, or all commands of a group, the option ``--quiet``; return it.
-
-    Typer would show a flag as ``--json <bool>``, as if it took a value; here it shows no type.
-    """
+    """Give a command, or all commands of a group, the option ``--quiet``; return it."""
     group = getattr(command, "commands", {})
     for one in group.values():
         with_quiet(one)
@@ -143,9 +147,14 @@ def with_quiet(command: Any) -> Any:
         alone = typer.Typer(add_completion=False)
         alone.command()(_with_option)
         command.params += typer.main.get_command(alone).params
-        for option in command.params:
-            if getattr(option, "is_flag", False):
-                option.metavar = ""
+    return _without_types(command)
+
+
+def _without_types(command: Any) -> Any:
+    """Return a command whose flags show no type; Typer would show ``--json <bool>``."""
+    for option in command.get_params(typer.Context(command)):
+        if getattr(option, "is_flag", False):
+            option.metavar = ""
     return command
 
 
@@ -187,7 +196,7 @@ def run_app(app: typer.Typer) -> None:
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
-        code = app(standalone_mode=False)
+        code = _without_types(typer.main.get_command(app))(standalone_mode=False)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(code)
@@ -268,13 +277,7 @@ def read_terrain(dem: list[str], crs: str | None, reproject: bool) -> "HeightFie
 
 def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:
     """Return ``count`` numbers between commas; raises `InputError` with ``error`` otherwise."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise InputError(error)
-    return numbers
+    return numbers_of(text.split(","), count, error)
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:

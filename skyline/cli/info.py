@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 from typer import Argument, Option
 
 from skyline.camera import pixel_size
@@ -27,7 +26,7 @@ from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, place_on, stand_on
+from skyline.terrain.viewpoints import Viewpoints, place_on, stand_on
 
 Facts = dict[str, object]
 
@@ -122,12 +121,10 @@ def explain(
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
     terrain = read_terrain(dem, crs, reproject)
-    east_m: ArrayLike = first
-    north_m: ArrayLike = second
+    east_m, north_m = np.array([[first], [second]])
     if max(abs(first), abs(second)) <= 360.0:
         east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
-    height_m = DEFAULT_EYE_HEIGHT_M
-    eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
+    eye = stand_on(terrain, easting_m=east_m, northing_m=north_m)
     _print_facts(_describe_scene(terrain, eye), as_json)
 
 

@@ -118,13 +118,13 @@ def _in_numbers(near: str | None, gazetteer: Path | None) -> str | None:
 
 def _usable(queries: list[Query]) -> list[Query]:
     """Return the queries that can be read; raises the error of the first if there are none."""
-    usable, first = [], None
+    usable, errors = [], []
     for one in queries:
         try:
             one.check()
             usable.append(one)
         except SkylineError as error:
-            first = first or error
-    if first is not None and not usable:
-        raise first
+            errors.append(error)
+    if not usable:
+        raise errors[0]
     return usable

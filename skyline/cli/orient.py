@@ -120,7 +120,7 @@ def orient(
             oriented += 1
             if csv_file is not None and str(csv_file) == STANDARD:
                 continue
-            text = json.dumps(row) if as_json else result.to_text()
+            text = json.dumps(result.to_dict() | label) if as_json else result.to_text()
             try:
                 for line in text.splitlines():
                     print_line(line)
@@ -256,9 +256,10 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
     try:
         text = read_bytes(path, _EXPECTED).decode("utf-8-sig")
         try:
-            records = [json.loads(text)]
+            records = [json.loads(text, parse_int=float)]
         except ValueError:
-            records = [json.loads(line) for line in text.splitlines() if line.strip()]
+            lines = filter(str.strip, text.splitlines())
+            records = [json.loads(line, parse_int=float) for line in lines]
     except (ValueError, RecursionError) as error:
         raise InputError(f"pose {path} cannot be read ({error}); {_EXPECTED}") from None
     if len(records) > 1:
@@ -281,6 +282,10 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
     numbers = _numbers_of(record, path)
     projection.check_fov_deg(numbers["fov_deg"])
+    if any(numbers["wander"]) and not projection.is_panorama:
+        raise InputError(
+            f"pose {path} is of a panorama, which {photo} does not note; give --projection"
+        )
     return numbers
 
 
@@ -295,7 +300,7 @@ def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
             "numbers, or none"
         )
     for name, value in (*given.items(), *(("wander", value) for value in wander)):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not _is_finite(value):
+        if not isinstance(value, float) or not math.isfinite(value):
             raise InputError(f"pose {path}: {name} is {str(value)[:40]}; expected a number")
     if abs(given.get("distortion", 0.0)) > MOST_DISTORTION:
         raise InputError(
@@ -305,14 +310,7 @@ def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
     lon, lat = given["lon"], given["lat"]
     if not are_degrees(lon, lat):
         raise InputError(f"pose {path}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
-    return {name: float(value) for name, value in given.items()} | {"wander": tuple(wander)}
-
-
-def _is_finite(value: float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # An integer may have more digits than a float has range.
-        return False
+    return given | {"wander": tuple(wander)}
 
 
 def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:

@@ -104,8 +104,11 @@ def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` if an output file is one of the input files."""
+    """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
     read = [path for path in inputs if is_file(path)]
-    for path in outputs:
-        if path is not None and path.exists() and any(path.samefile(one) for one in read):
+    named = [path for path in outputs if path is not None]
+    for path in named:
+        if named.count(path) > 1:
+            raise InputError(f"{path} is the name of two outputs; choose another name for one")
+        if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")

@@ -30,6 +30,8 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
             facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
             print_line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
         raise typer.Exit(0 if report.whole else InputError.exit_code)
+    if report.damage and not report.rows:
+        raise InputError(report.damage[0].what)  # It cannot be opened, which names the store.
     if not report.whole:
         first = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""

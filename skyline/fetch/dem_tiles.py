@@ -275,8 +275,6 @@ def _copy_held(
         col = round((file.transform.c - transform.c) / transform.a)
         row = round((file.transform.f - transform.f) / transform.e)
         held = Window(col, row, file.width, file.height)
-        if not windows.intersect(held, cut.window):
-            return
         both = windows.intersection(held, cut.window)
         there, here = (
             Window(both.col_off - one.col_off, both.row_off - one.row_off, both.width, both.height)
@@ -305,6 +303,6 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
             # This tag holds whether samples stand for points or areas.
-            kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
-            file.update_tags(**{_TAG: cut.tag}, **kept)
+            kept = origin.tags().get("AREA_OR_POINT", "Area")
+            file.update_tags(**{_TAG: cut.tag}, AREA_OR_POINT=kept)
         return bytes(memory.getbuffer())

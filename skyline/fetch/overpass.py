@@ -11,7 +11,7 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable
-from skyline.fetch.remote import PASSING, TIMEOUT_S, RequestError, repeated
+from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.rasters import without_secrets
@@ -61,7 +61,7 @@ def _ask(server: str, query: bytes) -> bytes:
     request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
     deadline = time.monotonic() + TIMEOUT_S
     body = bytearray()
-    may_pass = True
+    retries = RETRIES
     try:
         with urlopen(request, timeout=TIMEOUT_S) as answer:
             promised = answer.length
@@ -74,13 +74,14 @@ def _ask(server: str, query: bytes) -> bytes:
             return bytes(body)
         reason = f"no whole answer ({len(body)} of {promised} bytes)"
     except HTTPError as error:
-        reason, may_pass = f"the server answers HTTP {error.code}", error.code in PASSING
+        reason = f"the server answers HTTP {error.code}"
+        retries = RETRIES if error.code in PASSING else 0
     except URLError as error:
         reason = f"no answer ({error.reason})"
     except (OSError, http.client.HTTPException) as error:
         reason = f"no whole answer ({error or type(error).__name__})"
     # Outside the handlers, so that the error does not keep the connection open.
-    raise RequestError(reason, "check the address, or give the same command again later", may_pass)
+    raise RequestError(reason, "check the address, or give the same command again later", retries)
 
 
 def _elements(server: str, answer: bytes) -> list[Any]:

@@ -21,9 +21,7 @@ PASSING = (429, 500, 502, 503, 504)
 """Codes of HTTP for failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
-"""Words of curl for a server that cannot be found. Without a network every attempt fails alike, so
-few are made."""
-_UNREACHABLE_RETRIES = 2
+"""Words of curl for a server that cannot be found: without a network every attempt fails alike."""
 
 _FIRST_DELAY_S = 1.0
 """Delay before the first repetition; it doubles before each further one."""
@@ -41,29 +39,27 @@ class RequestError(Exception):
 
     reason: str
     advice: str
-    may_pass: bool
-    """Whether the same request may succeed later."""
-    is_reached: bool = True
-    """Whether the server was found."""
+    retries: int
+    """Number of repetitions that may help; more than `RETRIES` are not made."""
 
 
 def repeated(url: str, request: Callable[[], _T]) -> _T:
-    """Return the result of a request, repeated where it raises a `RequestError` that may pass.
+    """Return the result of a request, repeated where it raises a `RequestError`.
 
-    Raises `FetchError` where the last repetition fails too, or repetition cannot help.
+    Raises `FetchError` where the last repetition that may help fails too.
     """
-    for attempt in range(RETRIES + 1):
+    attempt = 0
+    while True:
         try:
             return request()
         except RequestError as error:
-            last = RETRIES if error.is_reached else min(RETRIES, _UNREACHABLE_RETRIES)
-            if not error.may_pass or attempt >= last:
+            if attempt >= min(error.retries, RETRIES):
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise FetchError(
                     f"{without_secrets(url)}: {error.reason}, {times}; {error.advice}"
                 ) from error
         time.sleep(_FIRST_DELAY_S * 2.0**attempt)
-    raise AssertionError("the last attempt returns or raises")
+        attempt += 1
 
 
 def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
@@ -115,14 +111,15 @@ def _failure(url: str, error: RasterioError) -> Exception:
             return AbsentError(f"{without_secrets(url)}: there is no such file (HTTP 404)")
         if code in (401, 403):
             check = "check that the source is open to you (or the file is absent)"
-        passes = code in PASSING
-        return RequestError(f"the server answers HTTP {code}", again if passes else check, passes)
+        advice, retries = (again, RETRIES) if code in PASSING else (check, 0)
+        return RequestError(f"the server answers HTTP {code}", advice, retries)
     if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
         advice = f"check the address and the connection, then {again}"
-        is_reached = _UNREACHABLE.search(curl[1]) is None
-        return RequestError(f"no answer ({curl[1]})", advice, may_pass=True, is_reached=is_reached)
+        return RequestError(
+            f"no answer ({curl[1]})", advice, 2 if _UNREACHABLE.search(curl[1]) else RETRIES
+        )
     if "not recognized as being in" in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
-        return RequestError(reason, check, may_pass=False)
+        return RequestError(reason, check, 0)
     reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
-    return RequestError(reason, again, may_pass=True)
+    return RequestError(reason, again, RETRIES)

@@ -40,8 +40,6 @@ _SEEN_KM = 30.0
 is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
-_DEFAULT_SOURCE = "copernicus"
-
 _PLACE_BYTES_KM2 = 200_000
 _SAMPLE_BYTES_DEG2 = 8 * 3600**2
 """Greatest usual size of a store, for a square kilometre, and of tiles of 1 arc-second with the
@@ -49,8 +47,6 @@ terrain that is read from them."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _LOCK = "lock"
-_LOCK_TRIES = 1000
-"""Times that a lock is sought anew because another process has removed its folder."""
 
 PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
@@ -151,7 +147,7 @@ def prepare_area(
     """
     check_bounds(area.built)
     files = tuple(map(absolute_name, without_folders(dem)))
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or _DEFAULT_SOURCE
+    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
     home = _areas() / _origin(files, source)
     with _explained():
         # The smallest that serves.
@@ -387,7 +383,7 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
 def _lock(folder: Path, print_note: PrintNote | None) -> tuple[TextIO, bool]:
     """Return the open file of an area's lock, and whether the lock is held."""
     path = folder / _LOCK
-    for _ in range(_LOCK_TRIES):
+    for _ in range(1000):
         # Another process may remove the folder at any time: mkdir raises either error then.
         with suppress(FileNotFoundError, FileExistsError), ExitStack() as opened:
             folder.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ unknowns together. The cost of a place is
 
 with c_q the cost of query q there, b_q the least cost of q anywhere, and T the factor between costs
 and log odds. The second term is the possibility that q was taken somewhere else: a query that does
-not belong to the others costs at most T L wherever they are put.
+not belong to the others costs at most T L at any place.
 """
 
 from collections.abc import Sequence

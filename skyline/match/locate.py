@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.geodesy import Bounds, Frame, check_bounds
+from skyline.geodesy import Bounds, Frame
 from skyline.match.answer import MatchResult
 from skyline.match.areas import Area, prepare_area
 from skyline.match.matcher import Matcher
@@ -64,24 +64,17 @@ def locate(
     FetchError
         The server of tiles fails.
     """
-    area, narrowing = area_of([photo], narrowing_near(near))
+    if near is not None and len(near) not in {3, 4}:
+        raise InputError(
+            f"near has {len(near)} numbers; expected longitude, latitude and km, or W, S, E, N"
+        )
+    is_box = near is not None and len(near) == 4
+    narrowing = Narrowing(bounds_deg=near) if is_box else Narrowing(near)  # type: ignore[arg-type]
+    area, narrowing = area_of([photo], narrowing)
     files = [dem] if isinstance(dem, str | Path) else dem or ()
     ready = prepare_area(area, files, source)
     with Matcher(ready.store, ready.terrain) as matcher:
         return matcher.match(photo, fov_deg, narrowing=narrowing)
-
-
-def narrowing_near(near: tuple[float, ...] | None) -> Narrowing:
-    """Return the narrowing to a circle of 3 numbers or a box of 4; raises `InputError`."""
-    if near is None:
-        return Narrowing()
-    if len(near) == 3:
-        return Narrowing(near=near)
-    if len(near) == 4:
-        return Narrowing(bounds_deg=check_bounds(near))
-    raise InputError(
-        f"near has {len(near)} numbers; expected longitude, latitude and km, or W, S, E, N"
-    )
 
 
 def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narrowing]:

@@ -1,14 +1,17 @@
 """`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from skyline.errors import InputError, entry_named
+import numpy as np
+from PIL.Image import Image
+
+from skyline.errors import InputError, entry_named, numbers_of
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
 from skyline.match.candidate import Candidate, candidates_of
@@ -37,6 +40,7 @@ from skyline.terrain.viewpoints import Viewpoints
 if TYPE_CHECKING:
     from skyline.match.profiles import ProfileMatcher
 
+T = TypeVar("T")
 _DISAGREES = "the photo does not fit where the others were taken"
 FULL = "full"
 PROFILE_MATCHERS: Mapping[str, str] = {
@@ -92,7 +96,8 @@ class Matcher(Releasable):
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        kind, self._config = entry_named("matcher", matcher, _MATCHERS), config or MatchConfig()
+        kind = entry_named("matcher", matcher, _MATCHERS)
+        self._config = MatchConfig() if config is None else _instance("config", config, MatchConfig)
         refine = self._config.refine
         if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
@@ -225,6 +230,7 @@ class Matcher(Releasable):
         """
         started = time.perf_counter()
         _check_top(top)
+        queries = [queries] if isinstance(queries, str | Path) else list(queries)
         if narrowings is None:
             narrowings = [None] * len(queries)
         if len(queries) < 2 or len(narrowings) != len(queries):
@@ -313,7 +319,8 @@ class Matcher(Releasable):
         self, query: QuerySkyline, narrowing: Narrowing | None
     ) -> tuple[QueryRays, Prior]:
         """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
-        is_full, narrowing = isinstance(self._ranker, FullMatcher), narrowing or Narrowing()
+        is_full = isinstance(self._ranker, FullMatcher)
+        narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
         rays = QueryRays.of(query, self._config.fov_slack, finds_fov=is_full)
         if not is_full:
             if narrowing != Narrowing():
@@ -326,8 +333,13 @@ class Matcher(Releasable):
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
-    """Return the paths of one store or several."""
-    return [store] if isinstance(store, str | Path) else store
+    """Return the paths of one store or several; raises `InputError` for anything else."""
+    if isinstance(store, str | Path):
+        return [store]
+    paths = list(store) if isinstance(store, Iterable) else [store]
+    if not all(isinstance(one, str | Path) for one in paths):
+        raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
+    return paths
 
 
 def named_skyline(
@@ -335,13 +347,29 @@ def named_skyline(
 ) -> tuple[str, QuerySkyline]:
     """Return the file of a query, empty for pixels and for a query skyline, and its skyline.
 
-    The skyline has its own field of view, or else the given one.
+    The skyline has the given field of view, or else its own. Raises as `read_query`, and
+    `InputError` for anything but one query.
     """
-    if not isinstance(query, QuerySkyline):
-        return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
-    return "", query if fov_deg is None else query.with_fov(fov_deg)
+    if fov_deg is not None:
+        error = f"the field of view is {fov_deg!r}; expected a number of degrees"
+        (fov_deg,) = numbers_of([fov_deg], 1, error)
+    if isinstance(query, QuerySkyline):
+        return "", query if fov_deg is None else query.with_fov(fov_deg)
+    if not isinstance(query, str | Path | Image | np.ndarray):
+        raise InputError(
+            f"the query is of type {type(query).__name__}; expected one path, PIL image, array of "
+            "uint8 or QuerySkyline"
+        )
+    return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
 
 
 def _check_top(top: int) -> None:
-    if top < 1:
-        raise InputError(f"top is {top}; expected at least 1 candidate")
+    if not isinstance(top, int | np.integer) or top < 1:
+        raise InputError(f"top is {top!r}; expected at least 1 candidate")
+
+
+def _instance(name: str, value: object, kind: type[T]) -> T:
+    """Return a value of a class; raises `InputError` for another one."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is {value!r}; expected a {kind.__name__}")
+    return value

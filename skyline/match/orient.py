@@ -40,12 +40,7 @@ from skyline.render.horizon import PanoramaRenderer, RenderConfig
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import (
-    Viewpoints,
-    check_eye_elevation,
-    stand_at,
-    stand_where_possible,
-)
+from skyline.terrain.viewpoints import check_eye_elevation, stand_at, stand_where_possible
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
@@ -218,13 +213,17 @@ class Orienter(Releasable):
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m = elevation_m
+        ring = within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
+        eyes = stand_where_possible(self.terrain, around.real, around.imag)[0]
         if elevation_m is not None:
-            check_eye_elevation(elevation_m, float(self._eyes_around().eye_elevation_m.min()))
+            check_eye_elevation(elevation_m, float(eyes.eye_elevation_m.min()))
+            np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views)
         # Kept, since it holds the terrain's textures, which the scene shares.
         self._panoramas = PanoramaRenderer(self.terrain, BINS, self.curvature)
-        places = self._rendered_places()
+        places = Places.of(self._panoramas.render(eyes), within_m / 2.0)
         self._retriever = Retriever(places, self._scene.ground_m)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
@@ -319,19 +318,6 @@ class Orienter(Releasable):
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
 
-    def _rendered_places(self) -> Places:
-        """Return the known place and a ring of places around it, with their skylines."""
-        eyes = self._eyes_around()
-        if self._elevation_m is not None:
-            np.maximum(eyes.eye_elevation_m, self._elevation_m, out=eyes.eye_elevation_m)
-        return Places.of(self._panoramas.render(eyes), self._within_m / 2.0)
-
-    def _eyes_around(self) -> Viewpoints:
-        """Return eyes on the ground at the known place, and at a ring of places around it."""
-        ring = self._within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
-        place = complex(self._east, self._north) + np.concatenate([[0.0], ring])
-        return stand_where_possible(self.terrain, place.real, place.imag)[0]
-
 
 @contextmanager
 def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
@@ -394,10 +380,12 @@ def orient(
     Raises
     ------
     InputError
-        The photo notes no position and none is given, or as `Orienter.orient`.
+        The photo notes no position and none is given, or half of one, or as `Orienter.orient`.
     OffMapError
         The place is off the map or on a hole.
     """
+    if (lon is None) is not (lat is None):
+        raise InputError("one of lon and lat is given; expected both, or neither for the GPS's")
     name, skyline = named_skyline(query, fov_deg)
     if lon is None or lat is None:
         lon, lat, _, noted_m = noted_place(skyline, name)
@@ -418,4 +406,4 @@ def noted_place(query: QuerySkyline, name: str) -> Place:
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
     within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
-    return (*query.noted.lonlat_deg, None, min(within_m, _MOST_WITHIN_M))
+    return (*query.noted.lonlat_deg, None, within_m)

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
-from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Frame, Rectangle, are_bounds, in_turn
+from skyline.errors import InputError, numbers_of, swapped_in_words
+from skyline.geodesy import Frame, Rectangle, are_bounds, check_bounds, in_turn
 from skyline.match.candidate import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
@@ -46,6 +46,11 @@ not name its north may refer to the magnetic one."""
 _CONVERGENCE_DEG = 5.0
 """Bound on the convergence of meridians within a frame; screening searches turns this much farther
 to either side of a given heading."""
+_NUMBERS = {
+    "near": ("longitude", "latitude", "km"), "bounds_deg": ("west", "south", "east", "north"),
+    "heading_deg": ("heading", "greatest error"), "elevation_m": ("lowest", "highest"),
+}  # fmt: skip
+"""The numbers in a field of a narrowing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +192,7 @@ class Narrowing:
     Raises
     ------
     InputError
-        A value is out of its range.
+        A value is out of its range, or is not the numbers that its field has.
     """
 
     near: tuple[float, float, float] | None = None
@@ -198,6 +203,12 @@ class Narrowing:
     use_gps: bool = False
 
     def __post_init__(self) -> None:
+        for name, expected in _NUMBERS.items():
+            if (given := getattr(self, name)) is not None:
+                error = f"{name} is {given!r}; expected the numbers {', '.join(expected)}"
+                object.__setattr__(self, name, numbers_of(given, len(expected), error))
+        if self.bounds_deg is not None:
+            check_bounds(self.bounds_deg)
         if self.near is not None:
             lon, lat, radius_km = self.near
             if not (abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf):
@@ -220,10 +231,12 @@ class Narrowing:
                 raise InputError(
                     f"elevations are {low:g} to {high:g} m; expected two that increase"
                 )
-        if self.eye_height_m is not None and not 0.0 <= self.eye_height_m < np.inf:
-            raise InputError(
-                f"the eye is {self.eye_height_m:g} m above the ground; expected 0 or more"
-            )
+        if self.eye_height_m is not None:
+            error = f"the eye is {self.eye_height_m} m above the ground; expected 0 or more"
+            (height_m,) = numbers_of([self.eye_height_m], 1, error)
+            if not 0.0 <= height_m < np.inf:
+                raise InputError(error)
+            object.__setattr__(self, "eye_height_m", height_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ rendering from the new place fits better; otherwise a shorter one is tried from 
 worst hypotheses are dropped from round to round. Occlusion makes local optima, so the best few then
 start again from places around them.
 
-These rounds take the terrain model's errors for independent from column to column, which is quick
+These rounds treat the terrain model's errors as independent from column to column, which is quick
 and converges from far away. The last rounds model them as correlated (`skyline.match.noise`), which
 gives near and far terrain the right weights, and gives costs and covariances their meaning. Where
 the list of hypotheses is long, one coarse rendering of each first selects those worth following.

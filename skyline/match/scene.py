@@ -1,4 +1,4 @@
-"""The terrain of a store: found, rendered, and its views joined to skylines all the way round."""
+"""The terrain of a store: its files, and its rendered views, joined all the way round."""
 
 import logging
 from collections.abc import Callable
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.errors import SkylineError
+from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
-from skyline.render.context import RenderThread
+from skyline.render.context import RenderThread, acquire_context
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.store import StoreHeader
@@ -65,7 +65,11 @@ class RenderedScene:
 
         Where a thread renders for all, ``urgent`` views are rendered before those that are not, and
         the pieces leave room for them.
+
+        Raises `InputError` after a release, and `ContextError` in another thread than the maker's.
         """
+        if not self._renderers:
+            raise InputError("the matcher or viewer has been released; make another one")
         along = np.asarray(headings, dtype=np.uint8)
         step = len(along) if self._thread is None else self._piece
         starts = range(0, max(len(along), 1), max(step, 1))
@@ -79,11 +83,14 @@ class RenderedScene:
 
     def release(self) -> None:
         """Free the GPU memory of the scene."""
-        for renderer in self._renderers:
-            self._run(renderer.release)
+        while self._renderers:
+            self._run(self._renderers.pop().release)
 
     def _run(self, task: Callable[[], T], urgent: bool = False) -> T:
-        return task() if self._thread is None else self._thread.run(task, urgent)
+        if self._thread is not None:
+            return self._thread.run(task, urgent)
+        acquire_context()
+        return task()
 
 
 def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:

@@ -1,10 +1,10 @@
 r"""Section 3: the paper's matcher - keypoints, Chamfer distance, RANSAC, distance after warping.
 
-Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, so
-that a stored view ends nowhere. Each query keypoint corresponds to the stored keypoint of a
-location with the nearest local skyline; RANSAC finds the affine map that most correspondences
-agree on; the score is the rms vertical distance in px between the warped query skyline and the
-stored skyline. The affine map also gives the camera's heading, pitch and roll.
+Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, and the
+stored views of a location are joined all the way round. Each query keypoint corresponds to the
+stored keypoint of a location with the nearest local skyline; RANSAC finds the affine map that most
+correspondences agree on; the score is the rms vertical distance in px between the warped query
+skyline and the stored skyline. The affine map also gives the camera's heading, pitch and roll.
 
 These steps take seconds for all locations at all assumed pitches, so a shortlist, which is not the
 paper's, chooses the pairs of a location and a pitch that go through them. Two cheap steps look at

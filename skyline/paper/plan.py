@@ -30,9 +30,8 @@ from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
-from skyline.store import write_store
-from skyline.store.hdf5 import check_folder
-from skyline.store.merge import sorted_once
+from skyline.store import StoreHeader, write_store
+from skyline.store.write import check_folder, sorted_once
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
@@ -151,12 +150,7 @@ def build_planned(
     }
     header = rendering_header(terrain, settings, config)
     check_folder(path)
-    if path.exists():
-        if finished_store(path, header) is None:
-            raise StoreMismatchError(
-                f"store {path} was planned for other bounds; write to another file, and join the "
-                "two with `skyline store merge`"
-            )
+    if _is_planned(path, header):
         return None
     with HorizonRenderer(terrain, config) as renderer:
         area = map_bounds(terrain, bounds_deg)
@@ -164,9 +158,23 @@ def build_planned(
         header = replace(header, renderer=renderer.description)
         columns = rendering_columns(header, done.views)
         order = sorted_once(header, columns)
-        write_store(path, header, columns, order)
+        # A plan takes long, and another store may have been written meanwhile.
+        if not _is_planned(path, header):
+            write_store(path, header, columns, order)
         built = BuildResult(len(order), len(order), time.perf_counter() - started)
         return built, done, verify_coverage(done, renderer.render)
+
+
+def _is_planned(path: Path, header: StoreHeader) -> bool:
+    """Return whether a store is finished; raises `StoreMismatchError` for any other store."""
+    if not path.exists():
+        return False
+    if finished_store(path, header) is None:
+        raise StoreMismatchError(
+            f"store {path} was planned for other bounds; write to another file, and join the "
+            "two with `skyline store merge`"
+        )
+    return True
 
 
 def plan(
@@ -293,13 +301,7 @@ def lay_out(
             f"spacing of {config.coarse_m:g} m is larger than the area of {east - west:.0f} x "
             f"{north - south:.0f} m; choose a smaller spacing or a larger area"
         )
-    easting_m, northing_m = lattice_m(bounds_m, config.candidate_m)
-    if len(easting_m) * len(northing_m) > _MOST_CANDIDATES:
-        raise InputError(
-            f"{len(easting_m) * len(northing_m)} candidates {config.candidate_m:g} m apart are too "
-            "many to plan at once; plan smaller bounds one after the other, or put the candidates "
-            "further apart"
-        )
+    easting_m, northing_m = lattice_m(bounds_m, config.candidate_m, _MOST_CANDIDATES)
     valid = _can_stand(field, *np.meshgrid(easting_m, northing_m))
     return Candidates(valid, easting_m, northing_m, int(_REACH_M // config.candidate_m))
 

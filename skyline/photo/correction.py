@@ -109,9 +109,13 @@ class Correction:
         Raises `InputError` if ``start`` is of an image of another size.
         """
         found = self._mask if start is None else start
-        left, top = self._extraction.content.left, self._extraction.content.top
-        row_px, confidence = self._started(found)
-        height, width = self._extraction.photo.shape[:2]
+        content, (height, width) = self._extraction.content, self._extraction.photo.shape[:2]
+        left, top = content.left, content.top
+        row_px, confidence = self._extraction.row_px.copy(), self._extraction.confidence.copy()
+        if found is not None:
+            check_of_image(found, (content.height, content.width))
+            row_px = found.row_px[left : content.right] - top
+            confidence = found.confidence[left : content.right].copy()
         inside = [
             replace(one, points_px=tuple((x - left, y - top) for x, y in one.points_px))
             for one in strokes
@@ -142,16 +146,6 @@ class Correction:
                 confidence=np.where(beside, found.confidence, query.confidence),
             )
         return self._photo.described(query)
-
-    def _started(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
-        """Return new rows and confidences of the photo without its borders, before any stroke."""
-        extraction = self._extraction
-        if found is None:
-            return extraction.row_px.copy(), extraction.confidence.copy()
-        content = extraction.content
-        check_of_image(found, (content.height, content.width))
-        inside = slice(content.left, content.right)
-        return found.row_px[inside] - content.top, found.confidence[inside].copy()
 
     def _solve_again(
         self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array

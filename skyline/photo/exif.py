@@ -18,6 +18,8 @@ from skyline.geodesy import GROUND_M
 
 _ERROR_PER_DOP_M = 5.0
 """Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
+_MOST_ERROR_M = 10_000.0
+"""Error beyond which a position names a region: the place is not searched for so far away."""
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
 _UP, _DOWN, _UP_ELLIPSOIDAL, _DOWN_ELLIPSOIDAL = range(4)
 """GPSAltitudeRef; EXIF 3.0 added heights above the ellipsoid."""
@@ -76,18 +78,19 @@ def place_from_exif(gps: Tags) -> NotedPlace:
     elevation_m = noted("altitude", _elevation_m)
     heading_deg = noted("direction", _heading_deg)
     north = {"M": True, "T": False}.get(text_of(gps, GPS.GPSImgDirectionRef)[:1])
-    accuracy_m = positive(gps.get(GPS.GPSHPositioningError))
-    dop = positive(gps.get(GPS.GPSDOP))
-    if accuracy_m is None and dop is not None:
-        accuracy_m = _ERROR_PER_DOP_M * dop
     return NotedPlace(
         place,
         elevation_m,
         heading_deg,
         False if heading_deg is None else north,
-        None if place is None else accuracy_m,
+        None if place is None else _accuracy_m(gps),
         " ".join(left_aside),
     )
+
+
+def _accuracy_m(gps: Tags) -> float | None:
+    noted_m, dop = positive(gps.get(GPS.GPSHPositioningError)), positive(gps.get(GPS.GPSDOP))
+    return noted_m if noted_m is not None or dop is None else _ERROR_PER_DOP_M * dop
 
 
 def _lonlat_deg(gps: Tags) -> tuple[float, float] | None:
@@ -95,6 +98,9 @@ def _lonlat_deg(gps: Tags) -> tuple[float, float] | None:
     if GPS.GPSLongitude not in gps and GPS.GPSLatitude not in gps:
         return None
     _require_fix(gps)
+    accuracy_m = _accuracy_m(gps) or 0.0
+    if accuracy_m > _MOST_ERROR_M:
+        raise _UnusableError(f"it may be off by {accuracy_m / 1000.0:.0f} km, as the photo notes")
     lat = _angle_deg(gps, "latitude", GPS.GPSLatitude, GPS.GPSLatitudeRef, "NS", 90.0)
     lon = _angle_deg(gps, "longitude", GPS.GPSLongitude, GPS.GPSLongitudeRef, "EW", 180.0)
     if lon == lat == 0.0:

@@ -1,12 +1,12 @@
 """Photo to query skyline: the likeliest path through the columns, refined along its edge.
 
-A skyline is one border row per column. A network gives the odds of the border in every pixel: its
-encoder knows real photographs (ImageNet), and it learned from drawn ones how mountains, clouds,
-trees and windows look together (``sky.onnx.gz``; ``python -m skyline_training sky-model``). A path
-is cheap where the network expects the skyline and where there is an edge, and if it is not steep;
+A skyline is one border row per column. A network gives the odds of the border in every pixel
+(``sky.onnx.gz``; ``python -m skyline_training sky-model``). Its encoder was trained on real
+photographs (ImageNet), and then all of it on drawn mountains, clouds, trees and windows. A path is
+cheap where the network expects the skyline and where there is an edge, and if it is not steep;
 dynamic programming finds the cheapest path exactly, at about 0.4 million pixels (up to 1 of a
 panorama). It is then refined to sub-pixel in a narrow band of the full photo. A column is trusted
-if the network holds it likely that the skyline runs along the path.
+if the network gives a high probability that the skyline runs along the path.
 """
 
 import gzip

@@ -205,7 +205,7 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
     )  # fmt: skip
     if width is None and turn is None and "ProjectionType" not in tags:
         return None
-    noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR)
+    noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR).lower()
     if noted not in {one for one in Projection if one.is_panorama}:
         reason = f"XMP says that the photo's projection is {noted}, which is not known here"
         return Projection.PERSPECTIVE, Lens(reason=reason)

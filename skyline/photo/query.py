@@ -131,7 +131,8 @@ class Lens:
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
-        slack = "" if self.sd_deg is None else f", give or take {self.sd_deg:.0f}"
+        sd = self.sd_deg
+        slack = "" if sd is None else f", give or take {sd:.{int(sd < 1.0)}f}"
         return f"field of view: {fov}{slack}; {self.reason}"
 
 

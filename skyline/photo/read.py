@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
-from PIL.ExifTags import IFD
+from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
@@ -180,7 +180,7 @@ def read_photo(
     name = name_of(path)
     with opened_image(path) as image:
         width, height = image.size
-        _require_bounded(name, image)
+        _require_usable(name, image)
         upright = ImageOps.exif_transpose(image)
         # Decoders differ: some have already turned the pixels, some the size as well, and each
         # leaves other tags. The upright picture shows whether the file's size is upright.
@@ -292,7 +292,9 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
             with Image.open(source, formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
-        reason = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
+        reason = "not an image that can be read; expected JPEG, PNG, TIFF or WebP"
+        if not is_table(path):
+            reason += ", or a trace named .csv"
         if path.suffix.lower() in {".heic", ".heif"}:
             reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
@@ -310,14 +312,14 @@ def _decoded(name: str) -> Iterator[None]:
         raise
     except Exception as error:  # Decoders raise nearly anything on damaged files.
         raise InputError(
-            f"{name} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
-            "open and save it as PNG"
+            f"{name} cannot be decoded ({str(error).partition(' (')[0]}); it is damaged or cut "
+            "short: copy it again, or open and save it as PNG"
         ) from error
 
 
 @contextmanager
 def _unlimited_size() -> Iterator[None]:
-    """Lift Pillow's limit, which refuses pictures that `_require_bounded` shrinks."""
+    """Lift Pillow's limit, which refuses pictures that `_require_usable` shrinks."""
     with _size_limit:
         before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
@@ -326,9 +328,17 @@ def _unlimited_size() -> Iterator[None]:
             Image.MAX_IMAGE_PIXELS = before
 
 
-def _require_bounded(name: str, image: Image.Image) -> None:
-    """Let a large JPEG be decoded smaller; raise `InputError` for other large images."""
+def _require_usable(name: str, image: Image.Image) -> None:
+    """Let a large JPEG be decoded smaller; raise `InputError` for other large images and raw files.
+
+    Raw files are TIFFs whose first picture is a preview, of which NewSubfileType is 1.
+    """
     width, height = image.size
+    if image.format == "TIFF" and image.getexif().get(Base.NewSubfileType) == 1:
+        raise InputError(
+            f"{name} begins with a preview of {width} x {height} px, as a raw file does; develop "
+            "it, and save it as JPEG, PNG or TIFF"
+        )
     if width * height <= MAX_JPEG_PIXELS:
         for shrink in (2, 4, 8):
             if image.width * image.height > MAX_DECODED_PIXELS:

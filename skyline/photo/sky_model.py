@@ -145,25 +145,29 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     """Return the border above each column's topmost ground; NaN if it has no sky above ground.
 
     A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, or white
-    ground in a white frame is taken for it.
+    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, more
+    columns have white below black at their top, or white ground in a white frame is taken for sky.
     """
     sky = image[:, :, 1].astype(np.float64)
     row_px, first = topmost_border(sky, _MIDDLE)
-    drawn = np.isfinite(row_px)
-    if not drawn.any():
-        raise InputError(
-            "no skyline found: the picture is black and white alone, as a sky mask is, and has no "
-            "column with sky (white) above ground (black)"
+    drawn, white = np.isfinite(row_px), np.count_nonzero(sky >= _MIDDLE, axis=0)
+    found = ""
+    if np.count_nonzero((white > _MOST_WHITE * len(sky)) & (sky[0] < _MIDDLE)) > drawn.sum():
+        found = "black above white, as one with white ground or in a black frame"
+    elif not drawn.any():
+        found = "no sky above ground"
+    elif (
+        np.mean(np.abs(row_px - np.nanmedian(row_px))[drawn] <= _FLAT_PX) > _MOST_FLAT
+        and (white - first)[drawn].sum() > _MOST_WHITE * (len(sky) - first)[drawn].sum()
+    ):
+        found = (
+            f"a straight border at row {np.nanmedian(row_px):.0f} and white below it, as one with "
+            "white ground in a white frame"
         )
-    is_flat = np.abs(row_px - np.nanmedian(row_px))[drawn] <= _FLAT_PX
-    white_below = (np.count_nonzero(sky >= _MIDDLE, axis=0) - first)[drawn].sum()
-    share = white_below / (len(sky) - first)[drawn].sum()
-    if is_flat.mean() > _MOST_FLAT and share > _MOST_WHITE:
+    if found:
         raise InputError(
-            f"the mask has a straight border at row {np.nanmedian(row_px):.0f} and white below it, "
-            "as one with white ground in a white frame; expected white for the sky, black for the "
-            "ground, and no frame"
+            "no skyline found: the picture is black and white alone, as a sky mask is, and has "
+            f"{found}; expected white for the sky, black for the ground, and no frame"
         )
     return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
 

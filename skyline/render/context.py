@@ -179,16 +179,8 @@ def _release_at_exit() -> None:
 def describe_context() -> dict[str, str | bool | list[str]]:
     """Return the facts of the context, for JSON; raises as `acquire_context`."""
     context = acquire_context()
-    return {
-        "backend": context.backend,
-        "device": context.device,
-        "vendor": context.vendor,
-        "renderer": context.renderer,
-        "version": context.version,
-        "software": context.software,
-        "reason": context.reason,
-        "tried": context.attempts,
-    }
+    names = ("backend", "device", "vendor", "renderer", "version", "software", "reason")
+    return {**{name: getattr(context, name) for name in names}, "tried": context.attempts}
 
 
 def _choose_context() -> GlContext:

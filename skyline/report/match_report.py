@@ -2,11 +2,12 @@
 
 import contextlib
 import datetime
+import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
-from skyline.errors import OffMapError
+from skyline.errors import InputError, OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate, Ellipse
@@ -38,7 +39,7 @@ def report_matches(
     """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
 
     The page holds its pictures itself, so that it can be sent as one file. The GPS position in a
-    photo's EXIF is left out of all of them.
+    photo's EXIF is left out of all of them. Where a file cannot be written, no new folder stays.
 
     Parameters
     ----------
@@ -67,21 +68,29 @@ def report_matches(
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
-    viewer = None
+    viewer, pictures = None, dict[str, bytes]()
     if terrain is not None:
         curvature, thread = matcher.header.curvature, matcher.render_thread
         viewer = Viewer(terrain, peaks, curvature=curvature, render_thread=thread)
     with viewer or contextlib.nullcontext():
         sections = [
-            _section(folder, number, one, photo, matcher, viewer, done)
+            _section(pictures, number, one, photo, matcher, viewer, done)
             for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
         ]
     lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"
-    export_matches(folder / "matches.geojson", results, matcher.frame)
-    path = folder / "index.html"
-    write_with_folders(path, page("Where the photos were taken", lead, sections, made_by))
+    whole = page("Where the photos were taken", lead, sections, made_by)
+    is_new, path = not folder.exists(), folder / "index.html"
+    try:
+        for name, content in pictures.items():
+            write_with_folders(folder / name, content)
+        export_matches(folder / "matches.geojson", results, matcher.frame)
+        write_with_folders(path, whole)
+    except InputError:
+        if is_new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
     return path
 
 
@@ -107,7 +116,7 @@ def _about(viewer: Viewer | None) -> str:
 
 
 def _section(
-    folder: Path,
+    pictures: dict[str, bytes],
     number: int,
     result: MatchResult,
     photo: UInt8Array | None,
@@ -115,21 +124,25 @@ def _section(
     viewer: Viewer | None,
     done: str,
 ) -> str:
-    """Return the section of one result: its words, pictures, maps and candidates."""
+    """Return the section of one result: its words, pictures, maps and candidates.
+
+    The pictures are added to ``pictures`` by the names of their files.
+    """
     query, best, sight, sightings, peaks = result.query, result.best, None, [], []
     if best is not None and viewer is not None:
         with contextlib.suppress(OffMapError):
             sight = viewer.look(best, query)
             sightings = viewer.sightings(best)
             peaks = peaks_in_picture(best, query, sightings)
-    overlay, unnamed = draw_overlay(query, photo, best, sight, peaks)
+    name = f"{number:02d}-overlay.jpg"
+    pictures[name], unnamed = draw_overlay(query, photo, best, sight, peaks)
     caption = _overlay_caption(query, best, sight, unnamed)
     parts = [
         text(result.summary, _kind(result), () if best is None else _map_links(best)),
         figures(
             [
-                picture(_keep(folder / f"{number:02d}-overlay.jpg", overlay), caption),
-                *_maps(folder, number, result.candidates, matcher, viewer, sightings),
+                picture(pictures[name], caption),
+                *_maps(pictures, number, result.candidates, matcher, viewer, sightings),
             ]
         ),
     ]
@@ -141,20 +154,15 @@ def _section(
     return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
 
-def _keep(path: Path, data: bytes) -> bytes:
-    write_with_folders(path, data)
-    return data
-
-
 def _maps(
-    folder: Path,
+    pictures: dict[str, bytes],
     number: int,
     candidates: Sequence[Candidate],
     matcher: Matcher,
     viewer: Viewer | None,
     sightings: Sequence[Sighting],
 ) -> list[str]:
-    """Draw all candidates, and the first from nearby if that shows more."""
+    """Draw all candidates, and the first from nearby if that shows more; see `_section`."""
     terrain, viewpoints = None if viewer is None else viewer.terrain, matcher.viewpoints
     whole = overview_area(candidates or [viewpoints], terrain)
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
@@ -164,12 +172,14 @@ def _maps(
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
             title = candidates[0].title
             areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))
-    pictures = []
-    for name, area, caption in areas:
+    shown = []
+    for kind, area, caption in areas:
         figure = draw_match_map(candidates, area, matcher.frame, viewpoints, terrain, sightings)
-        data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure))
-        pictures.append(picture(data, f"{caption}. The arrow points to true north.", wide=False))
-    return pictures
+        name = f"{number:02d}-{kind}.png"
+        pictures[name] = encode_figure(figure)
+        words = f"{caption}. The arrow points to true north."
+        shown.append(picture(pictures[name], words, wide=False))
+    return shown
 
 
 def _kind(result: MatchResult) -> str:

@@ -105,7 +105,16 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
 
 
 def warn_if_off_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
-    """Log a warning if none of the peaks lies on a map."""
+    """Log a warning if none of the peaks lies on a map.
+
+    Raises `InputError` if eastings and northings are degrees: in a frame around the model they
+    would lie in its middle.
+    """
+    if is_inside(bounds_m, *frame.from_lonlat(peaks.easting_m, peaks.northing_m)).any():
+        raise InputError(
+            f"the easting and northing of {peaks.names[0]} are degrees; expected metres: name the "
+            "columns lon,lat"
+        )
     if not len(peaks) or is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
         return
     lon, lat = frame.to_lonlat(peaks.easting_m, peaks.northing_m)

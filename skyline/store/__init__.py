@@ -5,15 +5,15 @@ A store is written once, takes its name when its bytes are on disk, and is never
 """
 
 from skyline.store.format import StoreHeader, columns_of
-from skyline.store.hdf5 import write_store
-from skyline.store.merge import (
+from skyline.store.read import PlaceMap, Store, is_store, open_store
+from skyline.store.write import (
     StoreReport,
     check_store,
     merge_stores,
     open_joined,
     repair_store,
+    write_store,
 )
-from skyline.store.read import PlaceMap, Store, is_store, open_store
 
 __all__ = [
     "PlaceMap",

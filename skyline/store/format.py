@@ -11,18 +11,21 @@ shows which rows are whole when others are not, and is copied with the row from 
 
 import hashlib
 import json
+import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import check_width
-from skyline.errors import StoreMismatchError
+from skyline.errors import SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature, Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views
 from skyline.store.places import (
@@ -112,8 +115,10 @@ PLACE_CODING = {
 }
 """The constants by which the bytes of places become tangents and distances."""
 
-_NAMED = 3
-"""Files of a DEM that an error names."""
+REBUILD = "copy or build it again"
+
+UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
+"""The exceptions of h5py on files that are damaged or made by another program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,30 +270,34 @@ class StoreHeader:
         return Curvature(**stored)
 
 
-def attributes_digest(attributes: Mapping[str, str]) -> str:
-    """Return the SHA-256 of the schema's version and `StoreHeader.attributes`."""
-    text = json.dumps([SCHEMA_VERSION, attributes], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def refuse_mismatch(
-    one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], subject: str, advice: str
+    a: StoreHeader,
+    b: StoreHeader,
+    subject: str,
+    advice: str,
+    words: tuple[str, str] = ("there", "here"),
 ) -> None:
     """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
-    Paths and releases may differ. Each header comes with the words that describe it in the message.
-    The message begins with ``subject`` and ends with ``advice``.
+    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``;
+    ``words`` describe the two headers in it.
     """
-    (a, in_a), (b, in_b) = one, other
     compared: dict[str, tuple[object, object]] = {"kind of rows": (a.holds, b.holds)}
-    if a.holds == b.holds:
+    if a.holds != b.holds:
+        advice = "a store holds rows of one kind; name another store"
+    else:
         if (a.frame_wkt, a.dem_digest) != (b.frame_wkt, b.dem_digest):
             compared["elevation model"] = _model(a), _model(b)
         compared["width"] = a.width, b.width
         for key in sorted({*a.config, *b.config}):
-            compared[f"config {key}"] = a.config.get(key, "absent"), b.config.get(key, "absent")
+            one, other = a.config.get(key, "absent"), b.config.get(key, "absent")
+            if isinstance(one, dict) and isinstance(other, dict):
+                pairs = one.items(), other.items()
+                one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
+                other = {name: value for name, value in pairs[1] if (name, value) not in pairs[0]}
+            compared[f"config {key}"] = one, other
     differences = [
-        f"{name} is {was!r} {in_a}, {now!r} {in_b}"
+        f"{name} is {was!r} {words[0]}, {now!r} {words[1]}"
         for name, (was, now) in compared.items()
         if was != now
     ]
@@ -297,12 +306,11 @@ def refuse_mismatch(
 
 
 def _model(header: StoreHeader) -> str:
-    """Return the files of a store's DEM, its frame and its digest, in one line."""
-    names = [Path(file).name for file in header.dem_files]
-    if len(names) > _NAMED:
-        names[_NAMED:] = [f"and {len(names) - _NAMED} more"]
+    """Return a file of a store's DEM, its frame and its digest, in one line."""
+    names = [Path(file).name for file in header.dem_files] or ["no file"]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
-    return f"{', '.join(names) or 'no file'} ({frame}, digest {header.dem_digest[:12]})"
+    return f"{names[0]}{more} ({frame}, digest {header.dem_digest[:12]})"
 
 
 def columns_of(
@@ -336,3 +344,102 @@ def checksums_of_bytes(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
     width, flat = rows.shape[1], rows.tobytes()
     sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))
     return np.fromiter(sums, dtype=np.uint32, count=len(rows))
+
+
+@contextmanager
+def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]:
+    """Turn an exception of h5py into a `StoreError` of one line."""
+    try:
+        yield
+    except SkylineError:
+        raise
+    except UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        cause = re.search(r"error message = '([^']+)'", reason)
+        reason = cause[1] if cause else reason
+        raise StoreError(f"store {path}: {problem} ({reason}); {advice}") from error
+
+
+def attributes_digest(attributes: Mapping[str, str]) -> str:
+    """Return the SHA-256 of the schema's version and `StoreHeader.attributes`."""
+    text = json.dumps([SCHEMA_VERSION, attributes], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_header(file: h5py.File, header: StoreHeader) -> None:
+    """Write a header, with its digest, as the attributes of a file."""
+    texts = {
+        "schema": SCHEMA,
+        **header.attributes,
+        "header_digest": attributes_digest(header.attributes),
+    }
+    file.attrs["schema_version"] = SCHEMA_VERSION
+    for name, text in texts.items():
+        # HDF5 protects only texts of a fixed length with a checksum.
+        data = text.encode() or b" "
+        file.attrs.create(name, np.bytes_(data), dtype=h5py.string_dtype("utf-8", len(data)))
+
+
+def read_header(path: Path, file: h5py.File) -> StoreHeader:
+    """Return the header of a store; raises `StoreError` where it is damaged or foreign."""
+    foreign = StoreError(
+        f"{path} is an HDF5 file but not a skyline store; "
+        "name one made by `skyline build` or `skyline render`"
+    )
+    if file.userblock_size or not {"schema", "schema_version"} <= set(file.attrs):
+        raise foreign
+    version = _attribute(path, file, "schema_version")
+    if version != SCHEMA_VERSION:
+        is_newer = isinstance(version, np.integer) and version > SCHEMA_VERSION
+        advice = "upgrade skyline" if is_newer else "build the store again"
+        raise StoreError(
+            f"store {path} has schema version {version}; this skyline ({PACKAGE_VERSION}) reads "
+            f"version {SCHEMA_VERSION}: {advice}"
+        )
+    texts = {name: _text(path, file, name) for name in file.attrs if name != "schema_version"}
+    if texts.pop("schema") != SCHEMA:
+        raise foreign
+    if texts.pop("header_digest", None) != attributes_digest(texts):
+        raise StoreError(
+            f"store {path} is damaged: its header (frame, DEM, config, renderer, rows) does not "
+            f"have the digest that was written with it; {REBUILD}"
+        )
+    rows = json.loads(texts["rows"])
+    if rows["rows"] == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
+        raise StoreError(
+            f"store {path} has places that another release of skyline built, whose bytes mean "
+            "something else; build it again"
+        )
+    return StoreHeader(
+        frame_wkt=texts["frame"],
+        dem_digest=texts["dem_digest"],
+        dem_files=tuple(json.loads(texts["dem_files"])),
+        config=json.loads(texts["config"]),
+        renderer=texts["renderer"],
+        width=rows.get("width", 0),
+        holds=rows["rows"],
+        package_version=texts["package_version"],
+    )
+
+
+def _attribute(path: Path, file: h5py.File, name: str) -> object:
+    """Return an attribute of one value; one of a variable length is not read.
+
+    HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
+    one.
+    """
+    if file.attrs.get_id(name).shape != ():
+        raise StoreError(f"store {path} has no single attribute {name!r}; {REBUILD}")
+    kind = file.attrs.get_id(name).get_type()
+    plain = isinstance(kind, h5py.h5t.TypeIntegerID) or (
+        isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
+    )
+    value: object = file.attrs[name] if plain else None
+    return value
+
+
+def _text(path: Path, file: h5py.File, name: str) -> str:
+    value = _attribute(path, file, name)
+    if not isinstance(value, bytes):
+        raise StoreError(f"store {path} has an attribute {name!r} that is not text; {REBUILD}")
+    return value.decode().removesuffix(" " if value == b" " else "")

@@ -1,4 +1,8 @@
-"""Reading a store: its header, its rows, and a map of its places in the file."""
+"""Reading a store: its header, its rows, and a map of its places in the file.
+
+A file is a store if its header has the digest that was written with it, and if its datasets have
+the layout that follows from the header, with their bytes in this very file.
+"""
 
 import io
 import mmap
@@ -22,13 +26,16 @@ from skyline.store.format import (
     KEYPOINTS,
     MADE_BY,
     PLACES,
+    REBUILD,
     RENDERINGS,
+    UNREADABLE,
     Columns,
     KeypointColumns,
     StoreHeader,
     checksums_of_bytes,
+    explained,
+    read_header,
 )
-from skyline.store.hdf5 import REBUILD, UNREADABLE, checked_dataset, explained, read_header
 from skyline.store.places import Places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
@@ -39,6 +46,9 @@ Offsets = dict[str, NDArray[np.int64]]
 """Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_FILTERS = {"fletcher32", "shuffle", "compression"}
+"""Settings of a layout that are HDF5 filters."""
+
 _TAKEN_AT_ONCE = 4096
 
 
@@ -178,7 +188,7 @@ class Store:
                 self._file = opened.enter_context(h5py.File(self._raw, "r"))
                 self.header = read_header(path, self._file)
                 self._datasets = {
-                    name: checked_dataset(path, self._file, name, self.header)
+                    name: _checked_dataset(path, self._file, name, self.header)
                     for name in self.header.specs
                 }
                 self._rows = self._counted()
@@ -229,8 +239,8 @@ class Store:
             Damaged data.
         """
         self._expect(RENDERINGS)
-        columns = self.stored(index)
-        fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
+        rows = self._indexed(index)
+        fields: Any = {field: self._read(name, rows) for field, name in self.header.fields.items()}
         return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
@@ -389,6 +399,43 @@ class Store:
         return StoreError(f"store {self.path} is closed; open it again to read it")
 
 
+def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
+    """Return an object that lies in this very file, following no other kind of link."""
+    node = file
+    for part in name.split("/"):
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        if link is None:
+            raise StoreError(f"store {path} lacks {name}; {REBUILD}")
+        if not isinstance(link, h5py.HardLink):
+            raise StoreError(
+                f"store {path}: {name} is a link to another place, which is not followed; {REBUILD}"
+            )
+        node = node[part]
+    return node
+
+
+def _checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader) -> h5py.Dataset:
+    """Return a dataset if it has the schema's layout and its bytes lie in this file.
+
+    Virtual, external, contiguous and compact storage have no chunks, so they are refused.
+    """
+    dataset = _hard_linked(path, file, name)
+    if not isinstance(dataset, h5py.Dataset) or not dataset.shape:
+        raise StoreError(f"store {path}: {name} is not a dataset of rows; {REBUILD}")
+    layout = header.layout(name, len(dataset))
+    for setting, wanted in layout.items():
+        found = getattr(dataset, setting)
+        if found != wanted:
+            raise StoreError(
+                f"store {path}: {name} has {setting} {found}; expected {wanted}; {REBUILD}"
+            )
+    if dataset.id.get_create_plist().get_nfilters() != len(layout.keys() & _FILTERS):
+        raise StoreError(
+            f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
+        )
+    return dataset
+
+
 def open_store(path: str | os.PathLike[str]) -> Store:
     """Open a store to read its rows.
 
@@ -450,7 +497,8 @@ def _absence(path: Path) -> str:
     if names:
         holds, _, _, total = names[0]
         command = MADE_BY.get(holds, command)
-        there = f"{len(names)} of {int(total) if total.isdecimal() else 0} parts are there"
+        number, of = len(names), int(total) if total.isdecimal() else 0
+        there = f"{number} of {of} parts {'is' if number == 1 else 'are'} there"
     return (
         f"store {path} cannot be read: its build is not finished ({there}); give the same "
         f"{command} command again, which continues from there"

@@ -29,7 +29,7 @@ from skyline.geodesy import (
 )
 from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
-from skyline.terrain.rasters import open_tile, without_folders
+from skyline.terrain.rasters import absolute_name, open_tile, without_folders
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
@@ -135,7 +135,7 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """
     if isinstance(paths, HeightField):
         return paths
-    files = [paths] if isinstance(paths, str | Path) else paths
+    files = [paths] if isinstance(paths, str | Path) else [*paths]
     if len(files) == 1 and Path(files[0]).suffix == SUFFIX:
         return _read_saved(Path(files[0]))
     return _height_field(read_files(files, options), options)
@@ -162,7 +162,10 @@ def read_files(paths: Sequence[str | Path], options: DemOptions = DemOptions()) 
     if not paths:
         raise InputError("no DEM file was given; name one or more")
     default_crs = options.default_crs
-    return read_mosaic([open_tile(path, default_crs) for path in without_folders(paths)])
+    names = [absolute_name(path) for path in without_folders(paths)]
+    # A file that is named twice, in its folder and by itself, is read once.
+    once = {Path(name).parent.resolve() / Path(name).name: name for name in names}
+    return read_mosaic([open_tile(name, default_crs) for name in once.values()])
 
 
 def dem_of(tile: Tile, options: DemOptions) -> HeightField:

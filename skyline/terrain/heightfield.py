@@ -113,7 +113,8 @@ class HeightField:
         if not all(_LEAST_SPACING_M <= one < np.inf for one in spacing):
             raise InputError(
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
-                "A grid in degrees is read by read_dem, HeightField.from_rasterio or from_xarray"
+                "A grid in degrees needs a CRS in degrees, such as EPSG:4326, and is read by "
+                "read_dem, HeightField.from_rasterio or from_xarray"
             )
         if not np.isfinite([self.west_m, self.north_m]).all():
             raise InputError(

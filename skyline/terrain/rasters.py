@@ -6,6 +6,7 @@ a path. `skyline.terrain.tiles` then reads it, and all commands take it.
 
 import gzip
 import logging
+import os
 import re
 import warnings
 import zlib
@@ -26,7 +27,7 @@ from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import FetchError, InputError, MissingFileError
-from skyline.files import for_gdal, is_file, is_folder
+from skyline.files import for_gdal, is_file
 from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, vertical_of
@@ -54,22 +55,20 @@ _SETTINGS = {
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
-_NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
-"""Without this option GDAL asks a server for a dozen other files in the DEM's folder."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
 _NO_ANSWER = re.compile(
-    r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
+    r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/|"
+    r"^'/vsicurl/\S*' does not exist"
 )
 
 _log = logging.getLogger(__name__)
 
 
-def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
-    """Return the tile in a file, or under another name that GDAL opens.
+def open_tile(source: str, default_crs: CRS | None) -> Tile:
+    """Return the tile in a file, or under another name that GDAL opens (`absolute_name`).
 
-    Raises `InputError`, `MissingFileError` or `FetchError` where it is not a usable DEM.
+    Raises `InputError` or `FetchError` where it is not a usable DEM.
     """
-    source = absolute_name(path)
     return _tile_of(source, lambda: _opened(source), default_crs, (source,))
 
 
@@ -102,7 +101,8 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
     # Once xarray has applied attributes, they are in the encoding instead.
     scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
-    void_values = [attrs[name] for name in ("_FillValue", "missing_value") if name in attrs]
+    named = (np.ravel(attrs[name]) for name in ("_FillValue", "missing_value") if name in attrs)
+    void_values = [value for values in named for value in values.tolist()]
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
         for rows in strips(band):
@@ -127,7 +127,7 @@ def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
                 "a DEM was given without a name; name its files, or the folder of them"
             )
         folder = Path(path)
-        if "://" in str(path) or not is_folder(folder):
+        if "://" in str(path) or not os.path.isdir(path):  # noqa: PTH112  (as in `is_file`)
             yield path
             continue
         try:
@@ -166,7 +166,9 @@ def absolute_name(path: str | Path) -> str:
         parts = re.split(r"([:\"])", text)
         named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
         return for_gdal("".join(named))
-    raise MissingFileError(f"there is no file {text}; check the path of the DEM")
+    is_pattern = bool(set("*?[") & set(text))
+    remedy = "name its folder, or the files" if is_pattern else "check the path of the DEM"
+    raise MissingFileError(f"there is no file {text}; {remedy}")
 
 
 def files_of(name: str) -> list[str]:
@@ -192,9 +194,10 @@ def without_secrets(text: str) -> str:
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
     """Open a raster; a failure while it is open becomes one error of one line."""
-    settings = _SETTINGS | (_NO_NEIGHBOURS if "://" in source else {})
+    # Otherwise GDAL asks a server for a dozen other files in the DEM's folder.
+    alone = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"} if "://" in source else {}
     try:
-        with rasterio.Env(**settings), ExitStack() as held:
+        with rasterio.Env(**_SETTINGS, **alone), ExitStack() as held:
             yield _dataset(source, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
@@ -249,10 +252,16 @@ def _tile_of(
         if dataset.count != 1:
             raise InputError(
                 f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
-                "(gdal_translate -b 1)"
+                "(gdal_translate -b N), and decode heights kept as colours"
             )
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
-        grid, north_up = _grid_of(source, dataset.transform, dataset.shape)
+        transform = dataset.transform
+        if dataset.driver == "AAIGrid" and transform.c == transform.f == 0.0:
+            raise InputError(
+                f"{source} has its corner at 0, 0, where GDAL places a grid whose header lacks a "
+                "corner; name xllcorner and yllcorner in it, or xllcenter and yllcenter"
+            )
+        grid, north_up = _grid_of(source, transform, dataset.shape)
         positive = dataset.tags(1).get("positive", "up")
         vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
         nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
@@ -272,7 +281,8 @@ def _tile_of(
             for rows in strips(dataset):
                 window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
                 band = dataset.read(1, window=window, masked=True)
-                voids = np.ma.getmaskarray(band)
+                # Where a file has a mask, GDAL leaves its nodata value aside.
+                voids = np.ma.getmaskarray(band) | (band.data == dataset.nodata)
                 yield rows, _heights_of(source, band.data, voids, scale, offset, vertical.metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
@@ -320,8 +330,8 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
     if wkt is None:
         if default_crs is None:
             raise InputError(
-                f"{source} has no coordinate reference system; name it with --crs, "
-                "for example --crs EPSG:32632 (in Python DemOptions(crs=...))"
+                f"{source} has no coordinate reference system; name it with --crs, for example "
+                "--crs EPSG:32632, or EPSG:4326 for degrees (in Python DemOptions(crs=...))"
             )
         return default_crs
     try:

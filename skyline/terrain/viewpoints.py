@@ -140,14 +140,13 @@ def place_on(
         first = outside[0]
         west, south, east, north = bounds_m
         box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        which, remedy = f"viewpoint {first} ({outside.size} such)", "move it or remove it"
-        if len(lon) == 1:
-            which, remedy = "the place", "give another place, or a DEM that covers it"
+        remedy = "give another place, or a DEM that covers it"
         if is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
-            f"{which} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off the map; the DEM covers "
-            f"lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to {box[3]:.4f}: {remedy}"
+            f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "
+            f"the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
+            f"{box[3]:.4f}: {remedy}"
         )
     return easting, northing
 
@@ -208,12 +207,9 @@ def _no_ground(
     first = missing[0]
     easting, northing = easting_m[first], northing_m[first]
     lon, lat = field.frame.to_lonlat(easting, northing)
-    which, such = f"viewpoint {first}", f"; {missing.size} such"
-    if len(easting_m) == 1:
-        which, such = "the place", ""
     place = (
-        f"{which} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
-        f"{northing:.2f}{such}) is"
+        f"{_first_of(missing, len(easting_m))} at lon {lon:.5f}, lat {lat:.5f} (easting "
+        f"{easting:.2f}, northing {northing:.2f}) is"
     )
     if is_inside(field.bounds_m, easting, northing):
         return OffMapError(f"{place} on a hole of the DEM: move it or remove it")
@@ -225,6 +221,10 @@ def _no_ground(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
         f"{south:.1f} to {north:.1f}: {remedy}"
     )
+
+
+def _first_of(failing: Int64Array, count: int) -> str:
+    return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
 def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
@@ -282,6 +282,9 @@ def read_viewpoints(
     labels = tuple(row.label for row in table.rows) if {*_LABELS} & {*table.header} else ()
     if places == ("lon", "lat"):
         first, second = place_on(field.frame, field.bounds_m, first, second)
+    elif is_inside(field.bounds_m, *field.frame.from_lonlat(first, second)).all():
+        # In a frame around the model they would lie in its middle, unnoticed.
+        raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
     if eyes == ["eye_elevation_m"]:
         return at_elevation(field, first, second, *height), labels
     stood = stand_on(

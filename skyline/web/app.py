@@ -32,6 +32,7 @@ from skyline.web.session import (
     KINDS,
     MAX_SESSION_BYTES,
     MAX_UPLOAD_BYTES,
+    GoneError,
     Match,
     PagePhoto,
     Session,
@@ -44,14 +45,13 @@ from skyline.web.session import (
 _log = logging.getLogger(__name__)
 
 _PAGE = Path(__file__).parent / "page"
-_MAX_JSON_BYTES = _MAX_TRACE_BYTES = 8_000_000
+_MAX_JSON_BYTES = 8_000_000
 _SWEEP_S = 1.0
 _MEGABYTE = 1_000_000
 _PROGRESS_S = 0.15
 """Interval between two reports of the progress of matches."""
 _GAPS = 240
 """Number of columns for which the live channel reports the gap between the skylines."""
-_NOT_RENDERED = "there is nothing to render with: the store's DEM is not at hand"
 
 
 class TooLargeError(InputError):
@@ -94,7 +94,7 @@ class PageApp:
             Mount("/page", StaticFiles(directory=_PAGE)),
             Mount("/leaflet", StaticFiles(directory=str(leaflet))),
         ]
-        refused = dict.fromkeys((SkylineError, KeyError, IndexError, ClientDisconnect), _refused)
+        refused = dict.fromkeys((SkylineError, ClientDisconnect), _refused)
         return Starlette(routes=routes, exception_handlers=refused, lifespan=self._lifespan)
 
     @contextlib.asynccontextmanager
@@ -125,16 +125,18 @@ class PageApp:
 
     async def _begin(self, _: Request) -> Response:
         session = self._sessions.begin()
-        return JSONResponse({"session": session.id})
+        return JSONResponse({"session": session.id, "photos": []})
 
     async def _all(self, request: Request) -> Response:
         session = self._session(request)
+        async with session.adding:  # A page that is loaded again shows the photo that is opened.
+            pass
         return JSONResponse({"photos": [photo.record() for photo in session.photos.values()]})
 
     async def _live(self, socket: WebSocket) -> None:
         try:
             session = self._sessions.of(socket.path_params["session"])
-        except KeyError:
+        except GoneError:
             await socket.close(1008)
             return
         await _LiveChannel(socket, self._engine, session).run()
@@ -142,26 +144,25 @@ class PageApp:
     async def _upload(self, request: Request) -> Response:
         session, name = self._session(request), shown_name(request.query_params.get("name", ""))
         path = session.path_for(name)
-        left = MAX_SESSION_BYTES - session.bytes
+        limit = min(MAX_UPLOAD_BYTES, MAX_SESSION_BYTES - session.bytes)
+        path.write_bytes(await _body(request, limit, name, "save it smaller, or remove photos"))
         try:
-            await _received(request, path, name, min(MAX_UPLOAD_BYTES, left))
-            photo = session.add(path, name)
+            return await self._opened(session, path, name)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        return await self._first_look(session, photo)
 
     async def _given(self, request: Request) -> Response:
         session = self._session(request)
-        path = self._engine.photos[request.path_params["index"]]
-        return await self._first_look(session, session.add(path, path.name))
+        given = dict(enumerate(self._engine.photos)).get(request.path_params["index"])
+        if given is None:
+            return Response(status_code=404)
+        return await self._opened(session, given, given.name)
 
-    async def _first_look(self, session: Session, photo: PagePhoto) -> Response:
-        try:
-            await self._engine.work("photos", photo.first_look)
-        except SkylineError:
-            session.remove(photo)
-            raise
+    async def _opened(self, session: Session, path: Path, name: str) -> Response:
+        async with session.adding:
+            photo = await self._engine.work("photos", PagePhoto, path, name)
+            session.photos[photo.id] = photo
         return JSONResponse(photo.record())
 
     async def _remove(self, request: Request) -> Response:
@@ -183,31 +184,24 @@ class PageApp:
     async def _trace(self, request: Request) -> Response:
         session, photo = self._session(request), self._photo(request)
         path = session.path_for("trace.csv")
-        try:
-            await _received(request, path, "the trace", _MAX_TRACE_BYTES)
-            await self._engine.work("strokes", _load_trace, photo, path)
-        finally:
-            path.unlink(missing_ok=True)
+        path.write_bytes(await _body(request, _MAX_JSON_BYTES, "the trace", "leave points out"))
+        await self._engine.work("strokes", _load_trace, photo, path)
         return _lines(photo)
 
     async def _match(self, request: Request) -> Response:
         """Match a photo; the response comes when the match has ended or was cancelled."""
-        session, photo, asked = self._session(request), self._photo(request), await _json(request)
-        before = session.matches.get(photo.id)
-        if before is not None and not before.done:
+        photo, asked = self._photo(request), await _json(request)
+        if photo.match is not None and not photo.match.done:
             raise InputError("this photo is being matched; wait, or cancel that match")
-        match = Match(photo, query_of(asked, photo.known()), narrowing_of(asked), asked)
-        session.matches[photo.id] = match
-        photo.state = "matching"
+        match = Match(photo, query_of(asked, photo.query), narrowing_of(asked), asked)
+        photo.match = match
         await self._engine.work("matches", match.run, self._engine)
         if match.error is not None:
             raise InputError(match.error)
         return JSONResponse(photo.result_json)
 
     async def _cancel(self, request: Request) -> Response:
-        match = self._session(request).matches.get(self._photo(request).id)
-        if match is not None:
-            match.cancel()
+        self._photo(request).cancel()
         return JSONResponse({})
 
     async def _fit(self, request: Request) -> Response:
@@ -215,8 +209,6 @@ class PageApp:
         return JSONResponse(await self._engine.work("matches", self._fitted, photo, asked))
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
-        if self._engine.viewer is None or photo.query is None:
-            raise InputError(_NOT_RENDERED)
         query, start = photo.query, pose_of(asked.get("pose"), self._engine.viewer)
         found = self._engine.matcher.fit(query, start)
         if not found.candidates:
@@ -230,16 +222,16 @@ class PageApp:
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine.viewer)
+        candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine)
         arguments = kind, self._engine, photo, candidates, session.folder
         content = await self._engine.work("files", saved, *arguments)
-        return Response(content, media_type=KINDS[kind][1])
+        return Response(content, media_type="application/octet-stream")
 
     def _session(self, request: Request) -> Session:
         return self._sessions.of(request.path_params["session"])
 
     def _photo(self, request: Request) -> PagePhoto:
-        return self._session(request).photos[request.path_params["photo"]]
+        return self._session(request).photo(request.path_params["photo"])
 
 
 class _LiveChannel:
@@ -273,9 +265,9 @@ class _LiveChannel:
         while self._socket.application_state is not WebSocketState.DISCONNECTED:
             try:
                 asked = await self._socket.receive_json()
-            except (ValueError, KeyError):
+            except (ValueError, KeyError, RecursionError):
                 continue
-            if isinstance(asked, Mapping) and asked.get("type") in {"look", "height"}:
+            if isinstance(asked, Mapping) and asked.get("type") in ["look", "height"]:
                 self._asked[str(asked["type"])] = asked
                 self._arrived.set()
 
@@ -299,10 +291,10 @@ class _LiveChannel:
         """Send the progress of matches whenever it has changed."""
         sent: dict[str, Any] = {}
         while True:
-            for photo_id, match in list(self._session.matches.items()):
-                now = match.progress()
-                if sent.get(photo_id) != now:
-                    sent[photo_id] = now
+            for photo in list(self._session.photos.values()):
+                now = photo.match.progress() if photo.match else None
+                if now and sent.get(photo.id) != now:
+                    sent[photo.id] = now
                     with contextlib.suppress(RuntimeError):
                         await self._socket.send_json({"type": "progress", **now})
             await asyncio.sleep(_PROGRESS_S)
@@ -314,15 +306,12 @@ class _LiveChannel:
                 height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
                 return {**same, "height": height_m}
             return {**same, **self._looked(asked)}
-        except (SkylineError, KeyError) as error:
+        except SkylineError as error:
             return {**same, "error": str(error)}
 
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the skyline rendered at a pose, its gap to the photo's, and the summits."""
-        viewer = self._engine.viewer
-        photo = self._session.photos[str(asked.get("photo"))]
-        if viewer is None or photo.query is None:
-            return {"error": _NOT_RENDERED}
+        viewer, photo = self._engine.viewer, self._session.photo(str(asked.get("photo")))
         pose = pose_of(asked.get("pose"), viewer)
         sight = viewer.look(pose, photo.query)
         seen: dict[str, Any] = {
@@ -355,7 +344,7 @@ def _gaps(gap_deg: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
 
 
 def _lines(photo: PagePhoto) -> Response:
-    headers = {"ETag": f'"{version_of(photo.known())}"'}
+    headers = {"ETag": f'"{version_of(photo.query)}"'}
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
 
 
@@ -365,6 +354,8 @@ def _load_trace(photo: PagePhoto, path: Path) -> None:
         photo.solve((), read_trace(path))
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
+    finally:
+        path.unlink(missing_ok=True)
 
 
 async def _page(_: Request) -> Response:
@@ -372,25 +363,17 @@ async def _page(_: Request) -> Response:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    """Answer an error with one line; a `KeyError` means an unknown session or photo."""
-    if isinstance(error, ClientDisconnect):
-        return Response(status_code=400)
-    if not isinstance(error, SkylineError):
-        return JSONResponse({"error": "this is no longer on the page; reload it"}, 404)
+    """Answer an error with one line."""
     if isinstance(error, TooLargeError):
         return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
-    return JSONResponse({"error": str(error)}, 400)
+    return JSONResponse({"error": str(error)}, 404 if isinstance(error, GoneError) else 400)
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
     """Return the JSON object of a request; raises `InputError` for anything else."""
-    held = bytearray()
-    async for part in request.stream():
-        held += part
-        if len(held) > _MAX_JSON_BYTES:
-            raise TooLargeError("the request is too large; undo some strokes")
+    body = await _body(request, _MAX_JSON_BYTES, "the request", "undo some strokes")
     try:
-        asked = json.loads(held or b"{}")
+        asked = json.loads(body or b"{}")
     except (ValueError, RecursionError):
         asked = None
     if not isinstance(asked, dict):
@@ -398,21 +381,17 @@ async def _json(request: Request) -> Mapping[str, Any]:
     return asked
 
 
-async def _received(request: Request, path: Path, name: str, limit: int) -> None:
-    """Write the body of a request to a new file; raises `TooLargeError` beyond a limit."""
-
-    def check(size: int) -> None:
-        if size > limit:
-            raise TooLargeError(
-                f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
-                f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
-            )
-
-    length = request.headers.get("content-length", "0")
-    check(int(length) if length.isdecimal() else 0)
-    with path.open("xb") as file:
-        size = 0
-        async for part in request.stream():
-            size += len(part)
-            check(size)
-            file.write(part)
+async def _body(request: Request, limit: int, name: str, advice: str) -> bytearray:
+    """Return the body of a request; raises `TooLargeError` beyond a limit, in bytes."""
+    declared = request.headers.get("content-length", "0")
+    size, body, parts = int(declared) if declared.isdecimal() else 0, bytearray(), request.stream()
+    while size <= limit:
+        part = await anext(parts, None)
+        if part is None:
+            return body
+        body += part
+        size = max(size, len(body))
+    raise TooLargeError(
+        f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
+        f"{limit / _MEGABYTE:.0f} MB: {advice}"
+    )

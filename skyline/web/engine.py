@@ -10,6 +10,7 @@ import numpy as np
 
 from skyline import (
     Candidate,
+    InputError,
     Matcher,
     ReliefTiles,
     RenderThread,
@@ -54,13 +55,17 @@ class Engine:
         self.thread = RenderThread()
         try:
             self.matcher = Matcher(stores, dem, render_thread=self.thread)
-            named = None if peaks is None else read_peaks(peaks, self.matcher.frame)
-            terrain = self.matcher.terrain
-            self.viewer = None
-            if terrain is not None:
+            self.peaks = None if peaks is None else read_peaks(peaks, self.matcher.frame)
+            self.relief, self._viewer = None, None
+            if self.matcher.terrain is not None:
                 curvature = self.matcher.header.curvature
-                self.viewer = Viewer(terrain, named, curvature=curvature, render_thread=self.thread)
-            self.relief = None if terrain is None else ReliefTiles(terrain)
+                self.relief = ReliefTiles(self.matcher.terrain)
+                self._viewer = Viewer(
+                    self.matcher.terrain,
+                    self.peaks,
+                    curvature=curvature,
+                    render_thread=self.thread,
+                )
         except SkylineError:
             self.thread.close()
             raise
@@ -68,6 +73,13 @@ class Engine:
             name: ThreadPoolExecutor(count, thread_name_prefix=name)
             for name, count in _WORKERS.items()
         }
+
+    @property
+    def viewer(self) -> Viewer:
+        """The terrain as cameras see it; raises `InputError` without the stores' DEM."""
+        if self._viewer is None:
+            raise InputError("the store's DEM is not at hand; start skyline serve with --dem DEM")
+        return self._viewer
 
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
         """Run a task on one of the threads of its kind of work."""
@@ -84,7 +96,7 @@ class Engine:
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),
-            "peaks": self.viewer is not None and self.viewer.peaks is not None,
+            "peaks": self._viewer is not None and self.peaks is not None,
             "given": [shown_name(path.name) for path in self.photos],
         }
 
@@ -111,8 +123,8 @@ class Engine:
         """End all work, close the store and release the renderer."""
         for pool in self._pools.values():
             pool.shutdown(cancel_futures=True)
-        if self.viewer is not None:
-            self.viewer.release()
+        if self._viewer is not None:
+            self._viewer.release()
         self.matcher.release()
         self.thread.close()
 

@@ -1,11 +1,11 @@
 """Requests of the page, checked and converted: every number is finite and within its range."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
+from skyline.web.engine import Engine
 from skyline.web.session import POSE, PagePhoto
 
 _RANGES = {
@@ -13,7 +13,7 @@ _RANGES = {
     "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
     "high": (-500.0, 9000.0), "eyeHeight": (-500.0, 5000.0), "heading": (-360.0, 720.0),
     "pitch": (-80.0, 80.0), "roll": (-80.0, 80.0), "fov": (1.0, 360.0),
-    "distortion": (-0.3, 0.3), "wander": (-1.0, 1.0),
+    "distortion": (-1.0, 1.0), "wander": (-1.0, 1.0),
     "column": (-1e6, 1e6), "row": (-1e6, 1e6), "radius": (0.0, 1e5),
 }  # fmt: skip
 
@@ -23,7 +23,7 @@ def number(asked: Mapping[str, Any], name: str) -> float:
     value: Any = asked.get(name)
     low, high = _RANGES[name]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number and math.isfinite(value) and low <= value <= high:
+    if is_number and low <= value <= high:
         return float(value)
     raise InputError(f"{name} is {str(value)[:40]}; expected a number from {low:g} to {high:g}")
 
@@ -34,7 +34,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
         raise InputError("the strokes are no list; reload the page")
     strokes = []
     for one in asked:
-        if not isinstance(one, Mapping) or one.get("kind") not in set(StrokeKind):
+        if not isinstance(one, Mapping) or one.get("kind") not in list(StrokeKind):
             raise InputError(f"a stroke is none of {', '.join(StrokeKind)}")
         points = one.get("points")
         if not isinstance(points, list) or any(
@@ -86,25 +86,25 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     )
 
 
-def chosen_of(
-    asked: Mapping[str, Any], photo: PagePhoto, viewer: Viewer | None
-) -> tuple[Candidate, ...]:
+def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> tuple[Candidate, ...]:
     """Return the pose that a request chooses, then the other candidates of the same search.
 
     The pose is a ``pose`` set by hand, the last fit if ``fitted`` is true, or else the candidate
     with the index ``rank``, 0 by default.
     """
-    if asked.get("pose") is not None and viewer is not None:
-        return (pose_of(asked["pose"], viewer),)
+    if asked.get("pose") is not None:
+        return (pose_of(asked["pose"], engine.viewer),)
     if asked.get("fitted"):
         if photo.fitted is None:
             raise InputError("the skyline has changed since this fit; fit again")
         return photo.fitted.candidates
     if photo.result is not None and photo.current_result is None:
         raise InputError("the skyline has changed since this search; find the place again")
-    candidates = () if photo.current_result is None else photo.current_result.candidates
+    if photo.result is None or not photo.result.candidates:
+        return ()
+    candidates = photo.result.candidates
     rank = asked.get("rank") or 0
-    if not isinstance(rank, int) or not 0 <= rank < max(len(candidates), 1):
+    if not isinstance(rank, int) or not 0 <= rank < len(candidates):
         raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {len(candidates) - 1}")
     return (*candidates[rank : rank + 1], *candidates[:rank], *candidates[rank + 1 :])
 

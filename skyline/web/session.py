@@ -1,5 +1,6 @@
 """Sessions of the page: each has photos, their skylines and matches, and a folder of its own."""
 
+import asyncio
 import hashlib
 import io
 import secrets
@@ -52,64 +53,57 @@ POSE = {
 }  # fmt: skip
 """The numbers of a pose: their names on the page and in Skyline."""
 KINDS = {
-    "geojson": ("geojson", "application/geo+json"),
-    "kml": ("kml", "application/vnd.google-earth.kml+xml"),
-    "kmz": ("kmz", "application/vnd.google-earth.kmz"),
-    "gpx": ("gpx", "application/gpx+xml"),
-    "trace": ("csv", "text/csv"),
-    "report": ("html", "application/octet-stream"),
-    "photo": ("jpg", "image/jpeg"),
-    "names": ("png", "image/png"),
-}
-"""Suffix and media type of each kind of file that the page saves."""
+    "geojson": "geojson", "kml": "kml", "kmz": "kmz", "gpx": "gpx", "trace": "csv",
+    "report": "html", "photo": "jpg", "names": "png",
+}  # fmt: skip
+"""Suffix of each kind of file that the page saves."""
+
+
+class GoneError(InputError):
+    """A session has ended, or a photo was removed."""
 
 
 class PagePhoto:
     """A photo on the page, with its skyline, its strokes and its results.
 
-    Its file at ``path`` is never changed; ``name`` is the user's name of it.
+    Its file at ``path`` is never changed; ``name`` is the user's name of it. Raises `InputError`
+    if the file cannot be used.
     """
 
     def __init__(self, path: Path, name: str) -> None:
         self.id = secrets.token_urlsafe(12)
-        self.path, self.name = path, name
-        self.query: QuerySkyline | None = None
+        self.path, self.name = path, shown_name(name)
+        self.query = opened(self)[1].solve()
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: QuerySkyline | None = None
         self.result: MatchResult | None = None
         self.result_json: dict[str, Any] | None = None
         self.fitted: MatchResult | None = None
-        self.state = "waiting"
+        self.match: Match | None = None
         self.lock = threading.Lock()
 
     def record(self) -> dict[str, Any]:
         """Return the photo as JSON for the page's list."""
-        is_of_other = self.result is not None and self.current_result is None
-        state = "ready" if is_of_other and self.state != "matching" else self.state
-        record: dict[str, Any] = {"id": self.id, "name": self.name, "state": state}
-        query = self.query
-        if query is not None:
-            record |= {
-                "width": query.width_px,
-                "height": query.height_px,
-                # A field of view that is a guess from a cropped photo is not shown.
-                "fov": None if query.lens and query.lens.most_deg is not None else query.fov_deg,
-                "lonlat": query.noted.lonlat_deg,
-                "accuracy": query.noted.accuracy_m,
-                "elevation": query.noted.elevation_m,
-                "heading": query.noted.heading_deg,
-                "strokes": [
-                    {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
-                    for one in self.strokes
-                ],
-                "trusted": float(query.trusted.mean()),
-                "result": self.result_json,
-            }
-        return record
-
-    def first_look(self) -> None:
-        """Open the new photo and find its skyline; raises as `opened`."""
-        self.query, self.state = opened(self)[1].solve(), "ready"
+        query, result = self.query, self.current_result
+        state = "ready" if result is None else "answered" if result.answer else "no answer"
+        return {
+            "id": self.id,
+            "name": self.name,
+            "state": "matching" if self.match and not self.match.done else state,
+            "width": query.width_px,
+            "height": query.height_px,
+            # A field of view that is a guess from a cropped photo is not shown.
+            "fov": None if query.lens and query.lens.most_deg is not None else query.fov_deg,
+            "lonlat": query.noted.lonlat_deg,
+            "accuracy": query.noted.accuracy_m,
+            "heading": query.noted.heading_deg,
+            "strokes": [
+                {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
+                for one in self.strokes
+            ],
+            "trusted": float(query.trusted.mean()),
+            "result": self.result_json,
+        }
 
     def solve(self, strokes: Sequence[Stroke], trace: QuerySkyline | None = None) -> None:
         """Find the skyline again under all strokes, from now on from a trace if one is given."""
@@ -132,7 +126,7 @@ class PagePhoto:
 
         Columns that are not trusted have NaN and 0, those without another crest NaN.
         """
-        query = self.known()
+        query = self.query
         lines = np.stack([query.row_px, query.confidence, query.other_crest_px()])
         return lines.astype("<f4").tobytes()
 
@@ -140,13 +134,12 @@ class PagePhoto:
     def current_result(self) -> MatchResult | None:
         """The result of the search, None once the skyline has changed since."""
         searched = self.result_json
-        return self.result if searched and searched["skyline"] == version_of(self.known()) else None
+        return self.result if searched and searched["skyline"] == version_of(self.query) else None
 
-    def known(self) -> QuerySkyline:
-        """Return the skyline; raises `InputError` before it is found."""
-        if self.query is None:
-            raise InputError(f"{self.name} is not open yet; wait until its skyline is found")
-        return self.query
+    def cancel(self) -> None:
+        """End the photo's match, if one runs, at its next report of progress."""
+        if self.match is not None:
+            self.match.cancelled.set()
 
 
 def version_of(query: QuerySkyline) -> str:
@@ -186,14 +179,10 @@ class Match:
         self.photo = photo
         self._query, self._narrowing = query, narrowing
         self._question = {"asked": asked, "skyline": version_of(query)}
-        self._cancelled = threading.Event()
+        self.cancelled = threading.Event()
         self.step, self.share = "waiting", 0.0
         self.error: str | None = None
         self.done = False
-
-    def cancel(self) -> None:
-        """End the match at its next report of progress, without a result."""
-        self._cancelled.set()
 
     def run(self, engine: Engine) -> None:
         """Match, and leave the result in the photo or a message in ``error``."""
@@ -211,10 +200,7 @@ class Match:
         else:
             self.photo.result = result
             self.photo.result_json = self._question | _outcome(result, engine)
-            self.photo.state = "answered" if result.answer else "no answer"
         finally:
-            if self.error is not None:
-                self.photo.state = "ready"
             self.step, self.share, self.done = "done", 1.0, True
 
     def progress(self) -> dict[str, Any]:
@@ -229,7 +215,7 @@ class Match:
         self.step = step
 
     def _check(self) -> None:
-        if self._cancelled.is_set():
+        if self.cancelled.is_set():
             raise _CancelledError
 
 
@@ -275,11 +261,11 @@ def saved(
     """
     if kind != "trace" and not candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
-    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind][0]}"
+    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
     matcher, beside = engine.matcher, path.with_suffix("")
     try:
         if kind == "trace":
-            write_trace(photo.known(), path)
+            write_trace(photo.query, path)
         elif kind == "photo":
             write_located(photo.path, path, candidates[0])
         elif kind == "names":
@@ -287,9 +273,8 @@ def saved(
         else:
             result, photos = _result(photo, candidates), [opened(photo)[0].rgb]
             if kind == "report":
-                peaks = None if engine.viewer is None else engine.viewer.peaks
                 done = f"{candidates[0].origin.capitalize()} on the page."
-                report_matches(beside, matcher, [result], peaks, photos, done).rename(path)
+                report_matches(beside, matcher, [result], engine.peaks, photos, done).rename(path)
             else:
                 export_matches(path, [result], matcher.frame, photos)
         return path.read_bytes()
@@ -300,7 +285,7 @@ def saved(
 
 def _named(engine: Engine, photo: PagePhoto, pose: Candidate) -> bytes:
     """Return the photo with the names of the summits in it, as PNG."""
-    if engine.viewer is None or engine.viewer.peaks is None:
+    if engine.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
     picture = opened(photo)[0]
     seen = engine.viewer.summits(pose, picture.blank)
@@ -311,11 +296,11 @@ def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
     """Return the photo's result with these candidates, in this order."""
     results = photo.current_result, photo.fitted
     judged = (one for one in results if one and candidates[0] in one.candidates)
-    found = next(judged, MatchResult(photo.known(), (), 0.0))
+    found = next(judged, MatchResult(photo.query, (), 0.0))
     # Only the answer itself is an answer; other candidates of its search are not.
     is_answer = candidates[0] == found.answer
     return MatchResult(
-        photo.known(),
+        photo.query,
         tuple(candidates),
         found.seconds,
         None if is_answer else found.refusal or "chosen by a person",
@@ -331,9 +316,9 @@ class Session:
         folder.mkdir()
         self.id, self.folder = folder.name, folder
         self.photos: dict[str, PagePhoto] = {}
-        self.matches: dict[str, Match] = {}
+        self.adding = asyncio.Lock()
+        """Held while a photo is opened and added."""
         self.pages = 0
-        self.bytes = 0
         self.closed_at = time.monotonic()
 
     def path_for(self, name: str) -> Path:
@@ -342,23 +327,23 @@ class Session:
         plain = suffix if suffix[1:].isalnum() and len(suffix) <= 6 else ""
         return self.folder / (secrets.token_hex(12) + plain)
 
-    def add(self, path: Path, name: str) -> PagePhoto:
-        """Add a photo to the page."""
-        photo = PagePhoto(path, shown_name(name))
-        self.photos[photo.id] = photo
-        if path.parent == self.folder:
-            self.bytes += path.stat().st_size
-        return photo
+    @property
+    def bytes(self) -> int:
+        """Size of all files of the session."""
+        return sum(path.stat().st_size for path in self.folder.iterdir() if path.is_file())
+
+    def photo(self, photo_id: str) -> PagePhoto:
+        """Return the photo of an id; raises `GoneError` if there is none."""
+        if photo_id not in self.photos:
+            raise GoneError("this photo is no longer on the page; reload it")
+        return self.photos[photo_id]
 
     def remove(self, photo: PagePhoto) -> None:
         """Remove a photo from the page, and delete its file if it was uploaded."""
         self.photos.pop(photo.id, None)
-        match = self.matches.pop(photo.id, None)
-        if match is not None:
-            match.cancel()
+        photo.cancel()
         if photo.path.parent == self.folder:
-            self.bytes -= photo.path.stat().st_size
-            photo.path.unlink()
+            photo.path.unlink(missing_ok=True)
 
     def page_closed(self) -> None:
         """Count a page that was closed."""
@@ -385,15 +370,17 @@ class Sessions:
         return session
 
     def of(self, session_id: str) -> Session:
-        """Return the session of an id; raises `KeyError` if there is none."""
+        """Return the session of an id; raises `GoneError` if there is none."""
+        if session_id not in self._sessions:
+            raise GoneError("the server has ended this session and its photos; reload the page")
         return self._sessions[session_id]
 
     def sweep(self) -> None:
         """End matches that no open page awaits, and sessions that were closed long ago."""
         for session in list(self._sessions.values()):
             if session.unattended_s > _UNATTENDED_S:
-                for match in session.matches.values():
-                    match.cancel()
+                for photo in list(session.photos.values()):
+                    photo.cancel()
             if session.unattended_s > _GONE_S:
                 self._end(session)
 
@@ -405,6 +392,6 @@ class Sessions:
 
     def _end(self, session: Session) -> None:
         for photo in list(session.photos.values()):
-            session.remove(photo)
+            photo.cancel()
         self._sessions.pop(session.id, None)
         shutil.rmtree(session.folder, ignore_errors=True)

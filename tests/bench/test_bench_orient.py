@@ -1,4 +1,4 @@
-"""Known places measured small: photographs, made photos, summits, places of pixels, a webcam."""
+"""Small runs of ``skyline-bench orient``: photographs, made photos, summits, pixels, a webcam."""
 
 import json
 

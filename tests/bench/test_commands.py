@@ -1,4 +1,4 @@
-"""All commands of ``skyline-bench``: what its help says, records, and the short ones run small."""
+"""All commands of ``skyline-bench``: help, records, and small runs of the short ones."""
 
 import json
 import re
@@ -14,6 +14,7 @@ from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import cli, page, paper
 from skyline_bench.measuring import write_record
+from skyline_bench.options import rows_but
 from skyline_bench.truth import stability
 
 
@@ -129,3 +130,6 @@ def test_a_record_names_the_machine_and_says_nothing_that_json_cannot(tmp_path):
     }  # fmt: skip
     assert all(written["machine"].values())
     assert written["machine"]["skyline"] == __version__
+    path.write_text('{"rows": 3')
+    with pytest.raises(InputError, match="is no record of this benchmark"):
+        rows_but(path, "of", "dem")

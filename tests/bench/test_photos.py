@@ -1,4 +1,4 @@
-"""Photographs measured small: columns, places, what lost a place, and masks drawn by people."""
+"""Small runs of ``skyline-bench photos`` and ``sky-masks``: columns, places, losses, and masks."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Stores x queries: what is built, searched, kept and counted."""
+"""Stores x queries: built, searched, kept and counted."""
 
 import json
 

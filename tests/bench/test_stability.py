@@ -1,4 +1,4 @@
-"""Every hard case along every path that promises something there, and what the verdicts mean."""
+"""Every hard case along every path that has a bound there, and the verdicts."""
 
 from dataclasses import replace
 

@@ -96,7 +96,7 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
         done = run("render", dem, "-o", store, *which)
         assert_refused(done, "is 'places' there, 'renderings' here")
     done = run("store", "merge", store, renderings, "-o", tmp_path / "both.h5")
-    assert_refused(done, "kind of rows")
+    assert_refused(done, "a store holds rows of one kind; name another store")
     assert (store.read_bytes(), renderings.read_bytes()) == before
     assert not (tmp_path / "both.h5").exists()
 
@@ -226,6 +226,10 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["explain", dem, "--at", "5"], "easting and northing"),
         (["explain", dem, "--at", "5178000,601800"], "swapped: give 601800,5178000"),
         (["build", dem, "-o", tmp_path / "no" / "folder.h5"], "folder"),
+        (
+            ["render", tmp_path, "-o", out, "--grid", "9", "--depth-images", tmp_path],
+            "name a folder that holds no DEM",
+        ),
     ]:
         assert_refused(run(*arguments), message)
     assert not out.exists()

@@ -1,8 +1,8 @@
-"""README and docs/ hold: their commands run, the names in them exist, their figures are measured.
+"""README and docs/ are true: commands run, names exist, figures are those of the records.
 
-All commands run in one folder, README first, over terrain made for it; what takes long is made
-smaller, and a command that several pages show runs once. The public server of elevation tiles is
-one on this machine.
+All commands run in one folder, README first, over made terrain; long ones are made smaller, and a
+command that several pages show runs once. A server on this machine stands in for the public server
+of elevation tiles.
 """
 
 import configparser

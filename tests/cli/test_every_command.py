@@ -1,4 +1,4 @@
-"""How every command ends after Ctrl-C, and when its output has no reader any more."""
+"""The end of every command after Ctrl-C, and when its output is no longer read."""
 
 import json
 import os

@@ -12,6 +12,7 @@ from scenes import candidate_at
 
 from skyline import read_dem
 from skyline.cli.photo import check_outputs
+from skyline.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +137,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
         (f'{_POSED}, "wander": ["a", 0, 0, 0]}}', "wander is a;"),
         (f'{_POSED}, "wander": 0.1}}', "expected a list of 4 numbers"),
+        (f'{_POSED}, "wander": [0.1, 0, 0, 0]}}', "is of a panorama"),
         (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
         (f'{_POSED}, "distortion": true}}', "distortion is True"),
         (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
@@ -155,6 +157,8 @@ def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
     done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
     assert_refused(done, "is an input")
     check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
+    with pytest.raises(InputError, match="the name of two outputs"):
+        check_outputs([dem, None, dem], [])
 
 
 def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):

@@ -18,6 +18,7 @@ from skyline import read_dem, stand_at
 from skyline.fetch import remote
 from skyline.match import areas
 from skyline.match.areas import Area, prepare_area
+from skyline.match.locate import area_of
 
 PLACE = 9.5, 46.5
 NEAR = "9.5,46.5,1.5"
@@ -93,17 +94,17 @@ def test_the_area_is_that_of_the_photo_s_own_position(made, tmp_path):
         return noting(made / "photo.jpg", tmp_path / name, gps=gps_of(lon, lat))
 
     photo = taken_at("noted.jpg", *PLACE)
-    area, narrowing = skyline.match.locate.area_of([photo], skyline.Narrowing())
+    area, narrowing = area_of([photo], skyline.Narrowing())
     assert narrowing.near == pytest.approx((*PLACE, 10.0))
     frame = skyline.Frame.local(lon=PLACE[0], lat=PLACE[1])
     np.testing.assert_allclose(frame.rectangle_m(area.built), [-1e4, -1e4, 1e4, 1e4], rtol=0.02)
     near = taken_at("near.jpg", PLACE[0] + 0.3, PLACE[1])
-    both, narrowing = skyline.match.locate.area_of([photo, near], skyline.Narrowing())
+    both, narrowing = area_of([photo, near], skyline.Narrowing())
     assert areas._contains(both.built, area.built)
     assert narrowing.bounds_deg == both.built
     far = taken_at("far.jpg", PLACE[0] + 100.0, PLACE[1])
     with pytest.raises(skyline.InputError, match="more than 50 km apart"):
-        skyline.match.locate.area_of([photo, far], skyline.Narrowing())
+        area_of([photo, far], skyline.Narrowing())
 
 
 @pytest.mark.parametrize(

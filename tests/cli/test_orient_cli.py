@@ -23,6 +23,7 @@ def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
     assert rows[0]["heading_deg"] == rows[1]["heading_deg"]
     assert 0.0 < float(rows[0]["heading_sd_deg"]) < 1.0
     record = json.loads(run(*asked, "--json").out.splitlines()[0])
+    assert record["wander"] == []
     assert abs(record["heading_deg"] - float(rows[0]["heading_deg"])) < 1e-6
 
 

@@ -182,6 +182,25 @@ class TestAreas:
             build_places(terrain, path, 150.0, east, lambda done, _: 1 / (done - 1))
         assert path.read_bytes() == before
 
+    def test_boxes_that_are_built_at_once_are_both_kept(self, terrain, tmp_path):
+        west, east = (PlacePlan(400.0, box) for box in halves_of(terrain))
+        path, other = tmp_path / "s.h5", tmp_path / "other"
+        folder = parts_folder(path)
+
+        def build(plan, instant, work):
+            at = {instant: work}
+            build_store(terrain, path, plan, progress=lambda done, _: at.pop(done, int)())
+
+        build(west, 0, lambda: build_store(terrain, path, east))
+        with open_store(path) as store:
+            assert store.header.boxes_deg == list(halves_of(terrain))
+        path.unlink()
+        build(east, 1, lambda: shutil.copytree(folder, other))
+        path.unlink()
+        with pytest.raises(StoreMismatchError, match="bounds_deg"):
+            build(west, 1, lambda: shutil.copytree(other, folder, dirs_exist_ok=True))
+        assert not path.exists()
+
 
 class TestBroken:
     def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):

@@ -1,4 +1,4 @@
-"""The horizon rasterizer against the oracle, by every way it can go."""
+"""The horizon rasterizer against the oracle, on every path through its code."""
 
 from unittest.mock import MagicMock
 

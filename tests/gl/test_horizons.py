@@ -1,4 +1,4 @@
-"""Horizons against the oracle, in order of azimuth, by every way they can go."""
+"""Horizons against the oracle, in order of azimuth, on every path through their code."""
 
 import numpy as np
 import pytest

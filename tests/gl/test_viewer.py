@@ -1,6 +1,7 @@
-"""What poses see in photos, poses fitted from by hand, and rendering for many threads."""
+"""Skylines and summits at poses, fits from poses set by hand, and rendering for many threads."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
 from skyline.camera import HEADINGS
+from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.report.viewer import sight_of
 from skyline.terrain.viewpoints import stand_on
@@ -135,3 +137,12 @@ def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher,
         with pytest.raises(ZeroDivisionError):
             matcher.match(query, report_progress=lambda step, _, at=wanted: 1 / (step != at))
     assert matcher.match(query).candidates == plain.candidates
+
+
+def test_a_released_matcher_and_another_thread_are_refused(store, query):
+    made = Matcher(store)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(ContextError, match="render in that thread"):
+        pool.submit(made.match, query).result()
+    made.release()
+    with pytest.raises(InputError, match="released; make another"):
+        made.match(query)

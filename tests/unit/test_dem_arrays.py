@@ -89,6 +89,8 @@ def test_units_scale_and_cf_grid_mappings_are_heeded():
     feet = plain().assign_attrs(units="ft", scale_factor=0.5, add_offset=10.0)
     field = HeightField.from_xarray(feet, UTM)
     np.testing.assert_allclose(field.heights_m, (plain() * 0.5 + 10.0) * 0.3048, rtol=1e-6)
+    named = plain().assign_attrs(missing_value=plain().values.ravel()[[0, 7]])
+    assert HeightField.from_xarray(named, UTM).provenance.filled >= 2
     mapping = CRS.from_epsg(32632).to_cf()
     crs = xarray.DataArray(0, attrs={name: mapping[name] for name in mapping if name != "crs_wkt"})
     mapped = plain().assign_coords(utm=crs).assign_attrs(grid_mapping="utm")

@@ -30,6 +30,8 @@ def test_missing_files_and_folders(tmp_path):
     assert "without a name" in refused("")
     with pytest.raises(MissingFileError, match="no file"):
         read_dem("x" * 300 + ".tif")
+    with pytest.raises(MissingFileError, match="name its folder, or the files"):
+        read_dem(tmp_path / "*.tif")
     (tmp_path / "._a.tif").write_bytes(b"hidden")
     (tmp_path / "b.tif").mkdir()
     assert "has no elevation files" in refused(tmp_path)
@@ -69,6 +71,13 @@ MOON = {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100
 )
 def test_a_raster_that_is_no_dem(tmp_path, heights, options, given, said):
     assert said in refused(write(tmp_path / "a.tif", heights, **options), DemOptions(crs=given))
+
+
+def test_a_grid_without_both_corners(tmp_path):
+    """GDAL places it at 0, 0 without a word."""
+    header = "ncols 2\nnrows 2\nxllcenter 5e5\nyllcorner 5e6\ncellsize 30\n"
+    (tmp_path / "a.asc").write_text(header + "1 2\n3 4\n")
+    assert "lacks a corner" in refused(tmp_path / "a.asc", DemOptions(crs="EPSG:32632"))
 
 
 def test_a_scale_of_zero(tmp_path):

@@ -33,6 +33,8 @@ def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path):
     counts = field.provenance
     assert (counts.filled, counts.hollow, counts.resampling) == (0, 0, "none")
     assert counts.files == tuple(str(path) for path in paths)
+    twice = read_dem([*paths, tmp_path, tmp_path / ".." / tmp_path.name / paths[0].name])
+    assert (twice.digest, len(twice.provenance.files)) == (field.digest, 3)
 
 
 def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path):

@@ -34,13 +34,15 @@ def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
     assert (counts.filled, counts.hollow, counts.despiked) == (9, 144, 0)
 
 
-def test_masked_samples_are_voids(tmp_path):
-    path = write(tmp_path / "dem.tif", np.full((9, 9), 500, np.int16))
+def test_masked_samples_are_voids_and_so_are_those_of_the_nodata_value(tmp_path):
+    heights = np.full((9, 9), 500, np.int16)
+    heights[2, 2] = 450
+    path = write(tmp_path / "dem.tif", heights, nodata=450)
     mask = np.full((9, 9), 255, np.uint8)
     mask[4, 4] = 0
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as dataset:
         dataset.write_mask(mask)
-    assert read_dem(path).provenance.filled == 1
+    assert read_dem(path).provenance.filled == 2
 
 
 def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path):

@@ -72,12 +72,13 @@ NO_LATITUDE = "the latitude is not given as degrees, minutes and seconds"
         (SOUTH_WEST | {GPS.GPSLatitude: (IFDRational(0, 0),) * 3}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSLatitude: "33"}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSStatus: b"V\0"}, "the receiver had no fix"),
+        (SOUTH_WEST | {GPS.GPSHPositioningError: 2e4}, "it may be off by 20 km"),
         (SOUTH_WEST | {GPS.GPSMapDatum: "Atlantis 1900"}, "its datum 'ATLANTIS 1900' is not known"),
         (SOUTH_WEST | dict.fromkeys((GPS.GPSLatitude, GPS.GPSLongitude), (0.0,) * 3), "are 0, as"),
     ],
 )
 def test_a_position_that_is_none_is_left_aside_with_the_reason(gps, said):
-    noted = place_from_exif(gps | {GPS.GPSHPositioningError: 5.0})
+    noted = place_from_exif({GPS.GPSHPositioningError: 5.0} | gps)
     assert noted == NotedPlace(left_aside=noted.left_aside)
     assert noted.left_aside.startswith(POSITION)
     assert said in noted.left_aside

@@ -122,5 +122,5 @@ def test_half_a_place_or_two_are_refused(given):
 
 
 def test_a_grid_in_degrees_is_no_height_field():
-    with pytest.raises(InputError, match="grid in degrees is read by read_dem"):
+    with pytest.raises(InputError, match="grid in degrees needs a CRS in degrees"):
         HeightField(np.zeros((3, 3)), 9.0, 47.0, 1.0 / 3600.0, 1.0 / 3600.0, FRAME)

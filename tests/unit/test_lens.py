@@ -86,7 +86,7 @@ def gpano(**noted):
 
 # A panorama of 120 degrees.
 WHOLE = {
-    "ProjectionType": "cylindrical", "CroppedAreaImageWidthPixels": 9600,
+    "ProjectionType": "Cylindrical", "CroppedAreaImageWidthPixels": 9600,
     "CroppedAreaImageHeightPixels": 2400, "FullPanoWidthPixels": 28800,
     "PoseHeadingDegrees": 200.0,
 }  # fmt: skip

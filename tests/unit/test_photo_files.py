@@ -139,7 +139,7 @@ HEIC = b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("text.jpg", b"not a photo", "not an image that can be read; expected JPEG"),
+        ("text.jpg", b"not a photo", "not an image that can be read; expected JPEG.* or a trace"),
         ("empty.png", b"", "not an image that can be read"),
         ("phone.heic", HEIC, "HEIC photo.*to JPEG or PNG, or pip install pillow-heif"),
     ],
@@ -178,9 +178,14 @@ def test_an_opened_picture_that_is_cut_short_is_refused(tmp_path, scene):
     content = (tmp_path / "a.jpg").read_bytes()
     with (
         Image.open(io.BytesIO(content[: len(content) // 2])) as picture,
-        pytest.raises(InputError, match="the image cannot be decoded"),
+        pytest.raises(InputError, match=r"the image cannot be decoded \([^(]*\); it is damaged"),
     ):
         read_query(picture)
+
+
+def test_the_preview_that_a_raw_file_begins_with_is_refused(tmp_path):
+    Image.new("L", (160, 120)).save(tmp_path / "raw.tif", tiffinfo={Base.NewSubfileType: 1})
+    refused(tmp_path / "raw.tif", "begins with a preview of 160 x 120 px")
 
 
 def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):

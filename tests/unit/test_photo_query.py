@@ -128,6 +128,9 @@ def test_a_mask_of_white_ground_in_a_white_frame_is_refused(tmp_path):
     Image.fromarray(mask).save(tmp_path / "mask.png")
     with pytest.raises(InputError, match="row 4 and white below it, as one with white ground"):
         read_query(tmp_path / "mask.png")
+    Image.fromarray(mask[4:-4, 4:-4]).save(tmp_path / "mask.png")  # The frame is cut off.
+    with pytest.raises(InputError, match="black above white, as one with white ground"):
+        read_query(tmp_path / "mask.png")
 
 
 @pytest.mark.parametrize("mode", ["1", "RGBA", "P", "I;16"])

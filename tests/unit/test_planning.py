@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
+from skyline.build.plans import uniform_grid
 from skyline.errors import InputError
 from skyline.paper import plan as planning
 from skyline.paper.plan import PlanConfig, lay_out, plan
@@ -85,6 +86,8 @@ ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
         (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
+        (lambda t: lay_out(t, PlanConfig(candidate_m=1e-6, coarse_m=1.0)), "are too many"),
+        (lambda t: uniform_grid(t, 1e-6), "are too many"),
         (lambda t: plan(t, views_at, PlanConfig(**SPACING), ON_THE_HOLE), "falls on the surface"),
     ],
 )

@@ -17,8 +17,10 @@ from scenes import candidate_at, field_of, fractal
 from store_rows import VIEWS_HEADER
 
 from skyline.build.plans import uniform_grid
+from skyline.errors import InputError
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
+from skyline.report import exports
 from skyline.report.figures import place_labels
 from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
@@ -126,6 +128,18 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     assert picture.std() > 20.0
     assert like(picture, (209, 16, 61)).sum() > 100
     assert like(picture, (31, 95, 191)).sum() > 100
+
+
+def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
+    def full(path, _):
+        raise InputError(f"{path} cannot be written: no space")
+
+    monkeypatch.setattr(exports, "write_with_folders", full)
+    (tmp_path / "old").mkdir()
+    for name in ("new", "old"):
+        with pytest.raises(InputError, match="no space"):
+            report(tmp_path / name, [MatchResult(QUERY, (), 0.1, "fog")])
+    assert [one.name for one in tmp_path.iterdir()] == ["old"]
 
 
 def test_a_report_distinguishes_abstention_from_failure(tmp_path):

@@ -1,4 +1,4 @@
-"""Which peaks an eye sees, and what a gazetteer must look like."""
+"""The peaks that are visible from an eye, and the form of a gazetteer."""
 
 import json
 import logging
@@ -73,6 +73,8 @@ def test_a_viewer_refuses_poses_and_warns_of_peaks_that_are_elsewhere(caplog):
     assert not caplog.records
     viewer = Viewer(terrain, away)
     assert "longitude and latitude seem to be swapped" in caplog.text
+    with pytest.raises(InputError, match="are degrees; expected metres: name the columns lon,lat"):
+        Viewer(terrain, replace(TWO, easting_m=lon, northing_m=lat))
     with pytest.raises(OffMapError, match="the DEM covers easting"):
         viewer.summits(candidate_at(1e6, 0.0), query)
     with pytest.raises(InputError, match="field of view"):

@@ -1,4 +1,4 @@
-"""How terrain, stores and results show themselves in a REPL and in a notebook."""
+"""Representations of terrain, stores and results in a REPL and in a notebook."""
 
 import base64
 import io

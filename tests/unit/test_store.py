@@ -28,11 +28,10 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.store import check_store, columns_of, is_store, merge, merge_stores, open_store
-from skyline.store.hdf5 import write_store
-from skyline.store.merge import examine, repair_store
+from skyline.store import check_store, columns_of, is_store, merge_stores, open_store, write
 from skyline.store.places import Places
 from skyline.store.read import part_name, parts_folder
+from skyline.store.write import examine, repair_store, write_store
 
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
@@ -199,8 +198,9 @@ class TestWriting:
         assert check_store(path).rows == 5
 
     def test_into_no_folder(self, tmp_path):
-        with pytest.raises(MissingFileError, match="make it first"):
-            write_rows(tmp_path / "no" / "s.h5", 0, 3)
+        write_rows(tmp_path / "new" / "s.h5", 0, 3)
+        with pytest.raises(StoreError, match=r"No such file .* check the folder"):
+            write_rows(tmp_path / "no" / "no" / "s.h5", 0, 3)
 
 
 class TestDamage:
@@ -276,14 +276,14 @@ class TestDamage:
 
     def test_of_hdf5_itself_ends_the_process_that_checks(self, tmp_path, monkeypatch):
         """Forged structures can make HDF5 loop or crash."""
-        path, script = write_rows(tmp_path / "s.h5", 0, 3), merge._EXAMINE
+        path, script = write_rows(tmp_path / "s.h5", 0, 3), write._EXAMINE
         assert (check_store(path).rows, check_store(path).whole) == (3, True)
-        monkeypatch.setattr(merge, "_EXAMINE", "import os; os.abort()")
+        monkeypatch.setattr(write, "_EXAMINE", "import os; os.abort()")
         assert "crashes on it (signal 6)" in check_store(path).damage[0].what
-        monkeypatch.setattr(merge, "_LIMIT_S", 0.2)
+        monkeypatch.setattr(write, "_LIMIT_S", 0.2)
         loops = script.replace("json.dump(", "while True: pass\njson.dump(")
         assert loops != script
-        monkeypatch.setattr(merge, "_EXAMINE", loops)
+        monkeypatch.setattr(write, "_EXAMINE", loops)
         assert "of processor time" in check_store(path).damage[0].what
 
 

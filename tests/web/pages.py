@@ -1,4 +1,4 @@
-"""What tests of the page share: a server to ask, and a page in a browser to work with."""
+"""A server to send requests to, and a page in a browser, for tests of the page."""
 
 import base64
 import http.client

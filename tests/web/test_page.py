@@ -424,7 +424,7 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     assert len(page.all(".noted")) == 1
     page.match()
     page.settled()
-    best = page.state("state.results.get(state.photo.id).candidates[0]")
+    best = page.state("state.photo.result.candidates[0]")
     assert within(page, "#map", page.find(".spot.best"))
 
     def middle(rect):

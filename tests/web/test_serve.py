@@ -1,4 +1,4 @@
-"""``skyline serve`` from the shell: what it says when it cannot, and without the store's DEM."""
+"""``skyline serve`` from the shell: its errors, and its messages without the store's DEM."""
 
 import json
 import signal

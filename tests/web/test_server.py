@@ -1,4 +1,4 @@
-"""The server under people of all intents: what it refuses, and what it keeps."""
+"""The server under honest and hostile requests: refusals, and files that are kept."""
 
 import http.client
 import json
@@ -150,6 +150,8 @@ def test_500_megabytes_are_refused_before_they_are_sent(served):
         ("skyline", b"[1, 2", "not a JSON object"),
         ("skyline", b'{"strokes": [{"kind": "fire", "points": [[1, 2]], "radius": 3}]}', "none of"),
         ("skyline", b'{"strokes": [{"kind": "sky", "points": [[1, NaN]], "radius": 3}]}', "number"),
+        ("skyline", b'{"strokes": [{"kind": ["sky"]}]}', "none of"),
+        ("match", b'{"fov": 1' + b"0" * 400 + b"}", "fov is 1"),
         ("match", b'{"near": {"lon": 900, "lat": 0, "km": 1}}', "lon is 900"),
         ("match", b'{"elevation": {"low": 900, "high": 100}}', "two that increase"),
         ("match", b'{"fov": "wide"}', "fov is wide"),
@@ -191,7 +193,8 @@ def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
         assert len(seen[-1]["column"]) == len(seen[-1]["row"]) > 300
         socket.send(look(of_photo, {**POSE, "lat": 40.0}))
         assert "off the map" in received(socket, "look")["error"]
-        socket.send("no JSON")
+        for unread in ("no JSON", "[" * 100_000, '{"type": ["look"]}'):
+            socket.send(unread)
         socket.send(json.dumps({"type": "height", "lon": 10.3327, "lat": 46.7478, "seq": 7}))
         assert received(socket, "height")["seq"] == 7
 

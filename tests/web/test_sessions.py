@@ -1,9 +1,11 @@
 """Sessions of the page: their files, how long they are kept, and their matches."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from skyline.web import session as module
-from skyline.web.session import Sessions, shown_name
+from skyline.web.session import GoneError, Sessions, shown_name
 
 
 @pytest.fixture
@@ -16,7 +18,8 @@ def sessions():
 def photo_in(session):
     path = session.path_for("photo.jpg")
     path.write_bytes(bytes(100))
-    return session.add(path, "photo.jpg")
+    assert session.bytes == 100
+    session.photos["id"] = SimpleNamespace(id="id", path=path, cancel=lambda: None)
 
 
 def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions):
@@ -40,7 +43,7 @@ def test_a_session_ends_when_its_page_is_closed_for_long_and_not_before(sessions
     sessions.sweep()
     assert not gone.folder.exists()
     assert there.folder.exists()
-    with pytest.raises(KeyError):
+    with pytest.raises(GoneError):
         sessions.of(gone.id)
     there.page_closed()
     sessions.sweep()

@@ -1,6 +1,6 @@
 """Trials: the error of a matcher that searches a store for a query; and the figures of trials.
 
-Shares have Wilson's intervals. Adaptive stores are held to the uniform ones.
+Shares have Wilson's intervals. Adaptive stores are compared with uniform ones.
 """
 
 import math

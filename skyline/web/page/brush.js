@@ -8,12 +8,13 @@ const canvas = $("photo");
 const PAINTS = ["sky", "ground", "line", "erase"];
 const KEYS = { m: "move", s: "sky", g: "ground", l: "line", e: "erase", t: "turn" };
 const undone = [];
-let solving = false, again = false;
+const unsent = new Set(); // photos with strokes that the server has not seen
+let solving = false;
 
 const tool = () => document.querySelector("input[name=tool]:checked").value;
 const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
 
-export function choose(name) {
+function choose(name) {
   document.querySelector(`input[name=tool][value=${name}]`).checked = true;
   chosen();
 }
@@ -37,14 +38,14 @@ function finish() {
   solve();
 }
 
-export function undo() {
+function undo() {
   const stroke = state.photo?.strokes.pop();
   if (!stroke) return;
   undone.push(stroke);
   solve();
 }
 
-export function redo() {
+function redo() {
   const stroke = undone.pop();
   if (!stroke) return;
   state.photo.strokes.push(stroke);
@@ -54,24 +55,22 @@ export function redo() {
 // One request at a time; strokes drawn meanwhile go with the next.
 async function solve() {
   buttons();
-  if (solving) {
-    again = true;
-    return;
-  }
+  unsent.add(state.photo);
+  if (solving) return;
   solving = true;
-  do {
-    again = false;
-    const photo = state.photo;
+  for (const photo of unsent) {
+    unsent.delete(photo);
     const began = performance.now();
     try {
       const lines = await server.skyline(photo, photo.strokes);
-      if (photo === state.photo) showSkyline(lines);
       performance.measure("stroke", { start: began, end: performance.now() });
+      if (photo !== state.photo) continue;
+      showSkyline(lines);
       showStatus(`Skyline in ${Math.round(100 * share())} % of the columns`);
     } catch (error) {
       alertUser(error.message);
     }
-  } while (again);
+  }
   solving = false;
 }
 
@@ -113,7 +112,7 @@ function dragging(event) {
     else if (tool() === "turn") release();
   };
   canvas.addEventListener("pointermove", move);
-  canvas.addEventListener("pointerup", end, { once: true });
+  canvas.addEventListener("lostpointercapture", end, { once: true });
 }
 
 function moveCross([across, down], event) {
@@ -158,17 +157,13 @@ function pressed(event) {
   event.preventDefault();
 }
 
-async function loadTrace() {
-  const file = $("trace-file").files[0];
-  $("trace-file").value = "";
-  if (file) await traceFrom(file);
-}
-
 export async function traceFrom(file) {
-  if (!state.photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
+  const photo = state.photo;
+  if (!photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
   try {
-    const lines = await server.loadTrace(state.photo, file);
-    state.photo.strokes = [];
+    const lines = await server.loadTrace(photo, file);
+    photo.strokes = [];
+    if (photo !== state.photo) return;
     forget();
     showSkyline(lines);
     showStatus(`${file.name} loaded`);
@@ -193,6 +188,9 @@ export function start() {
   $("undo").onclick = undo;
   $("redo").onclick = redo;
   $("load-trace").onclick = () => $("trace-file").click();
-  $("trace-file").onchange = loadTrace;
+  $("trace-file").onchange = async () => {
+    for (const file of $("trace-file").files) await traceFrom(file);
+    $("trace-file").value = "";
+  };
   chosen();
 }

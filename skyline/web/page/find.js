@@ -7,26 +7,51 @@ import { choose as choosePhoto } from "./photos.js";
 
 const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done" };
 
+const CANCELLED = "cancelled";
+const awaited = new Set(); // photos whose searches this page has begun
+
+// Returns false if the search was cancelled.
 async function find(photo) {
   photo.state = "matching";
+  awaited.add(photo);
   emit("states");
   show();
+  let message = null;
   try {
-    const result = await server.match(photo, known());
-    state.results.set(photo.id, result);
-    photo.state = outcome(result);
-    if (photo === state.photo) {
-      // Until a candidate is chosen, the pose does not belong to this search.
-      leave();
-      showStatus(`Searched in ${result.seconds.toFixed(1)} s`);
-      emit("result");
-      show();
-      if (result.candidates.length) choose(0);
-    }
+    photo.result = await server.match(photo, known());
+    ended(photo, outcome(photo.result));
   } catch (error) {
+    ({ message } = error);
+    if (message === CANCELLED) showStatus("Cancelled");
+    else alertUser(message);
     photo.state = "ready";
-    if (error.message === "cancelled") showStatus("Cancelled");
-    else alertUser(error.message);
+  }
+  awaited.delete(photo);
+  emit("states");
+  show();
+  return message !== CANCELLED;
+}
+
+function ended(photo, outcome) {
+  photo.state = outcome;
+  if (photo !== state.photo) return;
+  if (outcome === "ready") return showStatus("Cancelled");
+  // Until a candidate is chosen, the pose does not belong to this search.
+  leave();
+  showStatus(`Searched in ${photo.result.seconds.toFixed(1)} s`);
+  emit("result");
+  show();
+  if (photo.result.candidates.length) choose(0);
+}
+
+// Ends a search that was begun before the page was loaded again.
+async function rejoin(photo) {
+  try {
+    const record = (await server.records()).find((one) => one.id === photo.id);
+    photo.result = record.result;
+    ended(photo, record.state);
+  } catch (error) {
+    alertUser(error.message);
   }
   emit("states");
   show();
@@ -37,7 +62,9 @@ const outcome = (result) => (result.answered ? "answered" : "no answer");
 async function findAll() {
   for (const photo of state.photos.filter((one) => one.state === "ready")) {
     await choosePhoto(photo);
-    if (photo === state.photo && photo.state === "ready") await find(photo);
+    if (photo === state.photo && photo.state === "ready") {
+      if (!(await find(photo))) return;
+    }
   }
 }
 
@@ -50,7 +77,7 @@ export function choose(index) {
 }
 
 function show() {
-  const photo = state.photo, result = standing(), searched = state.results.has(photo?.id);
+  const photo = state.photo, result = standing(), searched = Boolean(photo?.result);
   const busy = photo?.state === "matching";
   $("find").disabled = !photo || busy;
   $("progress").hidden = !busy;
@@ -89,6 +116,7 @@ function row(one, index) {
 
 function progressed(match) {
   const photo = state.photos.find((one) => one.id === match.photo);
+  if (match.done && photo?.state === "matching" && !awaited.has(photo)) rejoin(photo);
   if (!photo || photo !== state.photo || match.done) return;
   $("bar").value = match.share;
   $("step").textContent = STEPS[match.step] ?? match.step;
@@ -106,7 +134,7 @@ export function start() {
   on("choose", choose);
   for (const name of ["pose", "known"]) on(name, show);
   on("skyline", () => {
-    const result = state.results.get(state.photo.id);
+    const { result } = state.photo;
     if (result && state.photo.state !== "matching") {
       state.photo.state = result.skyline === state.version ? outcome(result) : "ready";
       emit("states");
@@ -115,6 +143,6 @@ export function start() {
   });
   on("photo", (photo) => {
     show();
-    if (photo && state.results.has(photo.id)) choose(0);
+    if (photo?.result) choose(0);
   });
 }

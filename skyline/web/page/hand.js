@@ -40,9 +40,8 @@ function setPose(pose, origin, { chosen = null, fit = null } = {}) {
   changed(false);
 }
 
-const placed = (one) => ({ lon: one.lon, lat: one.lat, heading: one.heading, pitch: one.pitch, roll: one.roll,
-  fov: one.fov, distortion: one.distortion, wander: one.wander,
-  eyeHeight: one.eyeHeight ?? known().eyeHeight ?? USUAL_EYE_M });
+const placed = ({ lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight }) =>
+  ({ lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight: eyeHeight ?? known().eyeHeight ?? USUAL_EYE_M });
 
 export const toCandidate = (one, chosen) => setPose(placed(one), "found", { chosen });
 

@@ -30,7 +30,7 @@ export function known() {
 
 // The result of the photo's search as long as the same search would be made now, else null.
 export function standing() {
-  const result = state.results.get(state.photo?.id);
+  const result = state.photo?.result;
   const stands = result?.skyline === state.version && JSON.stringify(result?.asked) === JSON.stringify(known());
   return stands ? result : null;
 }
@@ -68,7 +68,7 @@ function circle(place = null) {
 // is the photo's own, and its place and direction are offered.
 function fromPhoto(photo) {
   if (!photo) return;
-  const asked = state.results.get(photo.id)?.asked ?? NOTHING;
+  const asked = photo.result?.asked ?? NOTHING;
   const fov = "fov" in asked ? asked.fov : photo.fov;
   $("fov").max = widest(photo);
   $("fov-known").checked = fov !== null;

@@ -7,7 +7,7 @@ import * as map from "./map.js";
 import * as photos from "./photos.js";
 import * as saving from "./save.js";
 import * as server from "./server.js";
-import { $, alertUser, showStatus, state } from "./state.js";
+import { $, alertUser, state } from "./state.js";
 import * as view from "./view.js";
 
 try {
@@ -16,7 +16,6 @@ try {
   const kept = await server.begin();
   for (const part of [view, hand, map, known, find, saving, brush]) part.start();
   document.documentElement.dataset.ready = "yes";
-  showStatus("");
   await photos.start(kept);
 } catch (error) {
   alertUser(error.message);

@@ -1,6 +1,6 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, ARROWS, degrees, element, on, showStatus, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, degrees, element, on, state, emit } from "./state.js";
 import { moveTo, release } from "./hand.js";
 import { standing } from "./known.js";
 
@@ -141,16 +141,11 @@ export function circled() {
 }
 
 export function showCircle(km, place = null) {
-  if (place) {
-    for (const one of [circle, centre]) one.setLatLng(onMap(place.lat, place.lng));
+  if (km !== null) circle.setRadius(1000 * km);
+  for (const one of [circle, centre]) {
+    if (place) one.setLatLng(onMap(place.lat, place.lng));
+    km === null ? one.remove() : one.addTo(map);
   }
-  if (km === null) {
-    circle.remove();
-    centre.remove();
-    return;
-  }
-  circle.setRadius(1000 * km).addTo(map);
-  centre.addTo(map);
 }
 
 export const middle = () => offMap(map.getCenter());
@@ -172,21 +167,21 @@ function makeCircle() {
 }
 
 function showWhere() {
-  let waiting = false;
+  let asked = 0;
   const control = L.control({ position: "bottomright" });
   control.onAdd = () => (where = element("div", { class: "where" }));
   control.addTo(map);
   const at = (shown) => {
     const place = offMap(shown);
     where.textContent = degrees(place.lng, place.lat);
-    if (!waiting) waiting = server.send({ type: "height", lon: place.lng, lat: place.lat, seq: 0 });
+    server.send({ type: "height", lon: place.lng, lat: place.lat, seq: ++asked });
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
   at(map.getCenter());
-  on("height", ({ height }) => {
-    waiting = false;
-    if (height !== null && height !== undefined) where.textContent += `  ${Math.round(height)} m`;
+  on("connected", () => at(map.getCenter()));
+  on("height", ({ height, seq }) => {
+    if (seq === asked && height !== null && height !== undefined) where.textContent += `  ${Math.round(height)} m`;
   });
 }
 
@@ -201,7 +196,7 @@ export function start() {
   // Leaflet compares tiles with bounds within one turn only.
   const noWrap = Boolean(terrain && terrain[0] < terrain[2]), bounds = noWrap ? box(terrain) : undefined;
   if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
-  else showStatus("The store's DEM is not at hand: no relief, and nothing can be rendered (--dem).");
+  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.");
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
   map.fitBounds(box(area), { padding: [8, 8] });

@@ -5,7 +5,8 @@ import { buttons, forget, showSkyline, traceFrom } from "./brush.js";
 import { show } from "./view.js";
 
 const WORDS = { waiting: "waiting", opening: "opening…", ready: "ready", matching: "searching…",
-  answered: "✓ found", "no answer": "? not sure", unusable: "✗" };
+  answered: "✓ found", "no answer": "? not sure" };
+let loading = false;
 
 function list() {
   $("photos").replaceChildren(...state.photos.map((photo) => {
@@ -15,9 +16,13 @@ function list() {
     }
     const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
       element("span", { class: "name", title: photo.name }, photo.name),
-      element("span", { class: "state" }, WORDS[photo.state] ?? photo.state));
+      element("span", { class: "state" }, WORDS[photo.state]));
     return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
   }));
+  const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
+  $("busy").hidden = !loading && !opening;
+  $("welcome").hidden = Boolean(state.photo) || opening;
+  for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
   $("find-all").hidden = state.photos.filter((photo) => photo.state === "ready").length < 2;
 }
 
@@ -30,9 +35,8 @@ export async function choose(photo) {
   state.photo = photo;
   state.rows = state.sight = state.pose = state.chosen = state.origin = state.fit = null;
   forget();
-  for (const id of ["tools", "legend"]) $(id).hidden = false;
-  $("welcome").hidden = true;
-  $("busy").hidden = false;
+  loading = true;
+  show(null);
   list();
   try {
     const [blob, lines] = await Promise.all([server.picture(photo), server.skyline(photo, null)]);
@@ -43,18 +47,16 @@ export async function choose(photo) {
     showStatus(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
   } catch (error) {
     alertUser(error.message);
+    if (photo !== state.photo) return;
   }
-  $("busy").hidden = true;
+  loading = false;
+  list();
   buttons();
   emit("photo", photo);
 }
 
 async function open(photo, opened) {
   photo.state = "opening";
-  if (!state.photo) {
-    $("welcome").hidden = true;
-    $("busy").hidden = false;
-  }
   list();
   try {
     Object.assign(photo, await opened());
@@ -64,30 +66,26 @@ async function open(photo, opened) {
     showStatus("");
     alertUser(error.message);
   }
-  if (!state.photo) {
-    $("busy").hidden = true;
-    $("welcome").hidden = photo.state !== "unusable";
-  }
   list();
 }
 
-export async function add(files) {
-  const all = [...files];
-  const photos = all.filter((file) => !/\.csv$/i.test(file.name));
-  const records = photos.map((file) => ({ name: file.name, state: "waiting", file }));
+export async function add(chosen) {
+  const all = [...chosen];
+  const traces = all.filter((file) => /\.csv$/i.test(file.name));
+  const files = all.filter((file) => !traces.includes(file));
+  const records = files.map(({ name }) => ({ name, state: "waiting" }));
   state.photos.push(...records);
   list();
   let first = true;
-  for (const record of records) {
-    const { file } = record;
-    delete record.file;
-    await open(record, () => server.upload(file));
+  for (const [index, record] of records.entries()) {
+    if (!state.photos.includes(record)) continue;
+    await open(record, () => server.upload(files[index]));
     if (first && record.state === "ready") {
       first = false;
       await choose(record);
     }
   }
-  for (const trace of all.filter((file) => /\.csv$/i.test(file.name))) await traceFrom(trace);
+  for (const trace of traces) await traceFrom(trace);
 }
 
 async function drop(photo) {
@@ -95,9 +93,9 @@ async function drop(photo) {
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
     state.photo = state.rows = state.sight = state.pose = state.origin = state.fit = null;
-    for (const id of ["tools", "legend"]) $(id).hidden = true;
-    $("welcome").hidden = false;
+    loading = false;
     show(null);
+    showStatus("");
     emit("photo", null);
   }
   list();
@@ -132,9 +130,8 @@ export async function start(kept) {
   dropping();
   on("states", list);
   const given = state.store.given.map((name, index) => ({ name, given: index, state: "ready" }));
-  for (const photo of kept ?? []) if (photo.result) state.results.set(photo.id, photo.result);
-  const opened = new Set(kept?.map((photo) => photo.name));
-  state.photos = [...(kept ?? []), ...given.filter((photo) => !opened.has(photo.name))];
+  const opened = new Set(kept.map((photo) => photo.name));
+  state.photos = [...kept, ...given.filter((photo) => !opened.has(photo.name))];
   list();
   if (state.photos.length) await choose(state.photos[0]);
 }

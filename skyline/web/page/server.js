@@ -28,21 +28,16 @@ const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
 
 export async function begin() {
   session = sessionStorage.getItem(KEY);
-  if (session) {
-    try {
-      const { photos } = await (await ask("GET", `session/${session}`)).json();
-      listen();
-      return photos;
-    } catch {
-      session = null;
-    }
+  let kept = session && (await records().catch(() => null));
+  if (!kept) {
+    ({ session, photos: kept } = await (await ask("POST", "session")).json());
+    sessionStorage.setItem(KEY, session);
   }
-  session = (await (await ask("POST", "session")).json()).session;
-  sessionStorage.setItem(KEY, session);
   listen();
-  return null;
+  return kept;
 }
 
+export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
 export const about = async () => (await ask("GET", "state")).json();
 
 export async function upload(file) {
@@ -50,7 +45,10 @@ export async function upload(file) {
     const size = (file.size / 1e6).toFixed(0);
     throw new Error(`${file.name} has ${size} MB; the page takes at most 100 MB: save it smaller`);
   }
-  return (await ask("POST", inSession(`photos?name=${encodeURIComponent(file.name)}`), file)).json();
+  const bytes = await file.arrayBuffer().catch(() => {
+    throw new Error(`${file.name} cannot be read; it is a folder, or has changed: choose the photo again`);
+  });
+  return (await ask("POST", inSession(`photos?name=${encodeURIComponent(file.name)}`), bytes)).json();
 }
 
 export const openGiven = async (index) => (await ask("POST", inSession(`given/${index}`))).json();
@@ -88,10 +86,18 @@ function listen() {
     const message = JSON.parse(event.data);
     emit(message.type, message);
   };
-  socket.onclose = () => {
-    showStatus("The server does not answer; trying again…");
-    setTimeout(listen, 1500);
-  };
+  socket.onclose = reconnect;
+}
+
+async function reconnect() {
+  try {
+    await ask("GET", `session/${session}`);
+    showStatus("");
+    listen();
+  } catch (error) {
+    showStatus(error.message);
+    setTimeout(reconnect, 1500);
+  }
 }
 
 export function send(asked) {

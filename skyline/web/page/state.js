@@ -7,7 +7,6 @@ export const state = {
   trust: null, // Float32Array, 0 to 1
   others: null, // Float32Array, rows of other crests that may be the skyline
   version: null, // distinguishes the skyline from others of the same photo
-  results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight}
   origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"

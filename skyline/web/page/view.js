@@ -118,8 +118,7 @@ function resize() {
   Object.assign(view, { width, height });
   canvas.width = Math.round(width * devicePixelRatio);
   canvas.height = Math.round(height * devicePixelRatio);
-  if (fitted) fit();
-  else draw();
+  fitted ? fit() : draw();
 }
 
 export function start() {

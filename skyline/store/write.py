@@ -1,4 +1,8 @@
-"""Merging, checking and repairing stores: every row is compared with its checksum.
+"""Writing stores, from rows or from other stores, and checking them row by row.
+
+A store is written once, from all of its rows, under a temporary name. It takes its own name when
+its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and two
+processes that write the same store at once do no harm: either's file is the same.
 
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
 are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
@@ -10,6 +14,7 @@ A file whose structures were forged together with their checksums may hang or cr
 `check_store` therefore reads in a process of its own, which may die.
 """
 
+import io
 import json
 import math
 import os
@@ -21,18 +26,38 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import uuid4
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, SkylineError, StoreError
+from skyline.errors import InputError, MissingFileError, SkylineError, StoreError
 from skyline.geodesy import Bounds
-from skyline.store.format import Columns, StoreHeader, refuse_mismatch, row_checksums
-from skyline.store.hdf5 import check_folder, explained, write_store
+from skyline.store.format import (
+    PLACES,
+    Columns,
+    StoreHeader,
+    explained,
+    refuse_mismatch,
+    row_checksums,
+    write_header,
+)
 from skyline.store.read import Store, open_hdf5, open_store
 
-_BLOCK_ROWS = 1024
-"""Rows that are read at a time, a whole number of chunks."""
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+_LIBVER = ("v110", "v110")
+"""Pinned, so that every release of HDF5 since 1.10 reads the file, and its bytes stay the same."""
+
+_ALIGNED = {"alignment_threshold": 1024, "alignment_interval": 64}
+"""Chunks of places begin at whole cache lines, for half a byte a place."""
+
+_ROWS_AT_ONCE = 1024
+"""Rows read or written at once, whole chunks: a packed chunk that is written twice leaves dead
+bytes."""
 
 _LIMIT_S = 60.0
 _LIMIT_S_PER_BYTE = 1e-6
@@ -41,11 +66,96 @@ core of 2020; time by the clock would depend on how busy the machine is."""
 
 _EXAMINE = """
 import dataclasses, json, pathlib, resource, sys, time
-from skyline.store.merge import examine
+from skyline.store.write import examine
 seconds = int(time.process_time()) + int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
 json.dump(dataclasses.asdict(examine(pathlib.Path(sys.argv[1]))), sys.stdout)
 """
+
+
+def write_store(
+    path: str | os.PathLike[str],
+    header: StoreHeader,
+    columns: Columns,
+    order: NDArray[np.intp] | None = None,
+) -> int:
+    """Write a store of some rows, and return their number.
+
+    The same rows, order and header give the same bytes. Columns are as
+    `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to write, by default
+    all. Its folder is made if need be, and a store that already exists is replaced. Raises
+    `StoreError` where the file cannot be written.
+    """
+    path = Path(path).resolve()
+    partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
+    if order is None:
+        order = np.arange(len(columns[header.sorted_by[0]]))
+    with explained(path, "it cannot be written", "check the folder's rights and space"):
+        path.parent.mkdir(exist_ok=True)
+        try:
+            with _Target(partial, "x+b") as target:
+                aligned = _ALIGNED if header.holds == PLACES else {}
+                with h5py.File(target, "w", libver=_LIBVER, **aligned) as file:
+                    write_header(file, header)
+                    for name, row in header.specs.items():
+                        # HDF5 has no chunks larger than a dataset may become.
+                        most = None if len(order) else (None, *row.shape)
+                        layout = header.layout(name, len(order))
+                        file.create_dataset(name, maxshape=most, **layout)
+                    for first in range(0, len(order), _ROWS_AT_ONCE):
+                        some = order[first : first + _ROWS_AT_ONCE]
+                        block = {name: columns[name][some] for name in columns}
+                        block[header.checksum] = row_checksums(block)
+                        for name, values in block.items():
+                            file[name][first : first + len(some)] = values
+                target.finish()
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    return len(order)
+
+
+def check_folder(path: Path) -> None:
+    """Raise `MissingFileError` unless there is a folder for a file."""
+    if not path.parent.is_dir():
+        raise MissingFileError(
+            f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
+        )
+
+
+class _Target(io.FileIO):
+    """The file that HDF5 writes to.
+
+    After a failed write, HDF5 writes again when it closes the file, and if that fails too it ends
+    the process. So failures are hidden from HDF5, and `finish` raises the first.
+    """
+
+    _error: OSError | None = None
+
+    def write(self, data: "ReadableBuffer", /) -> int:
+        """Write all of the data, or keep the error."""
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left and self._error is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self._error = error
+        return size
+
+    def truncate(self, size: int | None = None, /) -> int:
+        """Set the size of the file, or keep the error."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._error = self._error or error
+            return size or 0
+
+    def finish(self) -> None:
+        """Flush the bytes to the disk; raises the `OSError` of the first write that failed."""
+        if self._error is not None:
+            raise self._error
+        os.fsync(self.fileno())
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +248,17 @@ def merged_rows(
     one, header = counted[0][0], headers[0]
     for (other, _), differing in zip(counted[1:], headers[1:], strict=True):
         refuse_mismatch(
-            (header.anywhere, f"in {one.name}"),
-            (differing.anywhere, f"in {other.name}"),
+            header.anywhere,
+            differing.anywhere,
             f"stores {one} and {other} cannot be joined",
             "build both with the same settings from one DEM of both areas: skylines show terrain "
             "far around them",
+            (f"in {one.name}", f"in {other.name}"),
         )
     # The header must not depend on the order of the stores.
     header = replace(
         header,
-        config=_joint_config(headers),
+        config=joint_config(headers),
         dem_files=min(header.dem_files for header in headers),
         renderer="; ".join(
             sorted({name for header in headers for name in header.renderer.split("; ")})
@@ -176,7 +287,7 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
             yield store
 
 
-def _joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
+def joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
     """Return the configuration of stores that may differ in their boxes."""
     config = dict(headers[0].config)
     if "bounds_deg" in config:
@@ -265,10 +376,11 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
         env={**os.environ, "PYTHONPATH": searched},
         check=False,
     )
-    if child.returncode == -signal.SIGXCPU:
-        return _unreadable(f"HDF5 had not read it after {limit_s:.0f} s of processor time")
     if child.returncode < 0:
-        return _unreadable(f"HDF5 crashes on it (signal {-child.returncode})")
+        reason = f"HDF5 crashes on it (signal {-child.returncode})"
+        if child.returncode == -signal.SIGXCPU:
+            reason = f"HDF5 had not read it after {limit_s:.0f} s of processor time"
+        return _unreadable(f"store {path} is damaged: {reason}")
     try:
         report = json.loads(child.stdout)
     except ValueError as error:
@@ -298,8 +410,8 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage
     A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
     """
     size = store.header.chunk_rows(len(store))
-    for start in range(0, len(store), _BLOCK_ROWS):
-        stop = min(start + _BLOCK_ROWS, len(store))
+    for start in range(0, len(store), _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, len(store))
         try:
             yield _compared(store, start, stop)
         except StoreError:
