@@ -100,10 +100,11 @@ def _example(
     )
 
 
-def learn(examples: Sequence[Example], within_m: float) -> Logistic:
+def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = True) -> Logistic:
     """Return the logistic model most likely to have given the examples, right within a distance.
 
-    Examples that are all right, or all wrong, raise `InputError`.
+    A model without products is of the figures alone. Raises `InputError` for examples that are all
+    right, or all wrong.
     """
     right = np.array([example.error <= within_m for example in examples])
     if not right.any() or right.all():
@@ -116,6 +117,8 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
     mean = [float(figures[name].mean()) for name in names]
     scale = [max(float(figures[name].std()), 1e-9) for name in names]
     terms = Logistic(names, mean, scale, (), 0.0).terms(figures)
+    if not has_products:
+        terms = terms[:, : len(names)]
     middle, spread = terms.mean(axis=0), np.maximum(terms.std(axis=0), 1e-9)
     unit, sign = (terms - middle) / spread, np.where(right, 1.0, -1.0)
 
@@ -401,7 +404,9 @@ def learn_all(examples: Examples) -> Learned:
     shown: list[Reliability] = []
     for stage, within_m in product(STAGES, DISTANCES_M):
         model = model_name(stage, within_m)
-        models[model] = learn(learned_from[stage], within_m)
+        models[model] = learn(
+            learned_from[stage], within_m, has_products=stage != confidence.FITTED
+        )
         rows.append(_left_out(model, examples, stage, within_m))
         for name, one in examples.items():
             sure = probabilities(models[model], one[stage])
@@ -425,7 +430,8 @@ def _left_out(model: str, examples: Examples, stage: str, within_m: float) -> Ro
     sure, right, turn_deg = [], [], []
     for name, some in examples.items():
         others = [one for other in examples if other != name for one in examples[other][stage]]
-        sure.append(probabilities(learn(others, within_m), some[stage]))
+        learned = learn(others, within_m, has_products=stage != confidence.FITTED)
+        sure.append(probabilities(learned, some[stage]))
         right += [example.error <= within_m for example in some[stage]]
         turn_deg += [example.turn_deg for example in some[stage]]
     found = np.concatenate(sure), np.array(right), np.array(turn_deg)

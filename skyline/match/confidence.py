@@ -58,6 +58,9 @@ _MOST_LENS_DEVIATIONS = 4.0
 _MOST_DEVIATIONS = 4.0
 """Cap of each figure's distance from its mean, in standard deviations: few examples lie beyond, and
 a product grows with the square."""
+_LENS_SD_RANGE = 0.03, 0.3
+"""Standard deviations of a lens's scale that the models learned from: a field of view that is known
+within 5 %, and one that is not known."""
 _MIN_VISIBLE_DEG = 14.0
 """Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
 seven unknowns: below 14 degrees there are fewer rises than unknowns."""
@@ -71,8 +74,9 @@ _LEAST_OF_FIT = 0.7
 """Least share of right ones among poses that fit like a given one. The share is that of the best
 poses of searches; a pose that a person gives is right more often."""
 FITTED = "fitted"
-"""Stage of poses that were fitted without a search. Its models, of `pose_figures` alone, are
-learned from the best poses of searches."""
+"""Stage of poses that were fitted without a search. Its models, of `pose_figures` alone and without
+products, are learned from the best poses of searches. A pose set by hand can be unlike all of
+these, where products mislead: a residual of 1.4 degrees would be trusted."""
 ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place, in ``orientation.json``."""
 
@@ -122,7 +126,7 @@ class Logistic:
     scale: Sequence[float]
     """``names``, ``mean``, ``scale``: F each."""
     weight: Sequence[float]
-    """F (F + 3) / 2, in the order of `terms`."""
+    """In the order of `terms`; F alone for a model without products."""
     bias: float
 
     def terms(self, figures: Mapping[str, Float64Array]) -> Float64Array:
@@ -142,7 +146,7 @@ class Logistic:
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
         """Return probabilities (M,) from figures (M,) by name; see `terms`."""
-        logit = self.bias + self.terms(figures) @ np.asarray(self.weight, float)
+        logit = self.bias + self.terms(figures)[:, : len(self.weight)] @ np.array(self.weight)
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
@@ -316,7 +320,7 @@ def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
     return {
         "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
         "log_visible": np.full(count, np.log(np.clip(visible_deg, 1.0, _MOST_VISIBLE_DEG))),
-        "log_lens_sd": np.full(count, np.log(max(query.log_scale_sd, 1e-3))),
+        "log_lens_sd": np.full(count, np.log(np.clip(query.log_scale_sd, *_LENS_SD_RANGE))),
     }
 
 
