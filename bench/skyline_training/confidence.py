@@ -49,8 +49,11 @@ Reliability = tuple[str, Float64Array, BoolArray]
 STAGES = ("refined", "retrieved", confidence.FITTED)
 
 _RIDGE = 1e-2
-"""Ridges from 1e-4 to 1e-2 are as likely as one another on terrain left out, and this one is the
-best calibrated. A larger ridge draws all probabilities to the middle."""
+"""With products, terrain left out is as likely with ridges of 5e-3 to 2e-2, and less likely with
+smaller ones. A larger ridge draws all probabilities to the middle."""
+_STRANGERS_WEIGHT = 0.5
+"""Weight of examples of other terrain in models of searches. They are a fifth of all examples, to
+have enough to learn from, and rarer among the photos that are searched."""
 _BINS = 10
 
 
@@ -103,8 +106,8 @@ def _example(
 def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = True) -> Logistic:
     """Return the logistic model most likely to have given the examples, right within a distance.
 
-    A model without products is of the figures alone. Raises `InputError` for examples that are all
-    right, or all wrong.
+    A model without products is of the figures alone, and counts strangers in full. Raises
+    `InputError` for examples that are all right, or all wrong.
     """
     right = np.array([example.error <= within_m for example in examples])
     if not right.any() or right.all():
@@ -121,17 +124,21 @@ def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = 
         terms = terms[:, : len(names)]
     middle, spread = terms.mean(axis=0), np.maximum(terms.std(axis=0), 1e-9)
     unit, sign = (terms - middle) / spread, np.where(right, 1.0, -1.0)
+    is_light = np.array([has_products and one.kind == STRANGE for one in examples])
+    weight = np.where(is_light, _STRANGERS_WEIGHT, 1.0)
+    weight /= weight.sum()
 
-    def loss(parameters: Float64Array) -> tuple[float, Float64Array]:
+    def loss_of(parameters: Float64Array) -> tuple[float, Float64Array]:
         logit = sign * (unit @ parameters[:-1] + parameters[-1])
-        pull = -sign / (1.0 + np.exp(logit)) / len(sign)
+        pull = -sign * weight / (1.0 + np.exp(logit))
         ridge = _RIDGE * parameters[:-1]
         gradient = np.append(unit.T @ pull + ridge, pull.sum())
-        return float(np.logaddexp(0.0, -logit).mean() + 0.5 * ridge @ parameters[:-1]), gradient
+        loss = weight @ np.logaddexp(0.0, -logit) + 0.5 * ridge @ parameters[:-1]
+        return float(loss), gradient
 
-    best = minimize(loss, np.zeros(unit.shape[1] + 1), jac=True, method="L-BFGS-B").x
-    weight = best[:-1] / spread
-    return Logistic(names, mean, scale, weight.tolist(), float(best[-1] - weight @ middle))
+    best = minimize(loss_of, np.zeros(unit.shape[1] + 1), jac=True, method="L-BFGS-B").x
+    slope = best[:-1] / spread
+    return Logistic(names, mean, scale, slope.tolist(), float(best[-1] - slope @ middle))
 
 
 def probabilities(model: Logistic, examples: Sequence[Example]) -> Float64Array:
@@ -180,6 +187,8 @@ HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
 
 STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", "davos": "sierra"}
 """Terrain -> one whose skylines its store must refuse."""
+STRANGE = "strangers"
+"""Their kind."""
 STRANGERS_SHARE = 3
 """One stranger of each of four kinds to so many queries of a kind."""
 
@@ -250,7 +259,7 @@ def _examples_on(
             for kind, some in kinds.items():
                 for stage, example in examples_from(matcher, some, kind):
                     found[stage].append(example)
-            for stage, example in examples_from(matcher, strangers, "strangers"):
+            for stage, example in examples_from(matcher, strangers, STRANGE):
                 found[stage].append(replace(example, error=math.inf, turn_deg=math.inf))
     return found
 

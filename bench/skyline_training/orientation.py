@@ -30,7 +30,6 @@ from skyline_training.confidence import (
     STRANGERS,
     Example,
     learn,
-    lenses_forgotten,
     middle_of,
     probabilities,
     rated,
@@ -62,14 +61,14 @@ def _examples_on(
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
     own = [(terrain, terrain, kind) for kind in KINDS] + [(terrain, other, kind) for kind in KINDS]
     for number, (model, seen, kind) in enumerate([*own, (coarse, terrain, KINDS[0])]):
-        made = lenses_forgotten(make_queries(seen, area, queries, seed + number, kind))
+        made = make_queries(seen, area, queries, seed + number, kind)
         yield from _oriented(model, made, seed + number, is_strange=False)
     strangers = make_queries(strange, middle_of(strange), queries, seed + 100, QueryConfig())
-    yield from _oriented(terrain, lenses_forgotten(strangers), seed + 100, is_strange=True)
+    yield from _oriented(terrain, strangers, seed + 100, is_strange=True)
 
 
 def _oriented(
-    model: HeightField, queries: list[SyntheticQuery], seed: int, *, is_strange: bool
+    model: HeightField, queries: tuple[SyntheticQuery, ...], seed: int, *, is_strange: bool
 ) -> Iterator[Example]:
     """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
     rng = np.random.default_rng([seed, 1])
@@ -109,7 +108,9 @@ def learn_orientation(
     examples: dict[str, list[Example]],
 ) -> tuple[Logistic, list[Row]]:
     """Learn the model, and hold it to every terrain."""
-    model = learn([one for name in LEARNED for one in examples[name]], RIGHT_DEG)
+    model = learn(
+        [one for name in LEARNED for one in examples[name]], RIGHT_DEG, has_products=False
+    )
     rows = [
         rated(
             ORIENTED,

@@ -187,7 +187,8 @@ def oriented_figures(
     """
     margin = poses.hypotheses.rival_margin(0.0, 0.0)
     figures = pose_figures(poses, query)
-    del figures["log_position_sd"]  # The place is known.
+    # The place is known, and the model has seen no unknown field of view.
+    del figures["log_position_sd"], figures["log_lens_sd"]
     return figures | {
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
