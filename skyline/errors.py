@@ -97,7 +97,7 @@ def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
     """Return ``count`` given numbers as floats; raises `InputError` with ``error`` otherwise."""
     try:
         numbers = () if isinstance(given, str | bytes) else tuple(map(float, given))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != count:
         raise InputError(error)

@@ -61,13 +61,13 @@ def panoramas(
         write_panoramas(read_dem(dem, DemOptions(crs=crs)), out, photos, seed, progress)
 
 
-@app.command("confidence", short_help="How far a match can be believed (an hour).")
+@app.command("confidence", short_help="How far a match can be believed (1.5 hours).")
 def confidence(
     data: Annotated[
         Path,
         Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
     ],
-    queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 32,
+    queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 48,
     model: Annotated[
         Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
     ] = None,

@@ -52,8 +52,8 @@ _RIDGE = 1e-2
 """With products, terrain left out is as likely with ridges of 5e-3 to 2e-2, and less likely with
 smaller ones. A larger ridge draws all probabilities to the middle."""
 _STRANGERS_WEIGHT = 0.5
-"""Weight of examples of other terrain in models of searches. They are a fifth of all examples, to
-have enough to learn from, and rarer among the photos that are searched."""
+"""Weight of strangers in models of searches. A fifth of the examples are strangers, so that there
+are enough to learn from; among real photos they are rarer."""
 _BINS = 10
 
 
@@ -190,7 +190,7 @@ STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", 
 STRANGE = "strangers"
 """Their kind."""
 STRANGERS_SHARE = 3
-"""One stranger of each of four kinds to so many queries of a kind."""
+"""Queries of a kind for each stranger of each of four kinds."""
 
 Examples = dict[str, dict[str, list[Example]]]
 """Examples by terrain and stage."""

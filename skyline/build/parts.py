@@ -25,7 +25,7 @@ from skyline.errors import BuildError, InputError, SkylineError, StoreError, Sto
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store import StoreHeader, open_store, write_store
-from skyline.store.format import refuse_mismatch
+from skyline.store.format import explained, refuse_mismatch
 from skyline.store.read import part_name, parts_folder
 from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows
 from skyline.terrain.dem import Dem, read_dem
@@ -163,10 +163,7 @@ def build_store(
         if runner is not None:
             written = _on_workers(runner, header, plan, left)
         elif renderer is not None:
-            written = (
-                write_store(part, renderer.header, renderer.columns(some))
-                for part, some in left.items()
-            )
+            written = (_render_part(part, renderer, some) for part, some in left.items())
         try:
             for rows_of_part in written:
                 rendered += rows_of_part
@@ -206,13 +203,15 @@ def _merge_parts(parts: list[Path], path: Path, header: StoreHeader) -> int:
         _refuse_other_parts(folder, joint, replace(header, config=joint_config(headers)))
         if len(columns[joint.checksum]) == held:
             return 0
-        # A build that is killed here leaves its files to `_remove`.
-        write_store(folder / path.name, joint, columns, order)
+        # A name of its own, since another build of this path may merge now. A build that is killed
+        # here leaves the file to `_remove`.
+        merged = folder / f".{uuid4().hex[:12]}.partial"
+        write_store(merged, joint, columns, order)
     if _inode(path) != was:
         raise StoreError(
-            f"another build wrote {path} meanwhile; give the same command again, which adds to it"
+            f"another build wrote {path} meanwhile; run the same command again to add this area"
         )
-    (folder / path.name).replace(path)
+    merged.replace(path)
     return len(order)
 
 
@@ -278,8 +277,15 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
                 "libraries"
             ) from error
         _open_renderer[build] = plan.opened(terrain)
-    renderer = _open_renderer[build]
-    return write_store(path, renderer.header, renderer.columns(work))
+    return _render_part(path, _open_renderer[build], work)
+
+
+def _render_part(path: Path, renderer: PartRenderer, work: Any) -> int:
+    """Render and write a part, and return its number of rows."""
+    columns = renderer.columns(work)
+    with explained(path, "it cannot be written", "check the folder's rights and space"):
+        path.parent.mkdir(exist_ok=True)
+    return write_store(path, renderer.header, columns)
 
 
 _open_renderer: dict[str, PartRenderer] = {}
@@ -323,8 +329,7 @@ def _on_workers(
 
 def _remove(folder: Path) -> None:
     """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
-    merged = folder / folder.stem
-    for file in (*folder.glob("*-of-*.h5"), *folder.glob(".*.partial"), merged):
+    for file in (*folder.glob("*-of-*.h5"), *folder.glob(".*.partial")):
         file.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

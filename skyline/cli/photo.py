@@ -107,8 +107,9 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> Non
     """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
     read = [path for path in inputs if is_file(path)]
     named = [path for path in outputs if path is not None]
+    places = [path.resolve() for path in named]
     for path in named:
-        if named.count(path) > 1:
+        if places.count(path.resolve()) > 1:
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")

@@ -12,8 +12,9 @@ also draws the reliability diagram):
     P = \frac{1}{1 + \exp(-(b + \sum_f w_f u_f + \sum_{f \le g} w_{fg} u_f u_g))}, \quad
     u_f = (x_f - m_f) / s_f
 
-These are the odds between two normal distributions of the figures, of right poses and of wrong
-ones, each with its own covariance.
+Such a form has the odds between two normal distributions of the figures, of right poses and of
+wrong ones, each with its own covariance. The :math:`u_f` are held within 4. Models of fits without
+a search and of headings have no products.
 
 The figures describe how well the best pose fits, its margin over all other answers, how unusual its
 camera is, and how much skyline there was to fit: a fit to too little of a skyline is never trusted.

@@ -64,10 +64,8 @@ def locate(
     FetchError
         The server of tiles fails.
     """
-    if near is not None and len(near) not in {3, 4}:
-        raise InputError(
-            f"near has {len(near)} numbers; expected longitude, latitude and km, or W, S, E, N"
-        )
+    if near is not None and (not isinstance(near, Sequence) or len(near) not in {3, 4}):
+        raise InputError(f"near is {near!r}; expected longitude, latitude and km, or W, S, E, N")
     is_box = near is not None and len(near) == 4
     narrowing = Narrowing(bounds_deg=near) if is_box else Narrowing(near)  # type: ignore[arg-type]
     area, narrowing = area_of([photo], narrowing)

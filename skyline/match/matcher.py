@@ -337,7 +337,7 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     if isinstance(store, str | Path):
         return [store]
     paths = list(store) if isinstance(store, Iterable) else [store]
-    if not all(isinstance(one, str | Path) for one in paths):
+    if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
     return paths
 

@@ -385,7 +385,9 @@ def orient(
         The place is off the map or on a hole.
     """
     if (lon is None) is not (lat is None):
-        raise InputError("one of lon and lat is given; expected both, or neither for the GPS's")
+        raise InputError(
+            "one of lon and lat is given; give both, or neither to use the photo's GPS position"
+        )
     name, skyline = named_skyline(query, fov_deg)
     if lon is None or lat is None:
         lon, lat, _, noted_m = noted_place(skyline, name)

@@ -83,8 +83,9 @@ class RenderedScene:
 
     def release(self) -> None:
         """Free the GPU memory of the scene."""
-        while self._renderers:
-            self._run(self._renderers.pop().release)
+        for renderer in self._renderers:
+            self._run(renderer.release)
+        self._renderers.clear()
 
     def _run(self, task: Callable[[], T], urgent: bool = False) -> T:
         if self._thread is not None:

@@ -145,8 +145,9 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     """Return the border above each column's topmost ground; NaN if it has no sky above ground.
 
     A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, more
-    columns have white below black at their top, or white ground in a white frame is taken for sky.
+    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, if more
+    columns begin with black above white than have a skyline, or if white ground in a white frame is
+    taken for sky.
     """
     sky = image[:, :, 1].astype(np.float64)
     row_px, first = topmost_border(sky, _MIDDLE)

@@ -110,10 +110,11 @@ def warn_if_off_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
     Raises `InputError` if eastings and northings are degrees: in a frame around the model they
     would lie in its middle.
     """
-    if is_inside(bounds_m, *frame.from_lonlat(peaks.easting_m, peaks.northing_m)).any():
+    in_degrees = is_inside(bounds_m, *frame.from_lonlat(peaks.easting_m, peaks.northing_m))
+    if in_degrees.any():
         raise InputError(
-            f"the easting and northing of {peaks.names[0]} are degrees; expected metres: name the "
-            "columns lon,lat"
+            f"the easting and northing of {peaks.names[int(np.argmax(in_degrees))]} are degrees; "
+            "expected metres: name the columns lon,lat"
         )
     if not len(peaks) or is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
         return

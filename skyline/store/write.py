@@ -83,15 +83,15 @@ def write_store(
 
     The same rows, order and header give the same bytes. Columns are as
     `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to write, by default
-    all. Its folder is made if need be, and a store that already exists is replaced. Raises
-    `StoreError` where the file cannot be written.
+    all. A store that already exists is replaced. Raises `MissingFileError` where there is no
+    folder for the file, and `StoreError` where it cannot be written.
     """
     path = Path(path).resolve()
+    check_folder(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
     with explained(path, "it cannot be written", "check the folder's rights and space"):
-        path.parent.mkdir(exist_ok=True)
         try:
             with _Target(partial, "x+b") as target:
                 aligned = _ALIGNED if header.holds == PLACES else {}

@@ -258,8 +258,9 @@ def _tile_of(
         transform = dataset.transform
         if dataset.driver == "AAIGrid" and transform.c == transform.f == 0.0:
             raise InputError(
-                f"{source} has its corner at 0, 0, where GDAL places a grid whose header lacks a "
-                "corner; name xllcorner and yllcorner in it, or xllcenter and yllcenter"
+                f"{source} has its upper left corner at 0, 0, where GDAL also places a grid whose "
+                "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
+                "yllcenter, or convert a grid that is there to GeoTIFF"
             )
         grid, north_up = _grid_of(source, transform, dataset.shape)
         positive = dataset.tags(1).get("positive", "up")

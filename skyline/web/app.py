@@ -145,8 +145,9 @@ class PageApp:
         session, name = self._session(request), shown_name(request.query_params.get("name", ""))
         path = session.path_for(name)
         limit = min(MAX_UPLOAD_BYTES, MAX_SESSION_BYTES - session.bytes)
-        path.write_bytes(await _body(request, limit, name, "save it smaller, or remove photos"))
+        body = await _body(request, limit, name, "save it smaller, or remove photos")
         try:
+            await self._engine.work("photos", path.write_bytes, body)
             return await self._opened(session, path, name)
         except BaseException:
             path.unlink(missing_ok=True)
@@ -184,7 +185,9 @@ class PageApp:
     async def _trace(self, request: Request) -> Response:
         session, photo = self._session(request), self._photo(request)
         path = session.path_for("trace.csv")
-        path.write_bytes(await _body(request, _MAX_JSON_BYTES, "the trace", "leave points out"))
+        path.write_bytes(
+            await _body(request, _MAX_JSON_BYTES, "the trace", "use a trace with fewer points")
+        )
         await self._engine.work("strokes", _load_trace, photo, path)
         return _lines(photo)
 

@@ -198,9 +198,8 @@ class TestWriting:
         assert check_store(path).rows == 5
 
     def test_into_no_folder(self, tmp_path):
-        write_rows(tmp_path / "new" / "s.h5", 0, 3)
-        with pytest.raises(StoreError, match=r"No such file .* check the folder"):
-            write_rows(tmp_path / "no" / "no" / "s.h5", 0, 3)
+        with pytest.raises(MissingFileError, match="make it first"):
+            write_rows(tmp_path / "no" / "s.h5", 0, 3)
 
 
 class TestDamage:

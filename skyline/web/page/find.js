@@ -48,6 +48,7 @@ function ended(photo, outcome) {
 async function rejoin(photo) {
   try {
     const record = (await server.records()).find((one) => one.id === photo.id);
+    if (!record) return; // removed in another window
     photo.result = record.result;
     ended(photo, record.state);
   } catch (error) {
