@@ -81,14 +81,6 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     assert picture.std() > 20.0
 
 
-def test_places_are_planned(run, dem, tmp_path):
-    out = tmp_path / "s.h5"
-    run("build", dem, "-o", out, "--places", 2000).ok()
-    facts = json.loads(run("info", out, "--json").out)
-    low, middle, high = facts["spacing_m"]
-    assert 10.0 <= low <= middle <= high <= 1280.0
-
-
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
     before = store.read_bytes(), renderings.read_bytes()
     assert_refused(run("build", dem, "-o", renderings), "is 'renderings' there, 'places' here")
@@ -241,11 +233,6 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path)
     assert_refused(run("build", other, "-o", store), "digest")
     assert_refused(run("match", store, photo, "--fov-deg", "60", "--dem", other), "digest")
     assert store.read_bytes() == before
-
-
-def test_help_shows_no_type_beside_a_flag(run):
-    (flag,) = (line for line in run("info", "--help").out.splitlines() if "--json" in line)
-    assert "bool" not in flag.lower()
 
 
 def test_explain_gives_the_model_and_its_errors(dem, run):

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of, off_m
-from PIL import Image
 from scenes import write_dem
 
 from skyline.match.matcher import PROFILE_MATCHERS
@@ -207,11 +206,3 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
     unwritable = run(*query, "--export", photo / "a.gpx")
     assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)
-
-
-def test_a_photo_without_a_skyline_is_one_line(run, store, tmp_path):
-    sky = tmp_path / "sky.png"
-    Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
-    assert_refused(run("match", store, sky, "--fov-deg", "60"), "no skyline")
-    assert_refused(run("extract", sky, "-o", tmp_path / "trace.csv"), "no skyline")
-    assert not (tmp_path / "trace.csv").exists()
