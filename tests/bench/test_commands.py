@@ -1,33 +1,19 @@
 """All commands of ``skyline-bench``: help, records, and small runs of the short ones."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
 import pytest
-import typer
 from commands import assert_refused
 from scenes import field_of, fractal
 
 from skyline import __version__
 from skyline.errors import InputError
-from skyline_bench import cli, page, paper
+from skyline_bench import page, paper
 from skyline_bench.measuring import write_record
 from skyline_bench.options import rows_but
 from skyline_bench.truth import stability
-
-
-def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench):
-    commands = typer.main.get_command(cli.app).commands
-    assert len(commands) == sum(len(some) for some in cli.COMMANDS.values())
-    for name, command in commands.items():
-        if name != "figures":
-            assert any("--quick" in option.opts for option in command.params), name
-        takes = r"\((an?|\d+) (second|minute|hour)s?\)\.$|\(hours\)\.$"
-        assert re.search(takes, command.short_help), name
-    assert run_bench("--version").out.startswith("skyline 0.")
-    assert "speed-error" in run_bench("--help").out
 
 
 @pytest.mark.parametrize(
@@ -62,8 +48,7 @@ def test_pictures_are_drawn_from_the_records(run_bench, tmp_path):
     assert_refused(run_bench("figures", tmp_path), "speed_error.json does not exist")
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_stability_says_what_holds(run_bench, tmp_path, monkeypatch, fails):
+def test_stability_says_what_fails(run_bench, tmp_path, monkeypatch):
     # All hard cases are tested one by one in test_stability.
     measured, three_cases = stability.measure, stability.HARD_CASES[:3]
     monkeypatch.setattr(stability, "HARD_CASES", three_cases)
@@ -72,23 +57,18 @@ def test_stability_says_what_holds(run_bench, tmp_path, monkeypatch, fails):
         row = measured(*arguments)
         return {**row, "ok": row["path"] == "depth", "error_px": float("inf")}
 
-    if fails:
-        monkeypatch.setattr(stability, "measure", spoiled)
+    monkeypatch.setattr(stability, "measure", spoiled)
     record = tmp_path / "record.json"
     done = run_bench("stability", "--quick", "--json", record)
     rows = json.loads(record.read_text())["rows"]
     assert {row["case"] for row in rows} == {case.name for case in three_cases}
     assert {row["path"] for row in rows} == {"horizon", "depth"}
-    assert ("FAILS" in done.out) is fails
-    if fails:
-        assert done.code == 1
-        assert done.err.startswith("error: 3 of ")
-        assert f"{three_cases[0].name} (horizon)" in done.err
-        assert done.err.count("\n") == 1
-        assert all(row["error_px"] is None for row in rows)
-    else:
-        assert done.code == 0, done.err
-        assert all(0.0 <= row["error_px"] <= row["bound_px"] for row in rows)
+    assert "FAILS" in done.out
+    assert done.code == 1
+    assert done.err.startswith("error: 3 of ")
+    assert f"{three_cases[0].name} (horizon)" in done.err
+    assert done.err.count("\n") == 1
+    assert all(row["error_px"] is None for row in rows)
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -19,7 +18,6 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 from skyline import read_dem, stand_on
 from skyline.build import plans
 from skyline.build.parts import build_store
-from skyline.cli import console
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
@@ -79,14 +77,6 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     picture = cv2.imread(str(pictures / "0001_site-1.png"))
     assert picture is not None
     assert picture.std() > 20.0
-
-
-def test_places_are_planned(run, dem, tmp_path):
-    out = tmp_path / "s.h5"
-    run("build", dem, "-o", out, "--places", 2000).ok()
-    facts = json.loads(run("info", out, "--json").out)
-    low, middle, high = facts["spacing_m"]
-    assert 10.0 <= low <= middle <= high <= 1280.0
 
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
@@ -243,11 +233,6 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path)
     assert store.read_bytes() == before
 
 
-def test_help_shows_no_type_beside_a_flag(run):
-    (flag,) = (line for line in run("info", "--help").out.splitlines() if "--json" in line)
-    assert "bool" not in flag.lower()
-
-
 def test_explain_gives_the_model_and_its_errors(dem, run):
     at = "{:.9f},{:.9f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
     done = run("explain", dem, "--at", at, "--json")
@@ -257,12 +242,3 @@ def test_explain_gives_the_model_and_its_errors(dem, run):
     assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] < 1.0
     assert facts["data_reach_m"] > 0.0
     assert "sight_m" in run("explain", dem, "--at", "601800,5178000").out
-
-
-def test_without_a_terminal_a_step_tells_how_long_the_rest_takes(monkeypatch, capsys):
-    seconds = iter((0.0, 10.0, 130.0))
-    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
-    with console.progress_bar("building") as progress:
-        progress(2, 11)  # Of a build that continues.
-        progress(5, 11)
-    assert capsys.readouterr().err == "building: 5 of 11, about 4 min left\n"

@@ -1,6 +1,5 @@
 """The end of every command after Ctrl-C, and when its output is no longer read."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -84,14 +83,6 @@ def trace(tmp_path):
 def second(trace, tmp_path):
     """The same trace under another name."""
     return shutil.copy(trace, tmp_path / "second.csv")
-
-
-@pytest.fixture
-def pose(dem, tmp_path):
-    lon, lat = lonlat_of(dem, 601_800.0, 5_178_000.0)
-    path = tmp_path / "pose.json"
-    path.write_text(json.dumps({"lon": lon, "lat": lat, "heading_deg": 140.0, "fov_deg": 60.0}))
-    return path
 
 
 @pytest.fixture

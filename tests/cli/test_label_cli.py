@@ -8,21 +8,10 @@ import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of
 from PIL import Image
-from scenes import candidate_at
 
 from skyline import read_dem
 from skyline.cli.photo import check_outputs
 from skyline.errors import InputError
-
-
-@pytest.fixture(scope="module")
-def pose(dem, tmp_path_factory):
-    """The true pose of the photo as a person writes it; its heading is from true north."""
-    true = candidate_at(601_800.0, 5_178_000.0, 140.0, frame=read_dem([dem]).frame)
-    names = ("lon", "lat", "heading_deg", "pitch_deg", "roll_deg", "fov_deg")
-    path = tmp_path_factory.mktemp("pose") / "pose.json"
-    path.write_text(json.dumps({name: getattr(true, name) for name in names}))
-    return path
 
 
 @pytest.fixture(scope="module")

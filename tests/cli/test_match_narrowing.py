@@ -22,13 +22,6 @@ def retrieved(run, store, photo, *options):
     return candidates
 
 
-def test_match_near_a_place(run, store, dem, photo):
-    lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
-    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
-    assert off_m(found[0]) < CELL_M
-    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in found) < 401.0
-
-
 def test_match_within_bounds(run, store, dem, photo):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)

@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from commands import assert_refused, gps_of, lonlat_of, noting, off_m
+from commands import gps_of, lonlat_of, noting, off_m
 from PIL.ExifTags import GPS, Base
 from PIL.TiffImagePlugin import IFDRational
 
@@ -63,8 +63,3 @@ def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp
     assert off_m(records[0]["answer"]) < 10.0
     assert records[1]["exif"]["distance_m"] == pytest.approx(math.hypot(800.0, 1000.0), abs=40.0)
     assert records[2]["exif"]["distance_m"] > 1e7
-
-
-def test_the_gps_acts_in_refinement(run, store, photo):
-    done = run("match", store, photo, "--use-gps", "--matcher", "unrefined")
-    assert_refused(done, "--use-gps acts in refinement")

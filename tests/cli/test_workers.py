@@ -6,14 +6,6 @@ import pytest
 from commands import csv_of, trace_of
 
 
-def test_workers_make_the_same_store(run, dem, dask_cluster, tmp_path):
-    run("build", dem, "-o", tmp_path / "here.h5", "--spacing", 200).ok()
-    workers = "--workers", dask_cluster.scheduler_address
-    spread = run("build", dem, "-o", tmp_path / "spread.h5", "--spacing", 200, *workers)
-    assert (spread.code, spread.err) == (0, "")
-    assert (tmp_path / "spread.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
-
-
 @pytest.fixture
 def traces(tmp_path):
     """Three traces with skylines of their own, and one with none."""

@@ -56,54 +56,6 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
             assert abs(in_turn(best.grid_heading_deg - query.truth.heading_deg)) < 1.0
 
 
-def test_two_areas_are_searched_as_the_store_built_at_once(terrain, bounds_deg, queries, tmp_path):
-    """Their places lie on one grid, and those of the overlap count once: no bit differs."""
-    seam_deg = 0.5 * (bounds_deg[0] + bounds_deg[2])
-    once, west, east = (tmp_path / f"{name}.h5" for name in ("once", "west", "east"))
-    build_places(terrain, once, 150.0)
-    build_places(terrain, west, 150.0, (9.0, 46.0, seam_deg + 0.002, 47.0))
-    build_places(terrain, east, 150.0, (seam_deg, 46.0, 11.0, 47.0))
-    with Matcher(once, terrain) as at_once, Matcher([east, west], terrain) as joined:
-        assert joined.rows == at_once.rows
-        wanted, found = (one.match(queries[0].skyline) for one in (at_once, joined))
-    assert found.candidates
-    assert found.candidates == wanted.candidates
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("slack", "given", "answered"), [(0.025, 1.0, True), (0.01, 1.1, False)])
-def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
-    store, terrain, queries, slack, given, answered
-):
-    query = queries[3]
-    skyline = query.skyline.with_fov(given * query.truth.fov_deg)
-    with Matcher(store, terrain, config=replace(BOLD, fov_slack=slack)) as matcher:
-        found = matcher.match(skyline)
-    assert found.candidates
-    assert (found.answer is not None) == answered
-    assert answered or "--fov-deg" in found.refusal
-
-
-def test_too_little_skyline_is_refused(store, terrain, queries):
-    skyline = queries[0].skyline
-    row_px = np.where(np.arange(640) < 150, np.nan_to_num(skyline.row_px, nan=300.0), np.nan)
-    little = replace(skyline, row_px=row_px, confidence=np.isfinite(row_px) * 1.0, fov_deg=60.0)
-    result = Matcher(store, terrain).match(little)
-    assert result.answer is None
-    assert result.candidates == ()
-    assert "degrees of skyline" in result.refusal
-
-
-def test_below_the_least_confidence_there_are_only_candidates(store, terrain, queries):
-    matcher = Matcher(store, terrain, config=MatchConfig(min_confidence=1.0))
-    result = matcher.match(queries[0].skyline)
-    assert result.answer is None
-    assert result.candidates
-    assert "confidence" in result.refusal
-    with pytest.raises(InputError, match="expected"):
-        MatchConfig(min_confidence=1.5)
-
-
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
     skyline = replace(queries[1].skyline, fov_deg=None)
     best = Matcher(store, terrain, config=BOLD).match(skyline).answer

@@ -127,19 +127,6 @@ class TestPlan:
         assert positions(places) == wanted
         assert len(places) == len(wanted)
 
-    def test_blocks_are_planned_each_on_its_own(self, plain):
-        def distance_m(easting):
-            return 100.0 + np.abs(easting - 4000.0)
-
-        whole = planned(plain, distance_m, 300.0)
-        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0)
-        blocks = blocks_of(AREA)
-        assert len(blocks) == 2
-        parts = [planner.places(blocks[one]) for one in (1, 0)]
-        assert positions(parts[0]) | positions(parts[1]) == positions(whole)
-        joined = Places.concatenate(parts[::-1])
-        np.testing.assert_array_equal(joined.tolerance_m, whole.tolerance_m)
-
 
 class TestExpectedFinds:
     def test_they_are_means_of_the_area_by_distance(self):

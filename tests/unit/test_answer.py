@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
+from skyline.errors import InputError
 from skyline.match.answer import MatchResult
 from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
 from skyline.match.query_rays import QueryRays
@@ -55,6 +56,8 @@ def test_the_nearer_claim_leaves_half_of_the_doubt(near, roughly, within_m):
     candidate = candidate_at(0.0, 0.0, confidence=near, confidence_1km=roughly)
     config = MatchConfig(min_confidence=0.8)
     assert sure_within_m(candidate, config) == within_m
+    with pytest.raises(InputError, match="least confidence is 80; expected 0"):
+        MatchConfig(min_confidence=80)
     # A circle of more than 200 m cannot be sure to 200 m.
     vague = replace(candidate, covariance_m2=((150.0**2, 0.0), (0.0, 150.0**2)))
     assert vague.radius_m > 200.0

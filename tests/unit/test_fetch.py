@@ -221,13 +221,3 @@ def test_secrets_in_an_address_are_neither_shown_nor_stored(template, server, co
     with pytest.raises(FetchError) as caught:
         fetch(secret, tmp_path / "again")
     assert "secret" not in str(caught.value)
-
-
-def test_a_failed_fetch_goes_on_where_it_stopped(template, server, contents, heights, tmp_path):
-    server.files[EAST] = server.files[EAST][:40_000]
-    with pytest.raises(FetchError, match="breaks off or is damaged"):
-        fetch(template, tmp_path)
-    server.files.update(contents)
-    done = fetch(template, tmp_path)
-    assert (len(done.files), done.fetched) == (2, 1)
-    expect_heights(done, heights)

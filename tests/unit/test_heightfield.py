@@ -81,20 +81,17 @@ def test_digest_is_of_samples_grid_and_frame():
 @pytest.mark.parametrize(
     "heights", [np.zeros(3), np.zeros((0, 3)), np.full((2, 2), np.inf), np.zeros((2, 2), complex)]
 )
-def test_unusable_heights_are_refused(heights):
+def test_unusable_heights_and_corners_are_refused(heights):
     with pytest.raises(InputError):
         field_of(heights)
+    with pytest.raises(InputError, match="the first sample is at nan"):
+        HeightField(np.zeros((2, 2)), np.nan, NORTH_M, 30.0, 30.0, FRAME)
 
 
 def test_masked_samples_are_holes():
     heights = np.ma.masked_equal(np.array([[7, -9999], [8, 9]], np.int16), -9999)
     field = HeightField(heights, WEST_M, NORTH_M, 30.0, 30.0, FRAME)
     np.testing.assert_array_equal(field.heights_m, [[7.0, np.nan], [8.0, 9.0]])
-
-
-def test_a_corner_that_is_no_number_is_refused():
-    with pytest.raises(InputError, match="the first sample is at nan"):
-        HeightField(np.zeros((2, 2)), np.nan, NORTH_M, 30.0, 30.0, FRAME)
 
 
 def test_a_place_is_metres_or_degrees_by_name():
