@@ -8,10 +8,13 @@ import sys
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from ctypes.util import find_library
+from functools import partial
+from unittest.mock import MagicMock
 
 import pytest
 
 from skyline.errors import ContextError, InputError
+from skyline.render import context as context_module
 from skyline.render.context import acquire_context, release_context
 
 
@@ -130,3 +133,36 @@ def test_drivers_that_fail_stay_off_stderr():
     )
     assert "libegl1 libgl1-mesa-dri" in line
     assert "libosmesa6" not in line
+
+
+@pytest.mark.parametrize(
+    ("devices", "chosen"),
+    [
+        (["broken", "llvmpipe", "GeForce"], "GeForce"),
+        (["too old", "llvmpipe", "softpipe"], "llvmpipe"),
+        (["broken"], None),
+    ],
+)
+def test_a_gpu_is_preferred_among_devices(monkeypatch, devices, chosen):
+    made, current = {}, []
+
+    def make(name):
+        if name == "broken":
+            raise ContextError("eglInitialize failed (0x3001)")
+        made[name] = MagicMock(info={"GL_VENDOR": "", "GL_RENDERER": name, "GL_VERSION": "4.5"})
+        made[name].__enter__.side_effect = lambda: current.append(name)
+        return made[name]
+
+    def wrap(require, standalone, context):
+        if context is made.get("too old"):
+            raise ValueError(f"Requested OpenGL version {require}, got version 420")
+        return context
+
+    named = [(name, partial(make, name)) for name in devices]
+    monkeypatch.setattr(context_module, "_devices", lambda _: named)
+    monkeypatch.setattr(context_module.moderngl, "create_context", wrap)
+    best = context_module._best_device("egl", [])
+    assert (best and best.device) == chosen
+    assert current[-1:] == [chosen] * bool(chosen)
+    kept = [name for name, native in made.items() if not native.release.called]
+    assert kept == [chosen] * bool(chosen)

@@ -56,6 +56,16 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
             assert abs(in_turn(best.grid_heading_deg - query.truth.heading_deg)) < 1.0
 
 
+def test_too_little_skyline_is_refused(store, terrain, queries):
+    skyline = queries[0].skyline
+    row_px = np.where(np.arange(640) < 150, np.nan_to_num(skyline.row_px, nan=300.0), np.nan)
+    little = replace(skyline, row_px=row_px, confidence=np.isfinite(row_px) * 1.0, fov_deg=60.0)
+    result = Matcher(store, terrain).match(little)
+    assert result.answer is None
+    assert result.candidates == ()
+    assert "degrees of skyline" in result.refusal
+
+
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
     skyline = replace(queries[1].skyline, fov_deg=None)
     best = Matcher(store, terrain, config=BOLD).match(skyline).answer
