@@ -19,7 +19,7 @@ COMMANDS = {
         "orient.pixels": "Give the place on the terrain that each pixel of a photo shows.",
         "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",
-        "photo.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
+        "photo.serve": "Serve a page for the browser: drop photos, mend skylines, find places, "
         "fit by hand.",
     },
     "Stores": {

@@ -78,7 +78,7 @@ def serve(
         ),
     ] = "127.0.0.1",
 ) -> None:
-    """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""
+    """Serve a page for the browser: drop photos, mend skylines, find places, fit by hand."""
     stores, given = split_stores(store, photos or [])
     for photo in given:
         if not photo.is_file():

@@ -230,7 +230,9 @@ class Matcher(Releasable):
         """
         started = time.perf_counter()
         _check_top(top)
-        queries = [queries] if isinstance(queries, str | Path) else list(queries)
+        if isinstance(queries, str | Path | QuerySkyline | Image):
+            queries = [queries]
+        queries = list(queries)
         if narrowings is None:
             narrowings = [None] * len(queries)
         if len(queries) < 2 or len(narrowings) != len(queries):

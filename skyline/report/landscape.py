@@ -20,11 +20,11 @@ from skyline.report.peaks import (
     UNDERFOOT_SAMPLES,
     Peaks,
     Sighting,
+    check_on_map,
     ground_elevation_deg,
     highest_between_deg,
     most_prominent_first,
     visible_peaks,
-    warn_if_off_map,
 )
 from skyline.solar import horizons_of
 from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
@@ -116,7 +116,7 @@ def panorama_view(
     terrain, eye = landscape.terrain, landscape.eye
     seen = []
     if peaks is not None:
-        warn_if_off_map(peaks, blocks.frame, blocks.grid.bounds)
+        check_on_map(peaks, blocks.frame, blocks.grid.bounds)
         seen = visible_peaks(terrain, eye, peaks, Curvature())
     inside = [
         one

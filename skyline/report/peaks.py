@@ -104,8 +104,8 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     return Peaks(names=names, easting_m=first, northing_m=second, height_m=height_m)
 
 
-def warn_if_off_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
-    """Log a warning if none of the peaks lies on a map.
+def check_on_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
+    """Check that peaks lie on a map: log a warning if none of them does.
 
     Raises `InputError` if eastings and northings are degrees: in a frame around the model they
     would lie in its middle.

@@ -32,9 +32,9 @@ from skyline.render.horizon import RenderConfig
 from skyline.report.peaks import (
     Peaks,
     Sighting,
+    check_on_map,
     most_prominent_first,
     visible_peaks,
-    warn_if_off_map,
 )
 from skyline.skylines import Views
 from skyline.terrain.dem import Dem, read_dem
@@ -265,7 +265,7 @@ class Viewer(Releasable):
         self.terrain, self.peaks = read_dem(terrain), peaks
         self.frame = self.terrain.frame
         if peaks is not None:
-            warn_if_off_map(peaks, self.frame, self.terrain.bounds_m)
+            check_on_map(peaks, self.frame, self.terrain.bounds_m)
         self.curvature = curvature or Curvature()
         self._thread, self._making = render_thread, Lock()
         self._scene: RenderedScene | None = None

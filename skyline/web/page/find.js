@@ -35,7 +35,7 @@ async function find(photo) {
 function ended(photo, outcome) {
   photo.state = outcome;
   if (photo !== state.photo) return;
-  if (outcome === "ready") return showStatus("Cancelled");
+  if (outcome === "ready") return showStatus("The search ended without a result");
   // Until a candidate is chosen, the pose does not belong to this search.
   leave();
   showStatus(`Searched in ${photo.result.seconds.toFixed(1)} s`);
