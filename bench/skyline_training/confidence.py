@@ -188,7 +188,7 @@ HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
 STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", "davos": "sierra"}
 """Terrain -> one whose skylines its store must refuse."""
 STRANGE = "strangers"
-"""Their kind."""
+"""Kind of the queries of other terrain."""
 STRANGERS_SHARE = 3
 """Queries of a kind for each stranger of each of four kinds."""
 

@@ -50,7 +50,7 @@ _NUMBERS = {
     "near": ("longitude", "latitude", "km"), "bounds_deg": ("west", "south", "east", "north"),
     "heading_deg": ("heading", "greatest error"), "elevation_m": ("lowest", "highest"),
 }  # fmt: skip
-"""The numbers in a field of a narrowing."""
+"""Names of the numbers in each field of a narrowing, for its errors."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,9 +155,10 @@ class PageApp:
 
     async def _given(self, request: Request) -> Response:
         session = self._session(request)
-        given = dict(enumerate(self._engine.photos)).get(request.path_params["index"])
-        if given is None:
+        index = request.path_params["index"]
+        if index >= len(self._engine.photos):
             return Response(status_code=404)
+        given = self._engine.photos[index]
         return await self._opened(session, given, given.name)
 
     async def _opened(self, session: Session, path: Path, name: str) -> Response:
@@ -185,10 +186,12 @@ class PageApp:
     async def _trace(self, request: Request) -> Response:
         session, photo = self._session(request), self._photo(request)
         path = session.path_for("trace.csv")
-        path.write_bytes(
-            await _body(request, _MAX_JSON_BYTES, "the trace", "use a trace with fewer points")
-        )
-        await self._engine.work("strokes", _load_trace, photo, path)
+        body = await _body(request, _MAX_JSON_BYTES, "the trace", "use a trace with fewer points")
+        try:
+            path.write_bytes(body)
+            await self._engine.work("strokes", _load_trace, photo, path)
+        finally:
+            path.unlink(missing_ok=True)
         return _lines(photo)
 
     async def _match(self, request: Request) -> Response:
@@ -357,8 +360,6 @@ def _load_trace(photo: PagePhoto, path: Path) -> None:
         photo.solve((), read_trace(path))
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
-    finally:
-        path.unlink(missing_ok=True)
 
 
 async def _page(_: Request) -> Response:
