@@ -34,8 +34,7 @@ def sky_model(
     """Train the network that finds skylines in photos on drawn photographs, and write it.
 
     The photographs are drawn meanwhile on all cores. Skyline's own network was trained
-    for 8 minutes on an H100 GPU, and then its decoder for 24 on two cores; see
-    docs/accuracy.md.
+    for 8.5 minutes on an H200 GPU beside 16 cores; see docs/accuracy.md.
     """
     try:
         from skyline_training import network  # noqa: PLC0415  (torch is an extra)

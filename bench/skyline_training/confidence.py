@@ -3,7 +3,7 @@
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
 and Everest: skylines with errors and things in front, of the store's own model and of others; made
 photographs, whose skylines are extracted; photos that note where they were taken, rightly or
-wrongly. Of half of all queries the field of view is unknown. For each query the figures of the best
+wrongly. A third of the lenses are given, a third noted by one value of EXIF, a third unknown. For each query the figures of the best
 pose (`skyline.match.confidence`) and its error are an example. A pose is right if it lies near the
 truth and looks the same way. A logistic model is fitted to the examples with a small ridge, and its
 reliability is shown on Davos. From kept examples, another model is learned in seconds.
@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,6 +34,8 @@ from skyline.match.confidence import Logistic, model_name
 from skyline.match.full import FullMatcher
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import ALONE_SD
+from skyline.photo.query import Lens
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
@@ -237,7 +240,9 @@ def _examples_on(
     def made(
         seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
     ) -> Sequence[SyntheticQuery]:
-        return lenses_forgotten(make_queries(seen, area_m, queries, seed + number, config))
+        return with_lenses(
+            make_queries(seen, area_m, queries, seed + number, config), seed + number
+        )
 
     own = {
         "own model, plain": _without_prior(made(terrain, area, 9, QueryConfig())),
@@ -307,7 +312,8 @@ def _photographed(
                 skyline = extract_skyline(image)
             except InputError:
                 continue
-            yield replace(query, skyline=replace(skyline, fov_deg=query.skyline.fov_deg))
+            known = query.skyline
+            yield replace(query, skyline=replace(skyline, fov_deg=known.fov_deg, lens=known.lens))
 
 
 @contextmanager
@@ -337,19 +343,37 @@ def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) 
 def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
     """Make queries of every kind, plain ones and photographs, in a terrain's middle."""
     made = {
-        kind: lenses_forgotten(make_queries(terrain, middle_of(terrain), queries, number, kind))
+        kind: with_lenses(make_queries(terrain, middle_of(terrain), queries, number, kind), number)
         for number, kind in enumerate((*KINDS, QueryConfig(), _PHOTO), start=seed + 100)
     }
     made[_PHOTO] = list(_photographed(terrain, made[_PHOTO], seed + 100))
     return [query for some in made.values() for query in some]
 
 
-def lenses_forgotten(queries: Iterable[SyntheticQuery]) -> list[SyntheticQuery]:
-    """Return queries, every second one without a field of view, as a photo without EXIF."""
-    return [
-        replace(query, skyline=replace(query.skyline, fov_deg=None)) if number % 2 else query
-        for number, query in enumerate(queries)
-    ]
+def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQuery]:
+    """Return queries with lenses known in three ways, in turn.
+
+    The field of view is given; it is noted by one value of EXIF, with the error that is expected of
+    one (`skyline.photo.lens`); it is not known.
+    """
+    rng = np.random.default_rng([seed, 3])
+    made = []
+    for number, query in enumerate(queries):
+        lens, skyline = number % 3, query.skyline
+        if lens == 1:
+            skyline = replace(skyline, **_noted_alone(query.truth.fov_deg, rng))
+        elif lens == 2:
+            skyline = replace(skyline, fov_deg=None)
+        made.append(replace(query, skyline=skyline))
+    return made
+
+
+def _noted_alone(fov_deg: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the field of view and the lens of a photo whose EXIF has one value of its lens."""
+    tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(ALONE_SD * rng.standard_normal())
+    noted_rad = 2.0 * math.atan(tangent)
+    lens = Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
+    return {"fov_deg": lens.fov_deg, "lens": lens}
 
 
 def gather(

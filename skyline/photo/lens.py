@@ -42,7 +42,7 @@ _SENSOR_MM = (2.0, 80.0)
 """Diagonals of sensors, from phones to medium format."""
 _AGREE = log(1.1)
 """Largest difference of the logarithms of two focal lengths that agree: one is rounded."""
-_ALONE = 0.1
+ALONE_SD = 0.1
 """Deviation of the logarithm of a 35 mm equivalent: it is rounded to a millimetre (2 %), compares
 widths in some cameras (5 %), and is of the sensor before stabilization crops it (8 %). A focal
 length on a known sensor is taken to be as good: converters and crops inside a camera change it."""
@@ -121,7 +121,7 @@ class _FocalLength:
 
     source: str
     diagonals: float
-    sd: float | None = _ALONE
+    sd: float | None = ALONE_SD
 
     def log_ratio(self, other: "_FocalLength") -> float:
         """Return the difference of the logarithms of two focal lengths."""
@@ -296,7 +296,7 @@ def _combined(focals: list[_FocalLength]) -> _FocalLength:
     both = f"EXIF's {one.source} and its {two.source}"
     if off <= _AGREE:
         return _FocalLength(f"{both} agree", middle, None)
-    return _FocalLength(f"{both} contradict one another", middle, max(off / 2.0, _ALONE))
+    return _FocalLength(f"{both} contradict one another", middle, max(off / 2.0, ALONE_SD))
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
