@@ -3,10 +3,11 @@
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
 and Everest: skylines with errors and things in front, of the store's own model and of others; made
 photographs, whose skylines are extracted; photos that note where they were taken, rightly or
-wrongly. A third of the lenses are given, a third noted by one value of EXIF, a third unknown. For each query the figures of the best
-pose (`skyline.match.confidence`) and its error are an example. A pose is right if it lies near the
-truth and looks the same way. A logistic model is fitted to the examples with a small ridge, and its
-reliability is shown on Davos. From kept examples, another model is learned in seconds.
+wrongly. A third of the lenses are given, a third are noted by one value of EXIF, and a third are
+unknown. For each query the figures of the best pose (`skyline.match.confidence`) and its error are
+an example. A pose is right if it lies near the truth and looks the same way. A logistic model is
+fitted to the examples with a small ridge, and its reliability is shown on Davos. From kept
+examples, another model is learned in seconds.
 """
 
 import json
