@@ -96,7 +96,7 @@ def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
 def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
     """Return ``count`` given numbers as floats; raises `InputError` with ``error`` otherwise."""
     try:
-        numbers = () if isinstance(given, str | bytes) else tuple(map(float, given))
+        numbers = () if isinstance(given, str | bytes | Mapping) else tuple(map(float, given))
     except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != count:

@@ -89,7 +89,7 @@ def cache(
     if clear:
         count = clear_cache(print_note)
         left = _bytes_of([one.to_dict() for one in cached_areas()])
-        print_line(f"{cache_folder()}: {count} areas removed, {(total - left) / 1e6:.1f} MB")
+        print_line(f"{cache_folder()}: areas removed: {count}, {(total - left) / 1e6:.1f} MB")
         return
     if as_json:
         about = {"folder": str(cache_folder()), "areas": areas}
@@ -102,7 +102,7 @@ def cache(
         box = ",".join(f"{side:g}" for side in one["bounds_deg"])
         changed = datetime.fromisoformat(one["changed"])
         print_line(f"{one['origin']} {box}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
-    print_line(f"{cache_folder()}: {len(areas)} areas, {total / 1e6:.1f} MB")
+    print_line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")
 
 
 def _bytes_of(areas: list[dict[str, Any]]) -> int:

@@ -45,9 +45,9 @@ def extract(
     """Find the skyline in a photo and write it as a trace that a person can correct."""
     check_outputs([output, overlay], [photo])
     image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
-    write_trace(skyline, output)
     if overlay is not None:
         write_overlay(image, skyline, overlay)
+    write_trace(skyline, output)
     trusted = np.count_nonzero(skyline.trusted)
     print_written(output, f"skyline found in {trusted} of {skyline.width_px} columns")
     if skyline.lens is not None and skyline.lens.reason:

@@ -22,7 +22,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError, MissingFileError, suffix_of
 from skyline.files import STANDARD, is_table, read_bytes, write_whole
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
@@ -233,8 +233,10 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
     Other crests that may be the skyline are drawn in another colour. Raises `InputError` if the
-    skyline belongs to an image of another size, or the file cannot be written.
+    skyline belongs to an image of another size, the file is not named .png, or it cannot be
+    written.
     """
+    suffix_of(path, [".png"])
     check_of_image(query, photo.shape)
     drawn = photo.copy()
     thickness = max(1, round(query.width_px / 1000))

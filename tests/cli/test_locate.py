@@ -85,7 +85,7 @@ def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, serv
     assert listed["bytes"] == area["tile_bytes"] + area["store_bytes"] > 0
     assert "1 areas" in run("cache").out
     (cache / "mine.txt").write_text("not of skyline")
-    assert "1 areas removed" in run("cache", "--clear").out
+    assert "areas removed: 1," in run("cache", "--clear").out
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["mine.txt"]
 
 

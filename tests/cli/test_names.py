@@ -81,7 +81,7 @@ def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monke
         (f"store merge {odd} {store} -o m{odd}", r"mb\xe4r.h5: 1,804 places"),
         (f"store export {odd} -o {NOT_UTF8}.gpkg", r"b\xe4r.gpkg: 1,804 places"),
         (f"build {dem} -o n{odd} --spacing 900", r"nb\xe4r.h5: "),
-        (f"extract {photo} -o {NOT_UTF8}.csv --overlay o{NOT_UTF8}", r"b\xe4r.csv"),
+        (f"extract {photo} -o {NOT_UTF8}.csv --overlay {NOT_UTF8}.png", r"b\xe4r.csv"),
         (f"match {odd} {NOT_UTF8}.csv --fov-deg 60 --matcher unrefined", r"b\xe4r.csv ("),
         (f"render {dem} -o r{odd} --grid 2000 --depth-images {NOT_UTF8}", r"rb\xe4r.h5: "),
     ):

@@ -161,6 +161,8 @@ def test_overlay_draws_trusted_columns_only(tmp_path):
     assert drawn[12, 20:].all()
     assert drawn.sum() == 20
     assert not photo.any()
+    with pytest.raises(InputError, match=r"is '.jpg'; expected one of .png"):
+        write_overlay(photo, query, tmp_path / "overlay.jpg")
 
 
 def test_a_trace_notes_its_camera(tmp_path):
