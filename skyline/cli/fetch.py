@@ -98,7 +98,7 @@ def cache(
     for one in areas:
         unfinished = "" if one["finished"] else ", unfinished"
         store = f"store {one['store_bytes'] / 1e6:.1f} MB{unfinished}"
-        tiles = f"{one['tiles']} tiles {one['tile_bytes'] / 1e6:.1f} MB, " if one["tiles"] else ""
+        tiles = f"tiles: {one['tiles']}, {one['tile_bytes'] / 1e6:.1f} MB; " if one["tiles"] else ""
         box = ",".join(f"{side:g}" for side in one["bounds_deg"])
         changed = datetime.fromisoformat(one["changed"])
         print_line(f"{one['origin']} {box}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")

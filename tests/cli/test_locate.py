@@ -83,7 +83,7 @@ def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, serv
     (area,) = listed["areas"]
     assert (area["tiles"], area["finished"]) == (1, True)
     assert listed["bytes"] == area["tile_bytes"] + area["store_bytes"] > 0
-    assert "1 areas" in run("cache").out
+    assert "areas: 1," in run("cache").out
     (cache / "mine.txt").write_text("not of skyline")
     assert "areas removed: 1," in run("cache", "--clear").out
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["mine.txt"]
