@@ -233,8 +233,11 @@ def pixels(
 
     Distance, longitude, latitude and elevation are NaN for sky.
     """
-    suffix_of(output, PIXEL_FILES)
+    suffix = suffix_of(output, PIXEL_FILES)
     check_outputs([output], [photo, pose, *map(Path, without_folders(dem))])
+    folders = [Path(one).resolve() for one in dem]
+    if suffix == ".tif" and output.resolve().parent in folders:
+        raise InputError(f"{output} would become a part of the DEM; choose another folder for it")
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
     terrain = read_terrain(dem, crs, reproject)
