@@ -10,6 +10,7 @@ from query_scenes import hills
 from scenes import field_of, fractal
 
 from skyline.match.query_rays import level
+from skyline.photo.lens import ALONE_SD
 from skyline.photo.query import QuerySkyline, undistorted
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import at_elevation
@@ -17,6 +18,7 @@ from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
+from skyline_training.confidence import with_lenses
 from skyline_training.photos import draw_photo
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
@@ -149,3 +151,14 @@ def test_the_upper_of_two_branches_is_the_skyline():
         199.5 - 0.2 * np.sin(np.radians(10)) * rolled.focal_px, abs=2
     )
     assert np.isfinite(row_px).all()
+
+
+def test_lenses_are_known_in_three_ways_in_turn(terrain):
+    made = make_queries(terrain, AREA, 300, seed=2, config=PLAIN)
+    given, noted, unknown = (with_lenses(made, seed=2)[kind::3] for kind in range(3))
+    assert given == list(made[::3])
+    assert {query.skyline.fov_deg for query in unknown} == {None}
+    rays = [query.rays() for query in noted]
+    np.testing.assert_allclose([one.log_scale_sd for one in rays], ALONE_SD)
+    off = [one.log_scale(query.truth.fov_deg) for one, query in zip(rays, noted, strict=True)]
+    assert np.std(off) == pytest.approx(ALONE_SD, rel=0.2)
