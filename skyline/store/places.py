@@ -44,7 +44,7 @@ Int8Array = NDArray[np.int8]
 Complex64Array = NDArray[np.complex64]
 
 BINS = 360
-"""Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""
+"""Azimuth bins of a place's skyline."""
 DISTANCE_BINS = 120
 """Azimuth bins of a place's distance."""
 PHASE_BINS = 180
