@@ -117,7 +117,7 @@ def test_a_bad_fit_has_failed(matcher, query):
     assert found.residual_deg == pytest.approx(np.sqrt(np.nanmean(gap_deg**2)), rel=0.2)
     said = f"{found.residual_deg:.2f} degrees apart (rms) over {100 * found.terrain_share:.0f} %"
     assert said in fit.refusal
-    assert "70 % are needed" in fit.refusal
+    assert "75 % are needed" in fit.refusal
 
 
 def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, query):

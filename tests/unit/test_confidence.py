@@ -34,7 +34,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[:2] > 0.8).all()
-    assert (sure[2:] < 0.7).all()  # Such fits have failed.
+    assert (sure[2:] < 0.75).all()  # Such fits have failed.
 
 
 def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():
