@@ -235,7 +235,7 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
             nonlocal noted_s, first
             now_s = time.monotonic()
             started_s, before = first = first or (now_s, done)
-            if now_s - noted_s > _NOTE_EVERY_S and done > before:
+            if now_s - noted_s > _NOTE_EVERY_S and before < done < total:
                 noted_s = now_s
                 left_min = (now_s - started_s) * (total - done) / (done - before) / 60.0
                 print_note(f"{doing}: {done} of {total}, about {left_min:.0f} min left")

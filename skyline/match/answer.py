@@ -174,7 +174,10 @@ class MatchResult:
             wrong.append("compass")
         if wrong:
             both = " and ".join(wrong)
-            sentences.append(f"The photo's {both} and {it} disagree: one of them is wrong.")
+            then = "one of them is wrong"
+            if self.answer is None and "position" in wrong:
+                then = "if the photo is right, search round its position"
+            sentences.append(f"The photo's {both} and {it} disagree: {then}.")
         return " ".join(filter(None, [*sentences, exif["left_aside"]]))
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -60,18 +60,23 @@ def place_labels(
     """Place labels centred on the columns of their leader lines, in the order given.
 
     A label lies in the lowest row with room for it, within the picture's width and with a gap on
-    either side; a label that fits in none of the rows is left out.
+    either side. Where leader lines are too near for that, it begins or ends at its own line, below
+    all others, which move up a row. A label that fits in none of the rows is left out.
     """
     placed: list[PlacedLabel] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
         half = width / 2.0 + gap_px
-        middle = min(max(anchor, half), max(picture_px - half, half))
-        tries = (
-            PlacedLabel(index, anchor, middle - half, middle + half, row) for row in range(rows)
-        )
-        free = (new for new in tries if not any(new.disturbs(old) for old in placed))
-        if (first := next(free, None)) is not None:
-            placed.append(first)
+        wanted = (anchor, anchor + half - gap_px, anchor - half + gap_px)
+        middles = (min(max(at, half), max(picture_px - half, half)) for at in wanted)
+        lowest = [PlacedLabel(index, anchor, at - half, at + half, 0) for at in middles]
+        raised = [replace(old, row=old.row + 1) for old in placed]
+        tries = [(replace(lowest[0], row=row), placed) for row in range(rows)]
+        if all(old.row < rows for old in raised):
+            tries += [(new, raised) for new in lowest]
+        for new, others in tries:
+            if not any(new.disturbs(old) for old in others):
+                placed = [*others, new]
+                break
     return placed
 
 

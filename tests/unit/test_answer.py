@@ -85,7 +85,7 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "disagree" not in words
     assert "46.7" not in result.exif_in_words(with_place=False)
     far = noting(NotedPlace((-70.0, 46.7), None, 359.0), "not sure").exif_in_words()
-    assert "position and compass and candidate 1 disagree" in far
+    assert "compass and candidate 1 disagree: if the photo is right, search round its" in far
 
 
 def test_an_answer_and_a_refusal_are_printed_with_their_query():

@@ -191,3 +191,8 @@ def test_labels_and_leaders_keep_apart(peaks):
         low, high = sorted((one, other), key=lambda label: label.row)
         if low.row < high.row:
             assert not low.left_px <= high.anchor_px <= low.right_px
+
+
+def test_summits_nearer_than_half_a_label_are_both_named():
+    placed = place_labels([342.0, 385.0], [130.0, 140.0], LABELS_PX, rows=6)
+    assert [label.row for label in placed] == [1, 0]

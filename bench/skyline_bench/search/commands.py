@@ -224,7 +224,7 @@ SEARCHES: Mapping[str, Search] = {
         by_thirds=True,
     ),
     "placing": Search(
-        """Placing: how many queries uniform grids and planned places find for their cost.
+        """Placing: how many queries uniform grids and planned places find.
 
         The claimed loss is the share of the views that the planner expects to be lost over the
         area; a query is lost that is not found within 1 km.""",
@@ -285,7 +285,8 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             Floats, Option(help="Plan as the paper does, to so many pixels; repeatable.")
         ] = None,
         strategy: Annotated[
-            Names, Option(help=f"Of the paper's plans, of {', '.join(STRATEGIES)} [lpov].")
+            Names,
+            Option(help=f"Of the paper's plans, of {', '.join(STRATEGIES)}; by default lpov."),
         ] = None,
         store: Annotated[
             list[Path] | None, Option(help="Search an existing store; repeatable.")
