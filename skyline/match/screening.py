@@ -168,7 +168,7 @@ class Screen:
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(
-        self, phase: UInt8Array, count: int = 1
+        self, phase: UInt8Array, count: int
     ) -> tuple[Float64Array, IntArray, Float32Array]:
         """Return headings, indices of fields of view and scores of the best turns, each (N, C).
 

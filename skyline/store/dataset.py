@@ -77,22 +77,16 @@ def _coordinates(
     dim: str, eyes: Places | Views, rows: NDArray[np.intp], frame: Frame
 ) -> dict[str, Any]:
     """Return the coordinates of eyes: their rows, places, convergence and frame."""
-    easting_m, northing_m = eyes.easting_m, eyes.northing_m
-    lon, lat = frame.to_lonlat(easting_m, northing_m)
-    convergence_deg = (
-        frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
-        if len(rows)
-        else np.zeros(0)
-    )
+    place = {"easting_m": eyes.easting_m, "northing_m": eyes.northing_m}
+    lon, lat = frame.to_lonlat(**place)
     turn = {"long_name": "grid convergence: true azimuth minus grid azimuth", **_DEGREES}
     return {
         dim: (dim, rows, {"long_name": "row of the store"}),
         "lon": (dim, lon, {"standard_name": "longitude", "units": "degrees_east"}),
         "lat": (dim, lat, {"standard_name": "latitude", "units": "degrees_north"}),
-        "easting_m": (dim, easting_m, _METRES),
-        "northing_m": (dim, northing_m, _METRES),
+        **{name: (dim, values, _METRES) for name, values in place.items()},
         "eye_elevation_m": (dim, eyes.eye_elevation_m, _METRES),
-        "convergence_deg": (dim, convergence_deg, turn),
+        "convergence_deg": (dim, frame.convergence_deg(**place), turn),
         "spatial_ref": ((), 0, {"long_name": "frame of the eastings", **frame.crs.to_cf()}),
     }
 

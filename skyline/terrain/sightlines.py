@@ -69,7 +69,7 @@ def first_hits_m(
     azimuth_rad: Float64Array,
     elevation_tan: Float64Array,
     step_rad: float,
-    progress: Progress | None = None,
+    progress: Progress | None,
 ) -> Float64Array:
     """Return the horizontal distances at which N rays of one eye first meet the surface.
 
