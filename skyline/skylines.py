@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows
 from skyline.camera import columns_u, elevation_deg, rotation
-from skyline.errors import InputError
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -78,13 +77,6 @@ class Views(Rows):
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
 
 
-def check_bins(bins: int) -> int:
-    """Return ``bins`` if a turn can be divided into that many, else raise `InputError`."""
-    if bins < 8 or bins % 8:
-        raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
-    return bins
-
-
 def bin_azimuths_rad(bins: int) -> Float64Array:
     """Return the grid azimuths (B,) of the bins' centres, radians clockwise from north.
 
@@ -119,11 +111,6 @@ class Horizons(Rows):
     """(N, B) float32. Horizontal distance of the skyline; NaN where an azimuth meets no data."""
     flags: NDArray[np.uint8]
     """(N, B) uint8. The bits of `skyline.skylines`: truncated, hole, no data."""
-
-    @property
-    def bins(self) -> int:
-        """Number of azimuth bins B."""
-        return int(self.elevation_tan.shape[1])
 
 
 def polyline_vertices(

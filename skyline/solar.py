@@ -151,7 +151,6 @@ class LocalHorizons(Rows):
         return f"LocalHorizons(places={len(self)}, azimuths={self.azimuth_deg.shape[1]})"
 
     def _repr_html_(self) -> str:
-        """Return the plots of the first places, for a notebook."""
         from matplotlib.figure import Figure  # noqa: PLC0415  (slow to load)
 
         shown = io.StringIO()
@@ -280,7 +279,7 @@ def horizons_of(
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
     """Return the horizons of eyes, as `horizon`; the surface is a height field."""
-    steps = _check_step(step_deg)
+    steps = _steps_a_turn(step_deg)
     # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
     every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
@@ -329,8 +328,7 @@ def _rendered(
     return Horizons.concatenate(parts)
 
 
-def _check_step(step_deg: float) -> int:
-    """Return the number of steps per turn."""
+def _steps_a_turn(step_deg: float) -> int:
     most = MAX_WIDTH // 2
     steps = round(360.0 / step_deg) if 0.0 < step_deg <= 360.0 else 0
     if not (_LEAST_STEPS <= steps <= most and math.isclose(steps * step_deg, 360.0, rel_tol=1e-6)):

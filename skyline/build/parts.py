@@ -245,10 +245,7 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
 
 
 def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
-    """Return the parts that need not be rendered again.
-
-    Raises `StoreMismatchError` where one of them belongs to another build.
-    """
+    """Return the parts that are whole; raises `StoreMismatchError` for one of another build."""
     whole = set()
     for part in sorted(folder.glob("*-of-*.h5")):
         with suppress(StoreError), open_store(part) as store:
@@ -281,7 +278,6 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
 
 
 def _render_part(path: Path, renderer: PartRenderer, work: Any) -> int:
-    """Render and write a part, and return its number of rows."""
     columns = renderer.columns(work)
     with explained(path, "it cannot be written", "check the folder's rights and space"):
         path.parent.mkdir(exist_ok=True)

@@ -223,7 +223,6 @@ def render(
 
 
 def _refuse_given(options: Mapping[str, object], advice: str) -> None:
-    """Raise `InputError` where one of some options was given."""
     for name, value in options.items():
         if value is not None:
             raise InputError(f"{name} {value} does not suit the other options; {advice}")
@@ -283,7 +282,6 @@ def _advise_to_continue(store: Path) -> None:
 
 
 def _print_built(result: BuildResult, path: Path, rows: str) -> None:
-    """Print the number of rows of a store, and of those that were rendered now."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         print_line(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")

@@ -262,10 +262,7 @@ class _Output:
 def _attempted(
     queries: Sequence[Query], attempt: Callable[[Query], T]
 ) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
-    """Return the queries for which an attempt succeeds, with its results, and others' errors.
-
-    The errors are printed at once.
-    """
+    """Return queries with the results of an attempt; print and return the errors of the others."""
     usable: list[tuple[Query, T]] = []
     refused: dict[Query, SkylineError] = {}
     for one in queries:

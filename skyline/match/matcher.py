@@ -312,7 +312,6 @@ class Matcher(Releasable):
             return self._ranker.retriever.screened(*self._rays_and_prior(query, narrowing), part)
 
     def _full(self) -> FullMatcher:
-        """Return the full matcher; raises `InputError` for another one."""
         if not isinstance(self._ranker, FullMatcher):
             raise InputError(BY_RENDERING)
         return self._ranker
@@ -371,7 +370,6 @@ def _check_top(top: int) -> None:
 
 
 def _instance(name: str, value: object, kind: type[T]) -> T:
-    """Return a value of a class; raises `InputError` for another one."""
     if not isinstance(value, kind):
         raise InputError(f"{name} is {value!r}; expected a {kind.__name__}")
     return value

@@ -234,10 +234,7 @@ class ColumnRenderer(Renderer):
     def _skylines(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Views:
-        """Render N views, in batches whose results fit the GPU; columns without data are flagged.
-
-        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
-        """
+        """Render N views, as of `Eyes`, in batches whose results fit the GPU."""
         starts = range(0, max(len(viewpoints), 1), self._max_views)
         parts = [slice(start, start + self._max_views) for start in starts]
         return Views.concatenate(
@@ -247,7 +244,6 @@ class ColumnRenderer(Renderer):
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Views:
-        """Render one batch; see `_skylines`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._reserve(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
@@ -390,7 +386,6 @@ class ColumnRenderer(Renderer):
         return math.ceil(self.width / (self._lanes * groups))
 
     def _program(self, **defines: str) -> moderngl.ComputeShader:
-        """Return the march compiled with macros."""
         key = frozenset(defines.items())
         if key not in self._programs:
             defines["LANES"] = str(self._lanes)

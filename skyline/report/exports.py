@@ -246,7 +246,6 @@ def _described(candidate: Candidate) -> str:
 
 
 def _gpx(results: Sequence[MatchResult]) -> bytes:
-    """Return the candidates of results as waypoints."""
     root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
     for result in results:
         name = Path(result.name).name

@@ -364,10 +364,7 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
 def _walls(
     heights_m: Float32Array, row: Int64Array, col: Int64Array, value: float, threshold_m: float
 ) -> Int64Array:
-    """Return the number of samples from each sample of the rim eastward to its highest wall.
-
-    It is 0 for a sample without a wall.
-    """
+    """Return how many samples east of each sample of the rim its highest wall is; 0 for none."""
     wall = np.zeros(row.size, dtype=np.int64)
     before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
     cols = heights_m.shape[1]

@@ -443,10 +443,7 @@ def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = Non
 
 
 def _relief(heights_m: NDArray[np.floating], east_m: float, north_m: float) -> NDArray[np.uint8]:
-    """Return a small picture of terrain with samples so far apart, lit from the north-west.
-
-    Holes are light.
-    """
+    """Return a small picture of terrain lit from the north-west; holes are light."""
     step = -(-max(heights_m.shape) // _LONGEST_PX)
     some = np.atleast_2d(heights_m[::step, ::step].astype(np.float64))
     if min(some.shape) < 2:

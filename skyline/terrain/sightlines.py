@@ -152,10 +152,7 @@ def _carried_over(
     elevation_tan: Float64Array,
     near_m: Float64Array,
 ) -> Float64Array:
-    """Return where rays meet the surface near given distances, by Newton's method.
-
-    Where it fails, the given distances are returned.
-    """
+    """Refine distances at which rays meet the surface by Newton's method, where it converges."""
     away_m = near_m.copy()
     reach_m = _REACH_SAMPLES * field.spacing_m
     for _ in range(_NEWTON_STEPS):
