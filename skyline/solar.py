@@ -286,12 +286,23 @@ def horizons_of(
     to_grid_rad = -np.radians(
         terrain.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
     )
-    bins = steps * every
-    rendered = _rendered(terrain, eyes, to_grid_rad, bins, curvature, progress)
+
+    def in_parts(field: HeightField) -> Horizons:
+        """Render a field in parts, with a report of progress after each."""
+        parts: list[Horizons] = []
+        with PanoramaRenderer(field, steps * every, curvature, tolerance_deg=0.0) as renderer:
+            for start in range(0, len(eyes), _AT_ONCE):
+                part = slice(start, start + _AT_ONCE)
+                parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+                if progress is not None:
+                    progress(min(part.stop, len(eyes)), len(eyes))
+        return Horizons.concatenate(parts)
+
+    rendered = in_parts(terrain)
     elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))
     surface_deg = np.full_like(elevation_deg, np.nan)
     if surface is not None:
-        over = _rendered(surface, eyes, to_grid_rad, bins, curvature, progress)
+        over = in_parts(surface)
         # Rounding in the surface model must not put it below the terrain.
         surface_deg = np.degrees(np.arctan(over.elevation_tan[:, ::every]))
         surface_deg = np.maximum(surface_deg, elevation_deg)
@@ -307,25 +318,6 @@ def horizons_of(
         surface_deg,
         np.array(ids or [""] * len(eyes), dtype=np.str_),
     )
-
-
-def _rendered(
-    field: HeightField,
-    eyes: Viewpoints,
-    to_grid_rad: Float64Array,
-    bins: int,
-    curvature: Curvature | None,
-    progress: Progress | None,
-) -> Horizons:
-    """Render the horizons of eyes in parts, with a report of progress after each."""
-    parts: list[Horizons] = []
-    with PanoramaRenderer(field, bins, curvature, tolerance_deg=0.0) as renderer:
-        for start in range(0, len(eyes), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
-            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
-            if progress is not None:
-                progress(min(part.stop, len(eyes)), len(eyes))
-    return Horizons.concatenate(parts)
 
 
 def _steps_a_turn(step_deg: float) -> int:

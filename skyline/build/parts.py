@@ -24,10 +24,9 @@ from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
-from skyline.store import StoreHeader, open_store, write_store
-from skyline.store.format import explained, refuse_mismatch
-from skyline.store.read import part_name, parts_folder
-from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows
+from skyline.store.format import StoreHeader, explained, refuse_mismatch
+from skyline.store.read import open_store, part_name, parts_folder
+from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows, write_store
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -22,8 +22,8 @@ from skyline.errors import InputError, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
-from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
+from skyline.store.read import is_store, open_store
 from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, place_on, stand_on

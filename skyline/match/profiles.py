@@ -37,8 +37,8 @@ from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.match.scene import quadrant_bins, quadrants
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
-from skyline.store import Store
 from skyline.store.format import KeypointColumns
+from skyline.store.read import Store
 from skyline.terrain.viewpoints import Viewpoints
 
 _BINS = 2048

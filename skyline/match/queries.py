@@ -22,8 +22,8 @@ from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
 from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.photo.read import check_fov, read_query
-from skyline.store import open_store
 from skyline.store.format import PLACES, PLACES_A_CHUNK
+from skyline.store.read import open_store
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",

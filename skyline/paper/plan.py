@@ -30,8 +30,8 @@ from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
-from skyline.store import StoreHeader, write_store
-from skyline.store.write import check_folder, sorted_once
+from skyline.store.format import StoreHeader
+from skyline.store.write import check_folder, sorted_once, write_store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 

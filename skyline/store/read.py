@@ -60,7 +60,7 @@ class PlaceMap:
 
     The file's length is checked before each block and each batch of rows. A file that is cut short
     while one of them is being read makes the system end the process (SIGBUS), as with any mapped
-    file. `skyline.store` replaces stores and never cuts one short.
+    file. `skyline.store.write` replaces stores and never cuts one short.
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
