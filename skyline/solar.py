@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import Float32Array, Float64Array, Progress, Rows
+from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, entry_named, library
 from skyline.files import write_whole
@@ -72,7 +72,7 @@ class LocalHorizons(Rows):
     azimuth_deg: Float64Array
     elevation_deg: Float32Array
     distance_m: Float32Array
-    flags: NDArray[np.uint8]
+    flags: UInt8Array
     surface_deg: Float32Array
     id: NDArray[np.str_]
 

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
@@ -42,7 +41,7 @@ _REACH_M = 300.0
 
 _MOST_CANDIDATES = 20_000_000
 
-Render = Callable[[Viewpoints, NDArray[np.uint8]], Views]
+Render = Callable[[Viewpoints, UInt8Array], Views]
 """Renders N viewpoints along N headings; returns N views in the same order."""
 
 
