@@ -58,11 +58,11 @@ from .skylines import Views as Views
 from .solar import LocalHorizons as LocalHorizons
 from .solar import horizon as horizon
 from .solar import sky_view_factor as sky_view_factor
-from .store import PlaceMap as PlaceMap
-from .store import Store as Store
-from .store import StoreHeader as StoreHeader
-from .store import open_store as open_store
+from .store.format import StoreHeader as StoreHeader
 from .store.places import Places as Places
+from .store.read import PlaceMap as PlaceMap
+from .store.read import Store as Store
+from .store.read import open_store as open_store
 from .terrain.dem import DemOptions as DemOptions
 from .terrain.dem import read_dem as read_dem
 from .terrain.heightfield import HeightField as HeightField

@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
 
-Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+Index = slice | NDArray[np.integer] | BoolArray
 
 
 class Rows:
@@ -39,7 +39,7 @@ class Rows:
         columns = {name: [getattr(part, name) for part in parts] for name in cls._names()}
         return cls(**{name: _concatenated(column) for name, column in columns.items()})
 
-    def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
+    def replaced(self, chosen: BoolArray, other: Self) -> Self:
         """Return these rows, with another's where ``chosen`` (M,) is true."""
         columns = {name: (getattr(other, name), getattr(self, name)) for name in self._names()}
         return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
@@ -49,7 +49,7 @@ class Rows:
         return [f.name for f in fields(cast(Any, cls))]
 
 
-def _chosen(chosen: NDArray[np.bool_], new: Any, old: Any) -> Any:
+def _chosen(chosen: BoolArray, new: Any, old: Any) -> Any:
     if isinstance(old, Rows):
         return old.replaced(chosen, new)
     return np.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)

@@ -43,13 +43,6 @@ def rotation(heading: int) -> Float64Array:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-def directions_at(heading: int, u: Float64Array) -> Float64Array:
-    """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
-    turn = rotation(heading)
-    right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
-    return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
-
-
 def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
     """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
     return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))

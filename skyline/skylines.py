@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows
+from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
 from skyline.camera import columns_u, elevation_deg, rotation
-from skyline.errors import InputError
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -45,10 +44,10 @@ class Views(Rows):
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
-    heading: NDArray[np.uint8]
+    heading: UInt8Array
     elevation_tan: FloatArray
     depth_m: FloatArray
-    flags: NDArray[np.uint8]
+    flags: UInt8Array
 
     @property
     def width(self) -> int:
@@ -76,13 +75,6 @@ class Views(Rows):
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
-
-
-def check_bins(bins: int) -> int:
-    """Return ``bins`` if a turn can be divided into that many, else raise `InputError`."""
-    if bins < 8 or bins % 8:
-        raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
-    return bins
 
 
 def bin_azimuths_rad(bins: int) -> Float64Array:
@@ -117,17 +109,12 @@ class Horizons(Rows):
     where an azimuth meets no data."""
     distance_m: Float32Array
     """(N, B) float32. Horizontal distance of the skyline; NaN where an azimuth meets no data."""
-    flags: NDArray[np.uint8]
+    flags: UInt8Array
     """(N, B) uint8. The bits of `skyline.skylines`: truncated, hole, no data."""
-
-    @property
-    def bins(self) -> int:
-        """Number of azimuth bins B."""
-        return int(self.elevation_tan.shape[1])
 
 
 def polyline_vertices(
-    curves: NDArray[np.floating], tolerance: float, max_vertices: int = DEFAULT_MAX_KEYPOINTS
+    curves: FloatArray, tolerance: float, max_vertices: int = DEFAULT_MAX_KEYPOINTS
 ) -> NDArray[np.uint16]:
     """Approximate curves sampled at equal steps by polylines; return the vertices' columns.
 
@@ -158,7 +145,7 @@ def polyline_vertices(
     return _most_significant(position[order], (count, width), max_vertices)
 
 
-def _runs(curves: NDArray[np.floating]) -> tuple[IntArray, IntArray]:
+def _runs(curves: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the flat index of the first and last sample of every run of finite samples."""
     width = curves.shape[1]
     finite = np.pad(np.isfinite(curves), ((0, 0), (1, 1))).astype(np.int8)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import Float32Array, Float64Array, Progress, Rows
+from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, entry_named, library
 from skyline.files import write_whole
@@ -72,7 +72,7 @@ class LocalHorizons(Rows):
     azimuth_deg: Float64Array
     elevation_deg: Float32Array
     distance_m: Float32Array
-    flags: NDArray[np.uint8]
+    flags: UInt8Array
     surface_deg: Float32Array
     id: NDArray[np.str_]
 
@@ -151,7 +151,6 @@ class LocalHorizons(Rows):
         return f"LocalHorizons(places={len(self)}, azimuths={self.azimuth_deg.shape[1]})"
 
     def _repr_html_(self) -> str:
-        """Return the plots of the first places, for a notebook."""
         from matplotlib.figure import Figure  # noqa: PLC0415  (slow to load)
 
         shown = io.StringIO()
@@ -280,19 +279,30 @@ def horizons_of(
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
     """Return the horizons of eyes, as `horizon`; the surface is a height field."""
-    steps = _check_step(step_deg)
+    steps = _steps_a_turn(step_deg)
     # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
     every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
     to_grid_rad = -np.radians(
         terrain.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
     )
-    bins = steps * every
-    rendered = _rendered(terrain, eyes, to_grid_rad, bins, curvature, progress)
+
+    def in_parts(field: HeightField) -> Horizons:
+        """Render a field in parts, with a report of progress after each."""
+        parts: list[Horizons] = []
+        with PanoramaRenderer(field, steps * every, curvature, tolerance_deg=0.0) as renderer:
+            for start in range(0, len(eyes), _AT_ONCE):
+                part = slice(start, start + _AT_ONCE)
+                parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+                if progress is not None:
+                    progress(min(part.stop, len(eyes)), len(eyes))
+        return Horizons.concatenate(parts)
+
+    rendered = in_parts(terrain)
     elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))
     surface_deg = np.full_like(elevation_deg, np.nan)
     if surface is not None:
-        over = _rendered(surface, eyes, to_grid_rad, bins, curvature, progress)
+        over = in_parts(surface)
         # Rounding in the surface model must not put it below the terrain.
         surface_deg = np.degrees(np.arctan(over.elevation_tan[:, ::every]))
         surface_deg = np.maximum(surface_deg, elevation_deg)
@@ -310,27 +320,7 @@ def horizons_of(
     )
 
 
-def _rendered(
-    field: HeightField,
-    eyes: Viewpoints,
-    to_grid_rad: Float64Array,
-    bins: int,
-    curvature: Curvature | None,
-    progress: Progress | None,
-) -> Horizons:
-    """Render the horizons of eyes in parts, with a report of progress after each."""
-    parts: list[Horizons] = []
-    with PanoramaRenderer(field, bins, curvature, tolerance_deg=0.0) as renderer:
-        for start in range(0, len(eyes), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
-            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
-            if progress is not None:
-                progress(min(part.stop, len(eyes)), len(eyes))
-    return Horizons.concatenate(parts)
-
-
-def _check_step(step_deg: float) -> int:
-    """Return the number of steps per turn."""
+def _steps_a_turn(step_deg: float) -> int:
     most = MAX_WIDTH // 2
     steps = round(360.0 / step_deg) if 0.0 < step_deg <= 360.0 else 0
     if not (_LEAST_STEPS <= steps <= most and math.isclose(steps * step_deg, 360.0, rel_tol=1e-6)):

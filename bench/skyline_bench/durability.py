@@ -28,9 +28,8 @@ from skyline.build.plans import PlacePlan, Plan, RenderingPlan
 from skyline.errors import SkylineError
 from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
-from skyline.store import open_store
 from skyline.store.format import PLACES
-from skyline.store.read import parts_folder
+from skyline.store.read import open_store, parts_folder
 from skyline.store.write import examine
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import HEADINGS, columns_u, directions_at
+from skyline.camera import HEADINGS, columns_u
 from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, Views
@@ -39,6 +39,7 @@ from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 from skyline_bench.geotiff import write_geotiff
 from skyline_bench.measuring import core_count, over_cores
+from skyline_bench.truth.oracle import directions_at
 
 _STEEPEST_TAN = 1e4
 """A column without a hit below this dip meets no data."""

@@ -106,7 +106,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
                 errors.append(compare(seen, truths[key]))
             else:
                 found_deg = np.degrees(np.arctan(seen.elevation_tan.astype(np.float64)))
-                errors.append(_errors_px(found_deg - true_deg[:, :: _STEPS // seen.bins]))
+                errors.append(_errors_px(found_deg - true_deg[:, :: _STEPS // found_deg.shape[1]]))
             tick()
         batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
     rows: list[Row] = [

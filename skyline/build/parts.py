@@ -24,10 +24,9 @@ from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
-from skyline.store import StoreHeader, open_store, write_store
-from skyline.store.format import explained, refuse_mismatch
-from skyline.store.read import part_name, parts_folder
-from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows
+from skyline.store.format import StoreHeader, explained, refuse_mismatch
+from skyline.store.read import open_store, part_name, parts_folder
+from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows, write_store
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -245,10 +244,7 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
 
 
 def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
-    """Return the parts that need not be rendered again.
-
-    Raises `StoreMismatchError` where one of them belongs to another build.
-    """
+    """Return the parts that are whole; raises `StoreMismatchError` for one of another build."""
     whole = set()
     for part in sorted(folder.glob("*-of-*.h5")):
         with suppress(StoreError), open_store(part) as store:
@@ -281,7 +277,6 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
 
 
 def _render_part(path: Path, renderer: PartRenderer, work: Any) -> int:
-    """Render and write a part, and return its number of rows."""
     columns = renderer.columns(work)
     with explained(path, "it cannot be written", "check the folder's rights and space"):
         path.parent.mkdir(exist_ok=True)

@@ -21,8 +21,7 @@ from skyline.render.horizon import (
 )
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, polyline_vertices
-from skyline.store import StoreHeader, columns_of
-from skyline.store.format import PLACES, Columns
+from skyline.store.format import PLACES, Columns, StoreHeader, columns_of
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible

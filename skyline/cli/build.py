@@ -30,8 +30,7 @@ from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
-from skyline.store import open_store
-from skyline.store.read import parts_folder
+from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
@@ -223,7 +222,6 @@ def render(
 
 
 def _refuse_given(options: Mapping[str, object], advice: str) -> None:
-    """Raise `InputError` where one of some options was given."""
     for name, value in options.items():
         if value is not None:
             raise InputError(f"{name} {value} does not suit the other options; {advice}")
@@ -274,7 +272,7 @@ def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
 
 
 def _advise_to_continue(store: Path) -> None:
-    """Check a store's folder; have the error after Ctrl-C say that a build with parts continues."""
+    """Check a store's folder; after Ctrl-C the error says that a build with parts continues."""
     check_folder(store.resolve())
     on_interrupt(
         "what was built is kept, and the same command continues from there",
@@ -283,7 +281,6 @@ def _advise_to_continue(store: Path) -> None:
 
 
 def _print_built(result: BuildResult, path: Path, rows: str) -> None:
-    """Print the number of rows of a store, and of those that were rendered now."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         print_line(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")

@@ -106,5 +106,4 @@ def cache(
 
 
 def _bytes_of(areas: list[dict[str, Any]]) -> int:
-    """Return the size of all files of areas."""
     return sum(one["tile_bytes"] + one["store_bytes"] for one in areas)

@@ -22,8 +22,8 @@ from skyline.errors import InputError, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
-from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
+from skyline.store.read import is_store, open_store
 from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, place_on, stand_on
@@ -80,7 +80,6 @@ def _describe_terrain(field: HeightField) -> Facts:
 
 
 def _describe_store(path: str) -> Facts:
-    """Return the facts of a store; raises `StoreError` where it cannot be read."""
     with open_store(path) as store:
         header, eyes = store.header, store.eyes()
         frame = Frame(header.frame_wkt)
@@ -190,7 +189,6 @@ def share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> floa
 
 
 def _print_facts(facts: Facts, as_json: bool) -> None:
-    """Print facts as JSON, or as a table of names and texts."""
     if as_json:
         print_line(json.dumps(facts))
         return

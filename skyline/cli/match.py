@@ -29,6 +29,7 @@ from skyline.cli.console import (
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
 from skyline.errors import InputError, SkylineError, entry_named, printable, suffix_of
+from skyline.files import STANDARD
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
@@ -141,6 +142,10 @@ def match(
             "--same-place has one answer, not a row a photo; leave --results out",
         ),
         (same_place and workers, "--same-place matches in this process; leave --workers out"),
+        (
+            workers and Path(STANDARD) in photos,
+            "standard input is read in this process; name a file, or leave --workers out",
+        ),
     ):
         if is_wrong:
             raise InputError(error)
@@ -262,10 +267,7 @@ class _Output:
 def _attempted(
     queries: Sequence[Query], attempt: Callable[[Query], T]
 ) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
-    """Return the queries for which an attempt succeeds, with its results, and others' errors.
-
-    The errors are printed at once.
-    """
+    """Return queries with the results of an attempt; print and return the errors of the others."""
     usable: list[tuple[Query, T]] = []
     refused: dict[Query, SkylineError] = {}
     for one in queries:

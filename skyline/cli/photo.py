@@ -14,7 +14,7 @@ from skyline.files import is_file
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
-from skyline.store import is_store
+from skyline.store.read import is_store
 
 FieldOfView = Annotated[
     float | None,

@@ -11,7 +11,8 @@ from typer import Argument
 
 from skyline.cli.console import AsJson, StoreFile, output_option, print_line
 from skyline.errors import InputError, printable
-from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
+from skyline.store.read import open_store
+from skyline.store.write import StoreReport, check_store, merge_stores, repair_store
 
 NewStore = Annotated[Path, output_option("The new store; must not exist.", "STORE.h5")]
 

@@ -126,12 +126,11 @@ def fetch_dem(
             "the place, or the source's template"
         )
     folder.mkdir(parents=True, exist_ok=True)
+    show = progress or (lambda *_: None)
     for done, cut in enumerate(cuts):
-        if progress:
-            progress(done, len(cuts))
+        show(done, len(cuts))
         _fetch(cut, earlier)
-    if progress:
-        progress(len(cuts), len(cuts))
+    show(len(cuts), len(cuts))
     return FetchResult(tuple(files), len(cuts), tuple(missing))
 
 

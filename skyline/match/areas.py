@@ -236,13 +236,13 @@ def _origin(files: Sequence[str], source: str) -> str:
     return f"dem-{_digest(*about)}"
 
 
-def _grown(bounds_deg: Bounds, km: float) -> Bounds:
-    """Return a box grown by a distance to each side."""
+def _seen_from(bounds_deg: Bounds) -> Bounds:
+    """Return the box with the terrain that is seen from an area."""
     west, south, _, north = bounds_deg
     east = west + width_deg(bounds_deg)
     frame = Frame.local(lon=(west + east) / 2.0, lat=(south + north) / 2.0)
     left, low, right, high = frame.rectangle_m(bounds_deg)
-    margin_m = 1000.0 * km
+    margin_m = 1000.0 * _SEEN_KM
     return frame.box_deg(
         easting_m=[left - margin_m, right + margin_m], northing_m=[low - margin_m, high + margin_m]
     )
@@ -291,7 +291,7 @@ def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
     """Fetch the tiles of all terrain that is seen from an area; return their files."""
-    seen = _grown(bounds, _SEEN_KM)
+    seen = _seen_from(bounds)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
         f"fetching elevation of {where} from {source if source in SOURCES else 'the source'}"
@@ -331,7 +331,7 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Sequence[str | Path]) 
 
 
 def _check_room(folder: Path, bounds: Bounds, with_tiles: bool) -> None:
-    _, south, _, north = seen = _grown(bounds, _SEEN_KM)
+    _, south, _, north = seen = _seen_from(bounds)
     wanted = _PLACE_BYTES_KM2 * _km2(bounds)
     if with_tiles:
         wanted += _SAMPLE_BYTES_DEG2 * (north - south) * width_deg(seen)

@@ -241,7 +241,7 @@ class Hypotheses(Rows):
         place = self.easting_m + 1j * self.northing_m
         return np.asarray(np.abs(place[:, np.newaxis] - place))
 
-    def are_same(self, within_m: float, turn_deg: float = 360.0) -> BoolArray:
+    def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
         """Return which pairs of poses (M, M) lie and look within a distance and a turn."""
         turn = np.abs(in_turn(self.heading_deg - self.heading_deg[:, np.newaxis]))
         return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
@@ -329,13 +329,10 @@ def candidates_of(
 
     The confidences (M,) are the probabilities that each is right within 200 m, and within 1 km.
     """
-    refined = poses if isinstance(poses, RefinedPoses) else None
     standing = poses if isinstance(poses, Hypotheses) else poses.hypotheses
-    easting_m, northing_m = standing.easting_m, standing.northing_m
-    lon, lat = frame.to_lonlat(easting_m, northing_m)
-    convergence_deg = np.zeros(0)
-    if len(standing):
-        convergence_deg = frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+    place = {"easting_m": standing.easting_m, "northing_m": standing.northing_m}
+    lon, lat = frame.to_lonlat(**place)
+    convergence_deg = frame.convergence_deg(**place)
     heading_deg = (standing.heading_deg + convergence_deg) % 360.0
     columns = {f.name: getattr(standing, f.name).tolist() for f in fields(Hypotheses)} | {
         "lon": lon.tolist(),
@@ -347,12 +344,12 @@ def candidates_of(
     if confidence is not None and confidence_1km is not None:
         columns["confidence"] = confidence.tolist()
         columns["confidence_1km"] = confidence_1km.tolist()
-    if refined is not None:
+    if isinstance(poses, RefinedPoses):
         for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
-            columns[name] = getattr(refined, name).tolist()
-        covariance_m2 = refined.covariance_m2.tolist()
+            columns[name] = getattr(poses, name).tolist()
+        covariance_m2 = poses.covariance_m2.tolist()
         columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
         columns["refined"] = [True] * len(standing)
-        columns["wander"] = [tuple(row) for row in refined.wander.tolist()]
+        columns["wander"] = [tuple(row) for row in poses.wander.tolist()]
     rows = zip(*columns.values(), strict=True)
     return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)

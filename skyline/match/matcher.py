@@ -33,7 +33,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.store import open_joined
+from skyline.store.write import open_joined
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -59,7 +59,7 @@ class Matcher(Releasable):
     ----------
     store : path or paths
         Several stores, of one DEM and configuration, are searched as one: they are merged into a
-        temporary file, as `skyline.store.merge_stores` does.
+        temporary file, as `skyline.store.write.merge_stores` does.
     dem : path, paths or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
@@ -312,7 +312,6 @@ class Matcher(Releasable):
             return self._ranker.retriever.screened(*self._rays_and_prior(query, narrowing), part)
 
     def _full(self) -> FullMatcher:
-        """Return the full matcher; raises `InputError` for another one."""
         if not isinstance(self._ranker, FullMatcher):
             raise InputError(BY_RENDERING)
         return self._ranker
@@ -371,7 +370,6 @@ def _check_top(top: int) -> None:
 
 
 def _instance(name: str, value: object, kind: type[T]) -> T:
-    """Return a value of a class; raises `InputError` for another one."""
     if not isinstance(value, kind):
         raise InputError(f"{name} is {value!r}; expected a {kind.__name__}")
     return value

@@ -294,7 +294,7 @@ class Prior:
     def allows(self, poses: Hypotheses) -> BoolArray:
         """Return which poses (M,) the narrowing allows, their headings included."""
         allowed = self.contains(poses)
-        if self.narrowing.heading_deg is not None and self.frame is not None and len(poses):
+        if self.narrowing.heading_deg is not None and self.frame is not None:
             heading, slack = self.narrowing.heading_deg
             turn = self.frame.convergence_deg(
                 easting_m=poses.easting_m, northing_m=poses.northing_m

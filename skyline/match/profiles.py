@@ -37,8 +37,8 @@ from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryCurves, QueryRays
 from skyline.match.scene import quadrant_bins, quadrants
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
-from skyline.store import Store
 from skyline.store.format import KeypointColumns
+from skyline.store.read import Store
 from skyline.terrain.viewpoints import Viewpoints
 
 _BINS = 2048
@@ -247,10 +247,7 @@ class CorrelationMatcher(ProfileMatcher):
 
 
 def _transformed(y: Float32Array) -> _Transforms:
-    """Return the Fourier transforms (L, B / 2 + 1) of n, y and y**2 of profiles.
-
-    The first is None where the profiles are known throughout.
-    """
+    """Return the Fourier transforms (L, B / 2 + 1) of n, None if it is 1 throughout, y and y**2."""
     n = np.isfinite(y).astype(np.float64)
     y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
     mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)

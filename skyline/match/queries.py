@@ -15,15 +15,15 @@ from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import STANDARD, Row, Table, is_table, read_table
+from skyline.files import STANDARD, Row, Table, is_file, is_table, read_table
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.screening import Alike
 from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.photo.read import check_fov, read_query
-from skyline.store import open_store
 from skyline.store.format import PLACES, PLACES_A_CHUNK
+from skyline.store.read import open_store
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
@@ -44,7 +44,7 @@ _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
 
 _Opening = tuple[Hashable, ...]
-"""The times at which the stores were written, followed by the arguments of `Matcher`."""
+"""The times at which the stores and models were written, followed by the arguments of `Matcher`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +169,9 @@ def match_many(
     several. Workers need the store, the DEM and the queries under the same paths.
     """
     stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
-    # A worker that outlives this command must not take a store for the one it has replaced.
-    opening = (written_ns(stores), stores, *matcher[1:])
+    # A worker that outlives this command must not take a file for the one it has replaced.
+    models = (Path(name) for some in matcher[1:] if isinstance(some, tuple) for name in some)
+    opening = (written_ns([*stores, *models]), stores, *matcher[1:])
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
     parts = _parts(stores)
     screened: list[Alike | SkylineError | None] = [None] * len(jobs)
@@ -192,9 +193,9 @@ def match_many(
         yield replace(result, name=query.path) if isinstance(result, MatchResult) else result
 
 
-def written_ns(stores: Sequence[Path]) -> tuple[int, ...]:
-    """Return the times at which stores were written; 0 where there is none."""
-    return tuple(one.stat().st_mtime_ns if one.exists() else 0 for one in stores)
+def written_ns(files: Sequence[Path]) -> tuple[int, ...]:
+    """Return the times at which files were written; 0 where there is none."""
+    return tuple(one.stat().st_mtime_ns if is_file(one) else 0 for one in files)
 
 
 def _parts(stores: Sequence[Path]) -> list[slice]:
@@ -241,9 +242,14 @@ def _matched(
     return replace(found, seconds=seconds, name=query.path, id=query.label)
 
 
-@lru_cache(maxsize=4)
 def _read(query: Query) -> QuerySkyline:
-    return query.read()  # Once for all the parts of the store that this worker screens.
+    """Read a query once for all the parts of the store that this worker screens."""
+    return _read_as_of(written_ns([Path(query.path)]), query)
+
+
+@lru_cache(maxsize=4)
+def _read_as_of(_: tuple[int, ...], query: Query) -> QuerySkyline:
+    return query.read()
 
 
 _open_matcher: dict[_Opening, Matcher] = {}

@@ -1,7 +1,6 @@
 """A query's skyline as rays of a camera, and its directions for a pitch and a roll."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -295,10 +294,7 @@ def level_with_changes(
 def _axes_with_changes(
     u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array, is_panorama: bool
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return the components of `level_axes`, with the derivatives (M, R, 3) of each component.
-
-    They are by pitch, by roll, and by the logarithm of the scale.
-    """
+    """Return `level_axes`, and its derivatives (M, R, 3) by pitch, roll and logarithm of scale."""
     cos_roll, sin_roll = np.cos(roll), np.sin(roll)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
     if is_panorama:
@@ -373,12 +369,10 @@ class QueryCurves:
     """(H,) float64."""
 
     @classmethod
-    def of(
-        cls, query: QueryRays, bins: int, pitches_deg: Sequence[float] = _PITCHES_DEG
-    ) -> "QueryCurves":
+    def of(cls, query: QueryRays, bins: int) -> "QueryCurves":
         """Level the rays at each pitch and sample them on ``bins`` equal steps of azimuth."""
-        y, weight = zip(*(on_bins(query, pitch, bins) for pitch in pitches_deg), strict=True)
-        return cls(np.stack(y), np.stack(weight), np.array(pitches_deg))
+        y, weight = zip(*(on_bins(query, pitch, bins) for pitch in _PITCHES_DEG), strict=True)
+        return cls(np.stack(y), np.stack(weight), np.array(_PITCHES_DEG))
 
 
 def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:

@@ -75,7 +75,6 @@ class Retriever:
         return self.sample(_SAMPLE)
 
     def _no_place_error(self, priors: Sequence[Prior]) -> InputError:
-        """Return the error that a search is narrowed to no place."""
         hints = (prior.swap_hint(self._sample) for prior in priors)
         return InputError(
             "no place of the store lies within what the search is narrowed to; widen it, or build "
@@ -213,7 +212,6 @@ class Retriever:
     def _fits(
         self, query: QueryRays, start: "_Start", runs: int, scales_deg: tuple[float, ...]
     ) -> Hypotheses:
-        """Return the poses fitted from starts, in order."""
         rays = in_runs(query, runs)
 
         def fitted(first: int) -> Hypotheses:

@@ -14,7 +14,7 @@ from skyline.files import is_file
 from skyline.render.context import RenderThread, acquire_context
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_NO_DATA, Views
-from skyline.store import StoreHeader
+from skyline.store.format import StoreHeader
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.sightlines import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
@@ -138,9 +138,10 @@ def quadrants(
 ) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
     """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
 
-    Also return the nearest columns (B / 4,), and the cosines (B / 4,) of the bins' azimuths from
-    the heading, from 45 degrees left of it on. The left seam lies half a column outside the
-    columns' centres and is extrapolated by that; the right one belongs to the next heading.
+    Also return the nearest column of each bin and the cosine of its azimuth, (B / 4,) each.
+    Azimuths count from the heading and begin 45 degrees left of it. The left seam lies half a
+    column outside the columns' centres and is extrapolated by that; the right one belongs to the
+    next heading.
     """
     steps = np.arange(bins // 4) - bins // 8
     azimuth = 2.0 * np.pi / bins * steps

@@ -168,7 +168,7 @@ class Screen:
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(
-        self, phase: UInt8Array, count: int = 1
+        self, phase: UInt8Array, count: int
     ) -> tuple[Float64Array, IntArray, Float32Array]:
         """Return headings, indices of fields of view and scores of the best turns, each (N, C).
 
@@ -209,7 +209,9 @@ class Screen:
 
 def _rolled(level: Complex128Array) -> Complex128Array:
     """Return the scaled derivative by roll of a query's waves (F, B); see `Screen`."""
-    growth = roll_to_turn()
+    azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
+    # Derivatives (B,) of the phases of a level query's rises by roll, radians per radian.
+    growth = RISE_TO_TURN * np.diff(np.sin(azimuth))
     stiff = np.abs(level) @ np.square(growth)
     scale = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
     return np.asarray(1j * scale[:, np.newaxis] * growth * level)
@@ -238,12 +240,6 @@ def query_waves(query: QueryRays) -> Complex128Array:
     known = np.isfinite(rise)
     weight = np.minimum(weight, np.roll(weight, -1)) * known
     return np.asarray(weight * np.exp(1j * RISE_TO_TURN * np.where(known, rise, 0.0)))
-
-
-def roll_to_turn() -> Float64Array:
-    """Return the derivatives (B,) of the phases of a query's rises by roll, radians per radian."""
-    azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
-    return np.asarray(RISE_TO_TURN * np.diff(np.sin(azimuth)))
 
 
 def turn_heading_deg(turn: IntArray) -> Float64Array:

@@ -336,7 +336,7 @@ class Solver:
         """Return the residuals and their likelihood at a fit."""
         linear = self.linearize(curves, fit.state)
         errors = self._errors(linear, curves)
-        return linear, self._likelihood(fit, linear, errors, (fit.angle, fit.height))
+        return linear, self._likelihood(fit, linear, errors)
 
     def covariance(self, linear: Linearization, found: Likelihood) -> Float64Array:
         """Return the covariance (M, P, P) of states, priors included."""
@@ -398,21 +398,14 @@ class Solver:
             self.beyond_rad(linear),
         )
 
-    def _likelihood(
-        self,
-        fit: Fit,
-        linear: Linearization,
-        errors: HeightErrors,
-        deviations: tuple[IntArray, IntArray],
-    ) -> Likelihood:
-        """Return the likelihood of states, its cost with the priors, for chosen deviations."""
-        angle, height = deviations
+    def _likelihood(self, fit: Fit, linear: Linearization, errors: HeightErrors) -> Likelihood:
+        """Return the likelihood of states, its cost with the priors, for their deviations."""
         found = likelihood(
             linear.residual_rad,
             self.query.weight,
             errors,
-            ANGLES_DEG[angle],
-            self.heights_m[height],
+            ANGLES_DEG[fit.angle],
+            self.heights_m[fit.height],
             fit.odds,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()
@@ -427,7 +420,8 @@ class Solver:
             prior += TEMPERATURE * self._noted.cost(
                 linear.place_m, linear.eye_m, fit.state[:, HEADING]
             )
-        return replace(found, cost=found.cost + 0.5 * log_det + prior + self._height_cost[height])
+        cost = found.cost + 0.5 * log_det + prior + self._height_cost[fit.height]
+        return replace(found, cost=cost)
 
     def _with_deviations(
         self,
@@ -438,17 +432,19 @@ class Solver:
     ) -> tuple[Fit, Likelihood]:
         """Return the fit with the likeliest deviations: the current ones, or those after a step."""
         angle, height = fit.angle, fit.height
-        best = self._likelihood(fit, linear, errors, (angle, height))
+        best = self._likelihood(fit, linear, errors)
         fit = replace(fit, odds=best.odds)
         for step in steps:
-            other = (
-                np.clip(fit.angle + step[0], 0, _WIDEST[0]),
-                np.clip(fit.height + step[1], 0, _WIDEST[1]),
+            other = replace(
+                fit,
+                angle=np.clip(fit.angle + step[0], 0, _WIDEST[0]),
+                height=np.clip(fit.height + step[1], 0, _WIDEST[1]),
             )
-            found = self._likelihood(fit, linear, errors, other)
+            found = self._likelihood(other, linear, errors)
             better = found.cost < best.cost
             best = best.replaced(better, found)
-            angle, height = np.where(better, other[0], angle), np.where(better, other[1], height)
+            angle = np.where(better, other.angle, angle)
+            height = np.where(better, other.height, height)
         known = np.isfinite(linear.residual_rad).sum(axis=1) >= _LEAST_COLUMNS
         cost = np.where(known, best.cost, np.inf)
         return Fit(fit.state, angle, height, cost, best.odds), best

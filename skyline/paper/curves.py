@@ -14,9 +14,8 @@ from typing import Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.match.query_rays import QueryCurves
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
@@ -155,17 +154,15 @@ class StoredCurves:
 
 
 def local_patches(
-    curves: NDArray[np.floating], row: IntArray, column: IntArray, offsets: IntArray
-) -> NDArray[np.floating]:
+    curves: FloatArray, row: IntArray, column: IntArray, offsets: IntArray
+) -> FloatArray:
     """Return closed curves (N, B) around M keypoints, relative to the keypoint: (M, S).
 
     Keypoints are at a curve's ``row`` (M,) and ``column`` (M,); ``offsets`` (S,) are columns from
     there. A value is NaN in a gap.
     """
     at = (column[:, np.newaxis] + offsets) % curves.shape[1]
-    patch: NDArray[np.floating] = (
-        curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
-    )
+    patch: FloatArray = curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
     return patch
 
 

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.camera import HEADINGS
@@ -30,8 +29,8 @@ from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import Views
-from skyline.store import StoreHeader, write_store
-from skyline.store.write import check_folder, sorted_once
+from skyline.store.format import StoreHeader
+from skyline.store.write import check_folder, sorted_once, write_store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
@@ -42,7 +41,7 @@ _REACH_M = 300.0
 
 _MOST_CANDIDATES = 20_000_000
 
-Render = Callable[[Viewpoints, NDArray[np.uint8]], Views]
+Render = Callable[[Viewpoints, UInt8Array], Views]
 """Renders N viewpoints along N headings; returns N views in the same order."""
 
 

@@ -269,10 +269,7 @@ def _preselected(
     mark: Callable[[Problem, int, BoolArray], None],
     ranked: int | None = None,
 ) -> Iterator[Int64Array]:
-    """Select among the candidates that ``mark`` sets for the rendered viewpoints.
-
-    If there are more than ``ranked``, that number of them is drawn at random.
-    """
+    """Select among the candidates that ``mark`` sets, or among ``ranked`` drawn from these."""
     coverage = problem.coverage
     marked = np.zeros(problem.coverage.candidates.valid.shape, dtype=bool)
     known = 0

@@ -28,7 +28,7 @@ from skyline.photo.read import Photo
 from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 
 _HULL_PX = 64
-"""Columns of the photo on each side of changed columns whose skyline is found anew with theirs."""
+"""Columns of the photo beside changed ones, on each side, whose skyline is found anew too."""
 
 
 class StrokeKind(StrEnum):

@@ -94,7 +94,6 @@ def _accuracy_m(gps: Tags) -> float | None:
 
 
 def _lonlat_deg(gps: Tags) -> tuple[float, float] | None:
-    """Return longitude and latitude (WGS 84); raises `_UnusableError`."""
     if GPS.GPSLongitude not in gps and GPS.GPSLatitude not in gps:
         return None
     _require_fix(gps)
@@ -134,7 +133,6 @@ def _angle_deg(gps: Tags, name: str, tag: int, side_tag: int, sides: str, most_d
 
 
 def _elevation_m(gps: Tags) -> float | None:
-    """Return the elevation above sea level; raises `_UnusableError`."""
     if GPS.GPSAltitude not in gps:
         return None
     _require_fix(gps)

@@ -383,7 +383,7 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     share = np.exp(odds - greatest)
     share /= share.sum(axis=0) + np.exp(none - greatest)
     likely = np.maximum(np.log(share + np.float32(1e-12)), _LEAST_LOG_SHARE)
-    cost = -likely - _edges(to_lab(np.asarray(small, dtype=np.uint8)))
+    cost = -likely - _edges(to_lab(small))
     return Evidence(share, np.asarray(cost, dtype=np.float32))
 
 

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
-from skyline.skylines import Horizons, Views, check_bins, quadrant_azimuths_rad
+from skyline.skylines import Horizons, Views, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
@@ -91,7 +92,9 @@ class PanoramaRenderer(ColumnRenderer):
         curvature: Curvature | None = None,
         tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
     ) -> None:
-        self.bins = check_bins(bins)
+        if bins < 8 or bins % 8:
+            raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
+        self.bins = bins
         self._azimuth_rad = azimuth = quadrant_azimuths_rad(bins)
         tolerance = np.radians(check_tolerance(tolerance_deg, "degrees")) / np.cos(azimuth)
         near_error = NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH)

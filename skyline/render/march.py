@@ -13,7 +13,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.camera import HEADINGS, rotation
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
@@ -69,7 +69,7 @@ class Eyes:
         self,
         field: HeightField,
         viewpoints: Viewpoints,
-        heading: NDArray[np.uint8],
+        heading: UInt8Array,
         near_error: float,
         turn_rad: Float64Array,
     ) -> None:
@@ -232,22 +232,16 @@ class ColumnRenderer(Renderer):
         super().release()
 
     def _skylines(
-        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
+        self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:
-        """Render N views, in batches whose results fit the GPU; columns without data are flagged.
-
-        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
-        """
+        """Render N views, as of `Eyes`, in batches whose results fit the GPU."""
         starts = range(0, max(len(viewpoints), 1), self._max_views)
         parts = [slice(start, start + self._max_views) for start in starts]
         return Views.concatenate(
             [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
         )
 
-    def _batch(
-        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
-    ) -> Views:
-        """Render one batch; see `_skylines`."""
+    def _batch(self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array) -> Views:
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._reserve(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
@@ -390,7 +384,6 @@ class ColumnRenderer(Renderer):
         return math.ceil(self.width / (self._lanes * groups))
 
     def _program(self, **defines: str) -> moderngl.ComputeShader:
-        """Return the march compiled with macros."""
         key = frozenset(defines.items())
         if key not in self._programs:
             defines["LANES"] = str(self._lanes)

@@ -179,7 +179,7 @@ class WindowTextures:
 
 
 def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
-    """Put two or four trees into one texture. Each of two serves both headings of its axis.
+    """Put two or four trees into one texture. Of two trees each serves both headings of its axis.
 
     Two stand one under the other and the next two beside them: four would be higher than a
     texture may be. A ray that leaves its own tree may meet the next; a mark or a bound too

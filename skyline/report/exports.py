@@ -35,7 +35,7 @@ from skyline.match.answer import MatchResult
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
 from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_picture
-from skyline.store import Store
+from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0
 """Radius of the wedge drawn for a view; a camera sees farther, but longer wedges would overlap."""
@@ -246,7 +246,6 @@ def _described(candidate: Candidate) -> str:
 
 
 def _gpx(results: Sequence[MatchResult]) -> bytes:
-    """Return the candidates of results as waypoints."""
     root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
     for result in results:
         name = Path(result.name).name

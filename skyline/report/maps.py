@@ -18,10 +18,9 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
@@ -274,7 +273,7 @@ def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) 
     return picture
 
 
-def tint_range_m(heights: NDArray[np.floating]) -> tuple[float, float]:
+def tint_range_m(heights: FloatArray) -> tuple[float, float]:
     """Return the heights of the lowest and the highest tint of terrain: all but its extremes."""
     low, high = np.nanpercentile(heights, [0.5, 99.5])
     return float(low), max(float(high), float(low) + 1.0)

@@ -124,10 +124,7 @@ def _section(
     viewer: Viewer | None,
     done: str,
 ) -> str:
-    """Return the section of one result: its words, pictures, maps and candidates.
-
-    The pictures are added to ``pictures`` by the names of their files.
-    """
+    """Return the section of one result; its pictures are added to ``pictures`` by file names."""
     query, best, sight, sightings, peaks = result.query, result.best, None, [], []
     if best is not None and viewer is not None:
         with contextlib.suppress(OffMapError):

@@ -32,8 +32,8 @@ _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 def draw_overlay(
     query: QuerySkyline,
-    photo: UInt8Array | None = None,
-    pose: Candidate | None = None,
+    photo: UInt8Array | None,
+    pose: Candidate | None,
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, int]:
@@ -98,14 +98,6 @@ def _encoded(figure: Figure, kind: str) -> bytes:
         return encode_figure(figure, kind)
 
 
-def _scale(query: QuerySkyline) -> float:
-    """Return the size of the query's pixels in the drawn picture, in its pixels."""
-    return min(
-        _LONGEST_PX / max(query.width_px, query.height_px),
-        max(1.0, _NARROWEST_PX / query.width_px),
-    )
-
-
 def _draw_picture(
     query: QuerySkyline,
     photo: UInt8Array | None,
@@ -117,8 +109,11 @@ def _draw_picture(
 
     Returns the figure, axes in pixels of the query, and the number of texts without room.
     """
-    figure, scale = Figure(dpi=_DPI), _scale(query)
+    figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
+    # Pixels of the picture for one of the query.
+    most = _LONGEST_PX / max(query.width_px, query.height_px)
+    scale = min(most, max(1.0, _NARROWEST_PX / query.width_px))
     width, height = query.width_px * scale, query.height_px * scale
     labels = place_labels(
         [(one.column_px + 0.5) * scale for one in peaks],

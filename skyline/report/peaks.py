@@ -153,10 +153,7 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Return the points' printable names, their coordinates and heights (3, N), and a flag.
-
-    The flag says whether the coordinates are degrees.
-    """
+    """Return printable names, coordinates with heights (3, N), and whether they are in degrees."""
     is_lonlat = True
     if Path(path).suffix.lower() in _GEOJSON:
         points = _of_geojson(path)

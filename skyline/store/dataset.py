@@ -8,8 +8,8 @@ azimuths from true north are a coordinate of two dimensions.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.camera import columns_u
 from skyline.errors import library
 from skyline.geodesy import Frame
@@ -22,7 +22,7 @@ _TRUE = {"long_name": "azimuth, clockwise from true north", **_DEGREES}
 _GRID = {"long_name": "azimuth, clockwise from grid north", **_DEGREES}
 
 
-def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
+def dataset_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
     """Return places as a dataset; see `Store.to_xarray`."""
     angle = "grid_azimuth_deg"
     # Whole halves of a degree, so that they can be looked up.
@@ -40,7 +40,7 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
     return library("xarray", "a Dataset").Dataset(held, coords)
 
 
-def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
+def table_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
     """Return places as a table of points; see `Store.to_geodataframe`."""
     geopandas = library("geopandas", "a GeoDataFrame")
     lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
@@ -56,7 +56,7 @@ def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any
     return geopandas.GeoDataFrame(columns, geometry=points, crs=frame.crs)
 
 
-def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
+def dataset_of_views(views: Views, rows: IntArray, frame: Frame) -> Any:
     """Return views as a dataset; see `Store.to_xarray`."""
     columns = ("view", "column")
     grid_deg = views.azimuth_deg()
@@ -73,30 +73,22 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
     return library("xarray", "a Dataset").Dataset(held, coords)
 
 
-def _coordinates(
-    dim: str, eyes: Places | Views, rows: NDArray[np.intp], frame: Frame
-) -> dict[str, Any]:
+def _coordinates(dim: str, eyes: Places | Views, rows: IntArray, frame: Frame) -> dict[str, Any]:
     """Return the coordinates of eyes: their rows, places, convergence and frame."""
-    easting_m, northing_m = eyes.easting_m, eyes.northing_m
-    lon, lat = frame.to_lonlat(easting_m, northing_m)
-    convergence_deg = (
-        frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
-        if len(rows)
-        else np.zeros(0)
-    )
+    place = {"easting_m": eyes.easting_m, "northing_m": eyes.northing_m}
+    lon, lat = frame.to_lonlat(**place)
     turn = {"long_name": "grid convergence: true azimuth minus grid azimuth", **_DEGREES}
     return {
         dim: (dim, rows, {"long_name": "row of the store"}),
         "lon": (dim, lon, {"standard_name": "longitude", "units": "degrees_east"}),
         "lat": (dim, lat, {"standard_name": "latitude", "units": "degrees_north"}),
-        "easting_m": (dim, easting_m, _METRES),
-        "northing_m": (dim, northing_m, _METRES),
+        **{name: (dim, values, _METRES) for name, values in place.items()},
         "eye_elevation_m": (dim, eyes.eye_elevation_m, _METRES),
-        "convergence_deg": (dim, convergence_deg, turn),
+        "convergence_deg": (dim, frame.convergence_deg(**place), turn),
         "spatial_ref": ((), 0, {"long_name": "frame of the eastings", **frame.crs.to_cf()}),
     }
 
 
-def _from_true_north(coords: dict[str, Any], grid_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    convergence_deg: NDArray[np.float64] = coords["convergence_deg"][1]
+def _from_true_north(coords: dict[str, Any], grid_deg: Float64Array) -> Float64Array:
+    convergence_deg: Float64Array = coords["convergence_deg"][1]
     return (grid_deg + convergence_deg[:, np.newaxis]) % 360.0

@@ -24,6 +24,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import UInt8Array
 from skyline.camera import check_width
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature, Frame
@@ -339,7 +340,7 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
     return checksums_of_bytes(np.concatenate(held, axis=1))
 
 
-def checksums_of_bytes(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
+def checksums_of_bytes(rows: UInt8Array) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row (N, B) of bytes."""
     width, flat = rows.shape[1], rows.tobytes()
     sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))

@@ -178,9 +178,9 @@ class Places(Rows):
     eye_elevation_m: Float32Array
     tolerance_m: Float32Array
     first_tan: Float32Array
-    rise: NDArray[np.int8]
-    distance: NDArray[np.uint8]
-    phase: NDArray[np.uint8]
+    rise: Int8Array
+    distance: UInt8Array
+    phase: UInt8Array
 
     @classmethod
     def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
@@ -40,9 +41,9 @@ from skyline.store.places import Places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
 
-RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
+RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
-Offsets = dict[str, NDArray[np.int64]]
+Offsets = dict[str, Int64Array]
 """Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -60,7 +61,7 @@ class PlaceMap:
 
     The file's length is checked before each block and each batch of rows. A file that is cut short
     while one of them is being read makes the system end the process (SIGBUS), as with any mapped
-    file. `skyline.store` replaces stores and never cuts one short.
+    file. `skyline.store.write` replaces stores and never cuts one short.
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
@@ -119,7 +120,7 @@ class PlaceMap:
         StoreError
             A place differs from its checksum, or the file was cut short.
         """
-        wanted: NDArray[np.intp] = np.asarray(rows, dtype=np.intp)
+        wanted: IntArray = np.asarray(rows, dtype=np.intp)
         if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
             raise InputError(
                 f"rows to take from store {self._path} are not a list of numbers from 0 to "
@@ -139,7 +140,7 @@ class PlaceMap:
                 taken[field][to] = gathered[name]
         return Places(**taken)
 
-    def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
+    def _gathered(self, rows: IntArray) -> NDArray[np.void]:
         """Return some places (M,), each by the names of its datasets; verified."""
         chunk, row = np.divmod(rows, self._size)
         bytes_of = [
@@ -342,13 +343,13 @@ class Store:
                 f"{holds}, which {MADE_BY[holds]} makes"
             )
 
-    def _indexed(self, index: RowIndex) -> NDArray[np.intp]:
+    def _indexed(self, index: RowIndex) -> IntArray:
         try:
             return np.atleast_1d(np.arange(len(self))[index])
         except IndexError as error:
             raise InputError(f"{error}: store {self.path} has {len(self)} rows") from error
 
-    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+    def _read(self, name: str, rows: IntArray) -> NDArray[Any]:
         """Return rows of a dataset in the order wanted; raises `StoreError`."""
         if not self._file:
             raise self._closed()
@@ -362,7 +363,7 @@ class Store:
             ascending, position = np.unique(rows, return_inverse=True)
             return np.asarray(dataset[ascending])[position]
 
-    def _chunk_offsets(self, name: str, size: int) -> NDArray[np.int64]:
+    def _chunk_offsets(self, name: str, size: int) -> Int64Array:
         """Return the offsets in the file of a dataset's chunks of ``size`` rows."""
         dataset, at = self._datasets[name], np.zeros(-(-len(self) // size), dtype=np.int64)
 

@@ -31,8 +31,8 @@ from uuid import uuid4
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, SkylineError, StoreError
 from skyline.geodesy import Bounds
 from skyline.store.format import (
@@ -77,7 +77,7 @@ def write_store(
     path: str | os.PathLike[str],
     header: StoreHeader,
     columns: Columns,
-    order: NDArray[np.intp] | None = None,
+    order: IntArray | None = None,
 ) -> int:
     """Write a store of some rows, and return their number.
 
@@ -233,7 +233,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> S
 @contextmanager
 def merged_rows(
     paths: Sequence[str | os.PathLike[str]], folder: Path
-) -> Iterator[tuple[StoreHeader, Columns, NDArray[np.intp]]]:
+) -> Iterator[tuple[StoreHeader, Columns, IntArray]]:
     """Yield the header, the rows and the order of the store that stores are merged into.
 
     The rows wait in a nameless file in ``folder``, unpacked. Raises as `merge_stores`.
@@ -300,7 +300,7 @@ def joint_config(headers: Sequence[StoreHeader]) -> dict[str, object]:
     return config
 
 
-def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
+def sorted_once(header: StoreHeader, columns: Columns) -> IntArray:
     """Return the rows to write, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
     # Of places with equal keys the one with the smallest tolerance is kept.
@@ -404,7 +404,7 @@ def examine(path: Path) -> StoreReport:
         return _unreadable(str(error))
 
 
-def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage | None]]:
+def whole_rows(store: Store) -> Iterator[tuple[Columns, IntArray, Damage | None]]:
     """Yield stored rows block by block: the columns, which of them are whole, and the damage.
 
     A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
@@ -423,9 +423,7 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage
                     yield {}, np.zeros(0, dtype=np.intp), Damage(str(error), first, last - first)
 
 
-def _compared(
-    store: Store, start: int, stop: int
-) -> tuple[Columns, NDArray[np.intp], Damage | None]:
+def _compared(store: Store, start: int, stop: int) -> tuple[Columns, IntArray, Damage | None]:
     """Compare rows with their checksums."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]

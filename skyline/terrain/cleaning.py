@@ -19,9 +19,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import GROUND_M
 
@@ -251,12 +250,12 @@ def _are_spikes(heights_m: Float32Array, candidates: Int64Array, threshold_m: fl
     return np.asarray(whole_clump_stands_out[clump], dtype=np.bool_)
 
 
-def _stand_out(own_m: NDArray[np.float64], firm_m: NDArray[np.float64]) -> BoolArray:
+def _stand_out(own_m: Float64Array, firm_m: Float64Array) -> BoolArray:
     ranked = np.sort(firm_m, axis=1)  # NaN last
     known = np.count_nonzero(np.isfinite(ranked), axis=1)
     last = np.maximum(known - 1, 0)
 
-    def at(rank: Int64Array) -> NDArray[np.float64]:
+    def at(rank: Int64Array) -> Float64Array:
         return np.take_along_axis(ranked, rank[:, np.newaxis], axis=1)[:, 0]
 
     median_m = 0.5 * (at(last // 2) + at((last + 1) // 2))
@@ -295,7 +294,7 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
     return np.asarray(np.where(inside, row * shape[1] + col, -1), dtype=np.int64)
 
 
-def _heights(heights_m: Float32Array, samples: Int64Array) -> NDArray[np.float64]:
+def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
     """Return heights in float64; NaN on voids, off the grid, and where no file covers it."""
     on_grid = samples >= 0
     heights = np.full(samples.shape, np.nan)
@@ -364,10 +363,7 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
 def _walls(
     heights_m: Float32Array, row: Int64Array, col: Int64Array, value: float, threshold_m: float
 ) -> Int64Array:
-    """Return the number of samples from each sample of the rim eastward to its highest wall.
-
-    It is 0 for a sample without a wall.
-    """
+    """Return how many samples east of each sample of the rim its highest wall is; 0 for none."""
     wall = np.zeros(row.size, dtype=np.int64)
     before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
     cols = heights_m.shape[1]

@@ -117,7 +117,7 @@ def _key(name: str) -> frozenset[str]:
     return frozenset(singular).union(*(_WORDS[word] for word in words if word in _WORDS))
 
 
-def vertical_of(source: str, crs: CRS, band_unit: str, positive: str = "up") -> Vertical:
+def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertical:
     """Return the conventions of a raster's heights, in a CRS with its vertical part.
 
     The unit is the band's, else that of the CRS's vertical axis, else the metre; the band's may be

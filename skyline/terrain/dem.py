@@ -186,10 +186,7 @@ def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
 
 
 def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their files' own grid, and prepare their warp to a frame.
-
-    Returns the warp, the frame, which is centred on the grid, and the provenance.
-    """
+    """Clean heights on their files' own grid, and prepare their warp to a frame centred on it."""
     crs, grid, conventions = mosaic.crs, mosaic.grid, _placed(mosaic)
     if crs.is_projected and not is_upright(crs):
         _log.warning(
@@ -211,11 +208,7 @@ def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]
 
 
 def _placed(mosaic: Mosaic) -> dict[str, str]:
-    """Return conventions with the transformation to WGS 84 and its accuracy.
-
-    Raises `InputError` for a place that is not on Earth, and warns of one far off the area for
-    which the CRS is made.
-    """
+    """Return conventions with the transformation to WGS 84; check that the place is likely."""
     crs = mosaic.crs
     lon, lat, how = to_wgs84(crs, *mosaic.grid.centre)
     if not (abs(lat) <= 90.0 and abs(lon) <= 540.0):
@@ -243,7 +236,6 @@ def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenan
 
 
 def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
-    """Warn if angles or lengths on the map differ much from those on the ground."""
     easting, northing = np.meshgrid(
         np.linspace(grid.west, grid.east, _PROBES), np.linspace(grid.south, grid.north, _PROBES)
     )

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Frame
 from skyline.terrain.tiles import Grid
@@ -88,7 +88,7 @@ class HeightField:
         Distance between neighbouring samples.
     """
 
-    heights_m: NDArray[np.floating]
+    heights_m: FloatArray
     west_m: float
     north_m: float
     spacing_east_m: float
@@ -421,7 +421,7 @@ def block_edges(samples: int) -> Int64Array:
     return np.append(np.arange(0, max(samples - 1, 1), BLOCK), samples - 1)
 
 
-def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = None) -> str:
+def facts_html(facts: Mapping[str, str], picture: UInt8Array | None = None) -> str:
     """Return named facts as HTML, beside a grey picture (H, W) if there is one."""
     rows = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
@@ -442,17 +442,14 @@ def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = Non
     )
 
 
-def _relief(heights_m: NDArray[np.floating], east_m: float, north_m: float) -> NDArray[np.uint8]:
-    """Return a small picture of terrain with samples so far apart, lit from the north-west.
-
-    Holes are light.
-    """
+def _relief(heights_m: FloatArray, east_m: float, north_m: float) -> UInt8Array:
+    """Return a small picture of terrain lit from the north-west; holes are light."""
     step = -(-max(heights_m.shape) // _LONGEST_PX)
     some = np.atleast_2d(heights_m[::step, ::step].astype(np.float64))
     if min(some.shape) < 2:
         return np.full(some.shape, 220, dtype=np.uint8)
     south, east = np.gradient(some, north_m * step, east_m * step)
     light = (np.sqrt(2.0) + east + south) / (2.0 * np.sqrt(1.0 + east**2 + south**2))
-    picture: NDArray[np.uint8]
+    picture: UInt8Array
     picture = np.nan_to_num(40.0 + 200.0 * light.clip(0.0, 1.0), nan=220.0).astype(np.uint8)
     return picture

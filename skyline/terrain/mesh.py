@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float64Array, FloatArray
 
 Samples = NDArray[Any]
 """float32 heights or uint8 marks."""
@@ -51,7 +51,7 @@ class Triangles:
     padding stands for cells off the map."""
 
     @classmethod
-    def of(cls, heights_m: NDArray[np.floating]) -> "Triangles":
+    def of(cls, heights_m: FloatArray) -> "Triangles":
         """Find the triangles whose three samples are all known."""
         present = ~np.isnan(heights_m)
         diagonal = present[:-1, :-1] & present[1:, 1:]

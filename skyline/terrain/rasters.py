@@ -292,10 +292,7 @@ def _tile_of(
 def _heights_of(
     source: str, band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
 ) -> Float32Array:
-    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared.
-
-    Raises `InputError` for numbers that are not real, and for a scale that leaves no heights.
-    """
+    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared."""
     if not (np.isfinite([scale, offset]).all() and scale):
         raise InputError(
             f"{source} has the scale {scale:g} and the offset {offset:g}, which leave no heights; "
@@ -325,8 +322,7 @@ def _on_map(source: str, crs: CRS) -> CRS:
 def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
     """Return the CRS that a raster names, else the default.
 
-    The vertical part of a default with the same map is taken where the raster names none. Raises
-    `InputError` where there is neither, or the raster's is not understood.
+    The vertical part of a default with the same map is taken where the raster names none.
     """
     if wkt is None:
         if default_crs is None:
@@ -361,10 +357,7 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
 def _grid_of(
     source: str, transform: Affine, shape: tuple[int, int]
 ) -> tuple[Grid, tuple[slice, slice]]:
-    """Return the north-up grid of a raster, and `Tile.north_up`.
-
-    Raises `InputError` for a raster without a georeference, or with a rotated grid.
-    """
+    """Return the north-up grid of a raster, and `Tile.north_up`."""
     if transform.is_identity or not np.isfinite(transform).all():
         raise InputError(
             f"{source} has no georeference, so its place on the map is unknown; give a "

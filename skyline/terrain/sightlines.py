@@ -69,7 +69,7 @@ def first_hits_m(
     azimuth_rad: Float64Array,
     elevation_tan: Float64Array,
     step_rad: float,
-    progress: Progress | None = None,
+    progress: Progress | None,
 ) -> Float64Array:
     """Return the horizontal distances at which N rays of one eye first meet the surface.
 
@@ -152,44 +152,33 @@ def _carried_over(
     elevation_tan: Float64Array,
     near_m: Float64Array,
 ) -> Float64Array:
-    """Return where rays meet the surface near given distances, by Newton's method.
+    """Refine distances at which rays meet the surface by Newton's method, where it converges."""
+    eye_row, eye_col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    down = -np.cos(azimuth_rad) / field.spacing_north_m
+    right = np.sin(azimuth_rad) / field.spacing_east_m
 
-    Where it fails, the given distances are returned.
-    """
-    away_m = near_m.copy()
-    reach_m = _REACH_SAMPLES * field.spacing_m
+    def over(away_m: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return how far the terrain is above the rays, and its change with the distance."""
+        row, col = eye_row + down * away_m, eye_col + right * away_m
+        inside, (first, third, last), south, east = field.triangles(row, col)
+        # Rises a sample southwards and eastwards.
+        rise_south = np.where(east >= south, last - third, third - first)
+        rise_east = np.where(east >= south, third - first, last - third)
+        height_m = np.where(inside, first + south * rise_south + east * rise_east, np.nan)
+        up_m = height_m - eye.eye_elevation_m - curvature.drop_m(away_m)
+        falls = 2.0 * curvature.drop_per_m2 * away_m
+        slope = rise_south * down + rise_east * right - falls - elevation_tan
+        return up_m - elevation_tan * away_m, slope
+
+    away_m, reach_m = near_m, _REACH_SAMPLES * field.spacing_m
     for _ in range(_NEWTON_STEPS):
-        over_m, slope = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
+        over_m, slope = over(away_m)
         with np.errstate(divide="ignore", invalid="ignore"):
             # A ray enters the terrain only where the terrain rises more steeply than the ray.
             away_m = np.where(slope > 0.0, away_m - over_m / slope, np.nan)
-    over_m, _ = _over(field, eye, curvature, azimuth_rad, elevation_tan, away_m)
+    over_m, _ = over(away_m)
     is_met = (np.abs(over_m) <= _MET_RAD * away_m) & (np.abs(away_m - near_m) <= reach_m)
     return np.where(is_met & (away_m > 0.0), away_m, near_m)
-
-
-def _over(
-    field: HeightField,
-    eye: Viewpoints,
-    curvature: Curvature,
-    azimuth_rad: Float64Array,
-    elevation_tan: Float64Array,
-    away_m: Float64Array,
-) -> tuple[Float64Array, Float64Array]:
-    """Return how far the terrain is above rays at distances, and its change with the distance."""
-    row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(azimuth_rad) / field.spacing_north_m
-    right = np.sin(azimuth_rad) / field.spacing_east_m
-    row, col = row + down * away_m, col + right * away_m
-    inside, (first, third, last), south, east = field.triangles(row, col)
-    # Rises a sample southwards and eastwards.
-    rise_south = np.where(east >= south, last - third, third - first)
-    rise_east = np.where(east >= south, third - first, last - third)
-    height_m = np.where(inside, first + south * rise_south + east * rise_east, np.nan)
-    up_m = height_m - eye.eye_elevation_m - curvature.drop_m(away_m)
-    falls = 2.0 * curvature.drop_per_m2 * away_m
-    slope = rise_south * down + rise_east * right - falls - elevation_tan
-    return up_m - elevation_tan * away_m, slope
 
 
 def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:

@@ -143,10 +143,7 @@ def _heights(
 
 
 def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
-    """Return the heights within ``reach`` samples of one, in a frame of infinite heights.
-
-    Holes are infinite too, since the ground may rise there.
-    """
+    """Return the heights within ``reach`` samples of one, infinite in holes and around them."""
     near = np.arange(-reach, reach + 1)
     heights = _heights(field, row + near[:, np.newaxis], col + near, np.inf)
     return np.pad(heights, 1, constant_values=np.inf)

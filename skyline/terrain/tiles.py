@@ -154,10 +154,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
-    """Group tiles by their spacing of longitude if their grids differ in nothing else.
-
-    Otherwise return one group.
-    """
+    """Group tiles by spacing of longitude if their grids differ in nothing else, else in one."""
     first = tiles[0]
     groups: dict[float, list[Tile]] = {}
     for tile in tiles:

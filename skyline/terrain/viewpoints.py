@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows
+from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.files import read_table
@@ -49,7 +49,7 @@ class Viewpoints(Rows):
     eye_elevation_m: Float64Array
 
 
-def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, NDArray[np.uint8]]:
+def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, UInt8Array]:
     """Return each eye four times and the headings (4 N,) of its views, north to west."""
     count = len(viewpoints)
     heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)

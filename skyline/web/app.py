@@ -367,7 +367,6 @@ async def _page(_: Request) -> Response:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    """Answer an error with one line."""
     if isinstance(error, TooLargeError):
         return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
     return JSONResponse({"error": str(error)}, 404 if isinstance(error, GoneError) else 400)

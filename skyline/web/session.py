@@ -220,7 +220,6 @@ class Match:
 
 
 def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
-    """Return a result as JSON for the page."""
     lens = "" if result.query.lens is None else result.query.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],

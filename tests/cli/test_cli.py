@@ -18,7 +18,7 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 from skyline import read_dem, stand_on
 from skyline.build import plans
 from skyline.build.parts import build_store
-from skyline.store import open_store
+from skyline.store.read import open_store
 from skyline_bench.truth import oracle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -210,6 +210,7 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["build", dem, "-o", out, "--bounds", "46.74,10.32,46.75,10.34"], "give 10.32,46.74,10."),
         (["match", renderings, photo, "--matcher", "paper"], "--fov-deg"),
         (["match", store, photo, "--fov-deg", "60", "--matcher", "magic"], "'magic'"),
+        (["match", store, "-", "--workers", "2"], "standard input is read in this process"),
         (["match", tmp_path / "none.h5", photo, "--fov-deg", "60"], "none.h5"),
         (["match", store, tmp_path / "none.jpg", "--fov-deg", "60"], "none.jpg"),
         (["info"], "nothing to describe"),

@@ -27,7 +27,7 @@ from scenes import degree_tile, fractal, take_photo
 import skyline
 from skyline import cli, read_dem, stand_at
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.store import open_store
+from skyline.store.read import open_store
 from skyline_bench import cli as bench
 
 README, *DOCS = DOCUMENTS

@@ -13,7 +13,7 @@ from commands import csv_of, lonlat_of, trace_of
 
 from skyline import Matcher, cli
 from skyline.fetch.dem_tiles import FetchResult
-from skyline.store import open_store
+from skyline.store.read import open_store
 
 IN_DEM, BOX = ("--dem", "{dem}"), ("--bbox", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)

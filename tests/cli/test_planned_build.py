@@ -6,7 +6,7 @@ from scenes import field_of, fractal
 from skyline.errors import StoreMismatchError
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.render.horizon import RenderConfig
-from skyline.store import open_store
+from skyline.store.read import open_store
 
 NARROW = RenderConfig(width=64)
 

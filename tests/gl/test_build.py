@@ -21,9 +21,9 @@ from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
-from skyline.store import check_store, merge_stores, open_store
 from skyline.store.places import BINS, Places
-from skyline.store.read import parts_folder
+from skyline.store.read import open_store, parts_folder
+from skyline.store.write import check_store, merge_stores
 
 SPACING_M = 120.0
 PLACES = 1500

@@ -10,7 +10,7 @@ from skyline.match import queries as match_queries
 from skyline.match.matcher import FULL
 from skyline.match.queries import Query, match_many
 from skyline.photo.trace import write_trace
-from skyline.store import open_store
+from skyline.store.read import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)

@@ -8,9 +8,9 @@ import numpy as np
 
 from skyline.geodesy import Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT, Views
-from skyline.store import StoreHeader, columns_of, write_store
-from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.format import PLACES, RENDERINGS, StoreHeader, columns_of
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
+from skyline.store.write import write_store
 
 WIDTH = 24
 VIEWS_HEADER = StoreHeader(

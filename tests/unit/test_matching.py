@@ -6,6 +6,7 @@ from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.build.plans import uniform_grid
+from skyline.match import query_rays
 from skyline.match.profiles import TANGENT_PER_PX, CorrelationMatcher, Profiles
 from skyline.match.query_rays import QueryCurves
 from skyline.paper import matcher
@@ -147,8 +148,7 @@ def query_of(profiles, location, axis_bin, seed=0):
 def test_listed_poses_are_scored_as_without_a_shortlist(seed, monkeypatch):
     profiles = random_profiles(10 + seed, 30)
     query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
-    of = QueryCurves.of
-    monkeypatch.setattr(QueryCurves, "of", lambda query, bins: of(query, bins, (0.0,)))
+    monkeypatch.setattr(query_rays, "_PITCHES_DEG", (0.0,))
     every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)
     listed = PaperMatcher(profiles).fit(query)

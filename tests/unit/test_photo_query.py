@@ -1,5 +1,6 @@
 """Query skylines: geometry, fields of view, traces and masks."""
 
+import os
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from skyline.errors import InputError
+from skyline.match import queries
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query, write_overlay
 from skyline.photo.trace import read_trace, write_trace
@@ -163,6 +165,14 @@ def test_overlay_draws_trusted_columns_only(tmp_path):
     assert not photo.any()
     with pytest.raises(InputError, match=r"is '.jpg'; expected one of .png"):
         write_overlay(photo, query, tmp_path / "overlay.jpg")
+
+
+def test_a_worker_reads_a_trace_anew_once_it_has_changed(tmp_path):
+    path = tmp_path / "t.csv"
+    for row in (2, 3):
+        path.write_text(f"# width=2 height=9 fov_deg=60\ncolumn_px,row_px\n0,{row}\n1,{row}\n")
+        os.utime(path, ns=(row, row))
+        assert queries._read(queries.Query(str(path))).row_px.tolist() == [row, row]
 
 
 def test_a_trace_notes_its_camera(tmp_path):

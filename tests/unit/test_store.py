@@ -28,10 +28,11 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.store import check_store, columns_of, is_store, merge_stores, open_store, write
+from skyline.store import write
+from skyline.store.format import columns_of
 from skyline.store.places import Places
-from skyline.store.read import part_name, parts_folder
-from skyline.store.write import examine, repair_store, write_store
+from skyline.store.read import is_store, open_store, part_name, parts_folder
+from skyline.store.write import check_store, examine, merge_stores, repair_store, write_store
 
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)

@@ -224,7 +224,7 @@ def _photographed(
     held = camera.heading_deg, camera.pitch_deg, camera.roll_deg, camera.fov_deg
     distortion = config.distortion_sd * lens.standard_normal()
     truth = Truth(easting_m, northing_m, eye_m, *held, distortion)
-    azimuth_deg = np.degrees(bin_azimuths_rad(horizons.bins))
+    azimuth_deg = np.degrees(bin_azimuths_rad(horizons.elevation_tan.shape[1]))
     elevation_tan = horizons.elevation_tan[index].astype(np.float64)
     row_px, sample = camera.skyline(azimuth_deg, elevation_tan)
     inside = (row_px > -0.5) & (row_px < camera.height_px - 0.5)

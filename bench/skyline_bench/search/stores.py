@@ -18,10 +18,9 @@ from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
 from skyline.paper.plan import PlanConfig, build_planned
-from skyline.store import open_store
 from skyline.store.format import PLACES, RENDERINGS
 from skyline.store.places import Places
-from skyline.store.read import parts_folder
+from skyline.store.read import open_store, parts_folder
 from skyline.terrain.heightfield import HeightField
 
 _log = logging.getLogger(__name__)

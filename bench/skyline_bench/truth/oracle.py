@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, directions_at
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, rotation
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
@@ -107,6 +107,13 @@ def _seen(
             for whole, part in zip(seen, look(scene, directions_at(heading, u)), strict=True):
                 whole[4 * index + heading] = part
     return seen
+
+
+def directions_at(heading: int, u: Float64Array) -> Float64Array:
+    """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
+    turn = rotation(heading)
+    right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
+    return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
 
 
 class _Scene:

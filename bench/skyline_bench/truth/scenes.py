@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, columns_u, directions_at
+from skyline.camera import HEADINGS, columns_u
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms
@@ -155,7 +155,7 @@ def _slope_skyline(scene: SkylineScene) -> forms.ClosedForm:
     field = scene.field
     slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
     u = columns_u(scene.width)
-    tan = [slope * directions_at(heading, u)[:, 1] for heading in HEADINGS]
+    tan = [slope * oracle.directions_at(heading, u)[:, 1] for heading in HEADINGS]
     return forms.ClosedForm(np.tile(np.stack(tan), (len(scene.viewpoints), 1)))
 
 
