@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -360,21 +359,21 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
     rng = np.random.default_rng([seed, 3])
     made = []
     for number, query in enumerate(queries):
-        lens, skyline = number % 3, query.skyline
-        if lens == 1:
-            skyline = replace(skyline, **_noted_alone(query.truth.fov_deg, rng))
-        elif lens == 2:
+        skyline = query.skyline
+        if number % 3 == 1:
+            lens = _noted_alone(query.truth.fov_deg, rng)
+            skyline = replace(skyline, fov_deg=lens.fov_deg, lens=lens)
+        elif number % 3 == 2:
             skyline = replace(skyline, fov_deg=None)
         made.append(replace(query, skyline=skyline))
     return made
 
 
-def _noted_alone(fov_deg: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the field of view and the lens of a photo whose EXIF has one value of its lens."""
+def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
+    """Return the lens of a photo whose EXIF has one value for its true field of view."""
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(ALONE_SD * rng.standard_normal())
     noted_rad = 2.0 * math.atan(tangent)
-    lens = Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
-    return {"fov_deg": lens.fov_deg, "lens": lens}
+    return Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
 
 
 def gather(
