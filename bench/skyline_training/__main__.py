@@ -12,7 +12,8 @@ from skyline.match.confidence import ORIENTED
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench import options
 from skyline_training import confidence as learning
-from skyline_training.orientation import gather, learn_orientation
+from skyline_training.examples import gather_matches, read_examples, write_examples
+from skyline_training.orientation import gather_headings, learn_orientation
 from skyline_training.panoramas import write_panoramas
 from skyline_training.photos import draw_training_photos
 
@@ -80,13 +81,13 @@ def confidence(
 ) -> None:
     """Learn the confidence on Sierra, Rofental and Everest; show its reliability on Davos."""
     if examples is not None and examples.exists():
-        found = learning.read_examples(examples)
+        found = read_examples(examples)
     else:
         with progress_bar("terrains") as progress:
             number, places = (1, _QUICK_PLACES) if quick else (queries, None)
-            found = learning.gather(data, number, seed, progress, places)
+            found = gather_matches(data, number, seed, progress, places)
         if examples is not None:
-            learning.write_examples(found, examples)
+            write_examples(found, examples)
     learned = learning.learn_all(found)
     options.report(json_file, "confidence", learned.rows)
     if model is not None:
@@ -111,7 +112,7 @@ def orientation(
 ) -> None:
     """Learn how far headings at known places can be believed; show it on Davos."""
     with progress_bar("terrains") as progress:
-        found = gather(data, 1 if quick else queries, seed, progress)
+        found = gather_headings(data, 1 if quick else queries, seed, progress)
     learned, rows = learn_orientation(found)
     options.report(json_file, "orientation", rows)
     if model is not None:

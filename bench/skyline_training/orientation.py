@@ -22,24 +22,24 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
-from skyline_training.confidence import (
+from skyline_training.confidence import learn, probabilities, rated
+from skyline_training.examples import (
     COARSE_M,
     HELD_OUT,
     KINDS,
     LEARNED,
     STRANGERS,
     Example,
-    learn,
     middle_of,
-    probabilities,
-    rated,
 )
 
 WITHIN_M = (15.0, 50.0, 100.0)
 """Standard errors of the places, drawn in turn."""
 
 
-def gather(data: Path, queries: int, seed: int, progress: Progress) -> dict[str, list[Example]]:
+def gather_headings(
+    data: Path, queries: int, seed: int, progress: Progress
+) -> dict[str, list[Example]]:
     """Orient queries of each kind on every terrain; return the examples by terrain."""
     terrains = LEARNED | HELD_OUT
     found: dict[str, list[Example]] = {}

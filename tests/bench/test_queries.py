@@ -18,7 +18,7 @@ from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
-from skyline_training.confidence import with_lenses
+from skyline_training.examples import with_lenses
 from skyline_training.photos import draw_photo
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
@@ -97,6 +97,16 @@ def test_a_seed_decides_and_the_count_does_not(terrain):
         assert one.skyline.row_px.tobytes() == same.skyline.row_px.tobytes()
         assert one.truth == same.truth
     assert few[0].truth != other[0].truth
+
+
+def test_cameras_are_tilted_evenly_or_as_people_hold_them(terrain):
+    held = replace(PLAIN, tilt_sd_deg=(6.0, 3.0), max_tilt_deg=15.0)
+    for config, sd_deg in ((PLAIN, (5.0 / 3.0**0.5,) * 2), (held, (6.0, 3.0))):
+        truths = [query.truth for query in make_queries(terrain, AREA, 200, seed=3, config=config)]
+        tilt_deg = np.array([[truth.pitch_deg, truth.roll_deg] for truth in truths])
+        # The standard error of a standard deviation is a twentieth of it.
+        assert tilt_deg.std(axis=0) == pytest.approx(sd_deg, rel=0.15)
+        assert np.abs(tilt_deg).max() <= config.max_tilt_deg
 
 
 def test_occluders_are_masked_or_left_in(terrain):

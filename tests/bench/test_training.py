@@ -15,6 +15,7 @@ from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
 from skyline_training import confidence as training
 from skyline_training.__main__ import app
+from skyline_training.examples import Example
 from skyline_training.landscapes import GROUND, SKY
 from skyline_training.photos import draw_training_photo, draw_view
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
@@ -123,13 +124,13 @@ def test_a_written_network_computes_what_the_trained_one_did(network, tmp_path):
     assert np.abs(read.forward() - scores).max() < 0.01 * np.abs(scores).max()
 
 
-def examples(count: int, seed: int) -> list[training.Example]:
+def examples(count: int, seed: int) -> list[Example]:
     """Return examples whose odds of being right are exp(2 a - 1), whatever b is."""
     generator = np.random.default_rng(seed)
     figures = generator.normal(size=(count, 2))
     right = generator.random(count) < 1.0 / (1.0 + np.exp(1.0 - 2.0 * figures[:, 0]))
     return [
-        training.Example({"a": float(a), "b": float(b)}, 0.0 if hit else np.inf)
+        Example({"a": float(a), "b": float(b)}, 0.0 if hit else np.inf)
         for (a, b), hit in zip(figures, right, strict=True)
     ]
 

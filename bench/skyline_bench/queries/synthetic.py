@@ -68,6 +68,8 @@ class QueryConfig:
     # Standard deviation of the lens's distortion; see `skyline.photo.query.undistorted`.
     distortion_sd: float = 0.0
     max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
+    # Standard deviations of pitch and roll as people hold cameras; None draws both evenly.
+    tilt_sd_deg: tuple[float, float] | None = None
     # Whether cameras look to grid north, east, south or west, as stored views do.
     is_aligned: bool = False
     # Standard deviation of the skyline's error, an angle at the image's centre.
@@ -193,10 +195,16 @@ def _hold(
     heading_deg = generator.uniform(0.0, 360.0)
     if config.is_aligned:
         heading_deg = 90.0 * (heading_deg // 90.0)
+    most_deg = config.max_tilt_deg
+    pitch_deg, roll_deg = (
+        generator.uniform(-most_deg, most_deg, 2)
+        if config.tilt_sd_deg is None
+        else np.clip(generator.normal(0.0, config.tilt_sd_deg), -most_deg, most_deg)
+    )
     camera = Camera(
         heading_deg=heading_deg,
-        pitch_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
-        roll_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
+        pitch_deg=float(pitch_deg),
+        roll_deg=float(roll_deg),
         fov_deg=generator.uniform(*config.fov_deg),
         width_px=config.width_px,
         height_px=config.height_px,

@@ -1,0 +1,326 @@
+"""Examples of matches, from which the confidence is learned.
+
+Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra,
+Rofental, Everest and Davos: skylines with errors and things in front, of the store's own model and
+of others; made photographs, whose skylines are extracted; photos that note where they were taken,
+rightly or wrongly. A third of the lenses are given, a third are noted by one value of EXIF, and a
+third are unknown. For each query the figures of the best pose (`skyline.match.confidence`) and its
+error are an example.
+"""
+
+import json
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from skyline import Matcher, build_places, read_dem
+from skyline.arrays import Float64Array, Progress
+from skyline.errors import InputError
+from skyline.geodesy import Rectangle, in_turn
+from skyline.match import confidence
+from skyline.match.candidate import SAME_VIEW_DEG, Hypotheses
+from skyline.match.full import FullMatcher
+from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
+from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import ALONE_SD
+from skyline.photo.query import Lens
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.dem import DemOptions
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.queries.kinds import perturbed, resampled
+from skyline_bench.queries.made_photos import Scenery
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.photos import draw_photo
+from skyline_training.workers import over_processes
+
+STAGES = ("refined", "retrieved", confidence.FITTED)
+
+SIDE_M, WIDE_M = 6_000.0, 18_000.0
+"""Sides of the areas in which terrain is searched in its own model, and in a coarse one."""
+OUTSIDE = 1.35
+"""Queries come from an area this much wider than the store: nearly half from outside it."""
+
+LEARNED = {
+    "sierra": ("sierra/sierra_ansel_adams_30m_albers.tif", DemOptions(reproject=True)),
+    "rofental": ("rofental/dem_rofental_50.asc", DemOptions(crs="EPSG:32632")),
+    "everest": ("everest/mt_everest_90m.tif", DemOptions()),
+}
+HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
+
+STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", "davos": "sierra"}
+"""Terrain -> one whose skylines its store must refuse."""
+STRANGE = "strangers"
+"""Kind of the queries of other terrain."""
+STRANGERS_SHARE = 3
+"""Queries of a kind for each stranger of each of four kinds."""
+
+_PLAIN = QueryConfig(max_tilt_deg=20.0, tilt_sd_deg=(6.0, 3.0))
+"""Cameras are held as the solver expects, `skyline.match.solver`: some roll by six degrees."""
+_ROUGH = replace(_PLAIN, fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), distortion_sd=0.02)
+KINDS = (_ROUGH, replace(_ROUGH, occluded_share=(0.0, 0.4)))
+
+COARSE_M = 100.0
+"""Spacing of the coarse models of the same terrain."""
+_RAISED = replace(KINDS[0], eye_height_m=20.0)
+"""Eyes on what a coarse model cuts off."""
+_PHOTO = replace(
+    _PLAIN, fov_deg=(35.0, 75.0), distortion_sd=0.02, occluded_share=(0.0, 0.3), width_px=900,
+    height_px=600, azimuths=14_400,
+)  # fmt: skip
+_RENDERED_PX = 1440
+"""Columns of the depth images of a heading, of 90 degrees."""
+_NOTED_SD_M, _NOTED_WRONG_SHARE = 30.0, 0.3
+"""Error of the places that photos note, along each axis, and the share of the photos that note any
+other place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """The figures of the best pose of one query, and how far off it is."""
+
+    figures: Mapping[str, float]
+    # Of a place, metres, infinite where the pose looks another way; of a heading, degrees; infinite
+    # for a query of other terrain.
+    error: float
+    kind: str = ""  # Of the query
+    turn_deg: float = 0.0  # Error of the heading of a place
+
+
+Examples = dict[str, dict[str, list[Example]]]
+"""Examples by terrain and stage."""
+
+
+def gather_matches(
+    data: Path, queries: int, seed: int, progress: Progress, places: int | None = None
+) -> Examples:
+    """Match queries on every terrain, each in a process; return the examples.
+
+    Stores have so many places, or by default as many as `build` plans.
+    """
+    terrains = list(LEARNED | HELD_OUT)
+    found: Examples = {}
+    gathered = over_processes(partial(_gathered_on, data, queries, seed, places), terrains)
+    for name, examples_of in zip(terrains, gathered, strict=True):
+        found[name] = examples_of
+        progress(len(found), len(terrains))
+    return found
+
+
+def _gathered_on(
+    data: Path, queries: int, seed: int, places: int | None, name: str
+) -> dict[str, list[Example]]:
+    """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
+    terrain, strange = (
+        read_dem([data / path], options)
+        for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        return _examples_on(terrain, strange, Path(folder), queries, seed, places)
+
+
+def _examples_on(
+    terrain: HeightField,
+    strange: HeightField,
+    folder: Path,
+    queries: int,
+    seed: int,
+    places: int | None,
+) -> dict[str, list[Example]]:
+    """Match queries of all kinds in the terrain's middle, and some of another; by stage.
+
+    Most kinds are searched in the terrain itself, the others in a coarse model of it and a wider
+    area, where places lie farther apart.
+    """
+    other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
+    area, wide = middle_of(terrain, SIDE_M, OUTSIDE), middle_of(terrain, WIDE_M, OUTSIDE)
+
+    def made(
+        seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
+    ) -> Sequence[SyntheticQuery]:
+        return with_lenses(
+            make_queries(seen, area_m, queries, seed + number, config), seed + number
+        )
+
+    own = {
+        "own model, plain": _without_prior(made(terrain, area, 9, _PLAIN)),
+        "own model": _without_prior(made(terrain, area, 1, KINDS[0])),
+        "own model, hidden": _without_prior(made(terrain, area, 2, KINDS[1])),
+        "other model": _without_prior(made(other, area, 3, KINDS[0])),
+        "other model, hidden": _without_prior(made(other, area, 4, KINDS[1])),
+        "place noted": _noted(made(other, area, 5, KINDS[1]), area, seed),
+    }
+    in_coarse = {
+        "coarse model": _without_prior(made(terrain, wide, 6, KINDS[0])),
+        "coarse model, raised": _without_prior(made(terrain, wide, 7, _RAISED)),
+        "photographs": _without_prior(_photographed(terrain, made(terrain, wide, 8, _PHOTO), seed)),
+    }
+    strangers = _without_prior(_strangers(strange, max(queries // STRANGERS_SHARE, 1), seed))
+    found: dict[str, list[Example]] = {name: [] for name in STAGES}
+    for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
+        with _matcher(model, middle_of(model, side_m), folder, places) as matcher:
+            for kind, some in kinds.items():
+                for stage, example in examples_from(matcher, some, kind):
+                    found[stage].append(example)
+            for stage, example in examples_from(matcher, strangers, STRANGE):
+                found[stage].append(replace(example, error=math.inf, turn_deg=math.inf))
+    return found
+
+
+def _without_prior(queries: Iterable[SyntheticQuery]) -> list[tuple[SyntheticQuery, Prior]]:
+    return [(query, NOTHING_KNOWN) for query in queries]
+
+
+def _noted(
+    queries: Iterable[SyntheticQuery], area_m: Rectangle, seed: int
+) -> list[tuple[SyntheticQuery, Prior]]:
+    """Return queries with the places that they note, of which some are any place of the area."""
+    rng = np.random.default_rng([seed, 1])
+    west, south, east, north = area_m
+    pairs = []
+    for query in queries:
+        off_m = _NOTED_SD_M * rng.standard_normal(2)
+        easting_m, northing_m = query.truth.easting_m + off_m[0], query.truth.northing_m + off_m[1]
+        if rng.random() < _NOTED_WRONG_SHARE:
+            easting_m, northing_m = rng.uniform(west, east), rng.uniform(south, north)
+        place = PlacePrior(float(easting_m), float(northing_m), GPS_SD_M)
+        pairs.append((query, Prior(noted=place)))
+    return pairs
+
+
+def _photographed(
+    terrain: HeightField, queries: Iterable[SyntheticQuery], seed: int
+) -> Iterator[SyntheticQuery]:
+    """Yield queries with the skylines that are extracted from photographs of them.
+
+    Those in whose photograph no skyline is found are left out.
+    """
+    rng = np.random.default_rng([seed, 2])
+    low_m, high_m = terrain.height_range_m
+    with DepthRenderer(terrain, _RENDERED_PX) as renderer:
+        for query in queries:
+            scenery = Scenery(
+                visibility_m=float(np.exp(rng.uniform(np.log(15e3), np.log(200e3)))),
+                snow_line_m=float(rng.choice([np.inf, rng.uniform(low_m, high_m)])),
+                tree_line_m=float(rng.uniform(low_m, high_m)),
+                clouds=float(rng.uniform(0.0, 1.0)),
+            )
+            image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
+            try:
+                skyline = extract_skyline(image)
+            except InputError:
+                continue
+            known = query.skyline
+            yield replace(query, skyline=replace(skyline, fov_deg=known.fov_deg, lens=known.lens))
+
+
+@contextmanager
+def _matcher(
+    terrain: HeightField, area_m: Rectangle, folder: Path, places: int | None
+) -> Iterator[FullMatcher]:
+    """Open a matcher on an area's store for the block, of so many places or the default number."""
+    west, south, east, north = area_m
+    store = folder / f"{terrain.digest[:12]}.h5"
+    lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
+    bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    build_places(terrain, store, bounds_deg=bounds_deg, places=places)
+    with Matcher(store, terrain) as matcher:
+        ranker = matcher._ranker
+        assert isinstance(ranker, FullMatcher)
+        yield ranker
+
+
+def examples_from(
+    matcher: FullMatcher, queries: Sequence[tuple[SyntheticQuery, Prior]], kind: str
+) -> Iterator[tuple[str, Example]]:
+    """Yield stages and examples of each query of a kind; queries that nothing fits give none."""
+    for query, prior in queries:
+        try:
+            rays = query.rays()
+        except InputError:
+            continue
+        found, poses = matcher.found(rays, prior)
+        if len(found):
+            figures = confidence.retrieved_figures(found, rays)
+            yield "retrieved", _example(figures, found, query, kind)
+        if poses is not None and len(poses):
+            figures = confidence.refined_figures(poses, found, rays)
+            yield "refined", _example(figures, poses.hypotheses, query, kind)
+            figures = confidence.pose_figures(poses, rays)
+            yield confidence.FITTED, _example(figures, poses.hypotheses, query, kind)
+
+
+def _example(
+    figures: dict[str, Float64Array], poses: Hypotheses, query: SyntheticQuery, kind: str
+) -> Example:
+    best = int(np.argmin(poses.score))
+    off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
+    turn_deg = abs(float(in_turn(poses.heading_deg[best] - query.truth.heading_deg)))
+    return Example(
+        {name: float(values[best]) for name, values in figures.items()},
+        off_m if turn_deg <= SAME_VIEW_DEG else math.inf,
+        kind,
+        turn_deg,
+    )
+
+
+def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
+    """Return the square in a terrain's middle that is built, or one so much wider."""
+    west, south, east, north = terrain.bounds_m
+    half = 0.5 * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    return (*(middle - wider * half), *(middle + wider * half))
+
+
+def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
+    """Make queries of every kind, plain ones and photographs, in a terrain's middle."""
+    made = {
+        kind: with_lenses(make_queries(terrain, middle_of(terrain), queries, number, kind), number)
+        for number, kind in enumerate((*KINDS, _PLAIN, _PHOTO), start=seed + 100)
+    }
+    made[_PHOTO] = list(_photographed(terrain, made[_PHOTO], seed + 100))
+    return [query for some in made.values() for query in some]
+
+
+def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQuery]:
+    """Return queries with lenses known in three ways, in turn.
+
+    The field of view is given; it is noted by one value of EXIF, with the error that is expected of
+    one (`skyline.photo.lens`); it is not known.
+    """
+    rng = np.random.default_rng([seed, 3])
+    made = []
+    for number, query in enumerate(queries):
+        skyline = query.skyline
+        if number % 3 == 1:
+            lens = _noted_alone(query.truth.fov_deg, rng)
+            skyline = replace(skyline, fov_deg=lens.fov_deg, lens=lens)
+        elif number % 3 == 2:
+            skyline = replace(skyline, fov_deg=None)
+        made.append(replace(query, skyline=skyline))
+    return made
+
+
+def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
+    """Return the lens of a photo whose EXIF has one value for its true field of view."""
+    tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(ALONE_SD * rng.standard_normal())
+    noted_rad = 2.0 * math.atan(tangent)
+    return Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
+
+
+def read_examples(path: Path) -> Examples:
+    """Read what `write_examples` wrote."""
+    return {
+        terrain: {stage: [Example(**one) for one in some] for stage, some in stages.items()}
+        for terrain, stages in json.loads(path.read_text()).items()
+    }
+
+
+def write_examples(examples: Examples, path: Path) -> None:
+    """Write examples, so that another model can be learned from the same matches."""
+    path.write_text(json.dumps(examples, default=asdict))
