@@ -22,7 +22,11 @@ GRID_TOLERANCE = 0.01
 """Greatest distance of a tile's samples from the grid of the first tile, in samples."""
 
 AGREEMENT_M = 1.0
-"""Overlapping tiles may differ by this much, from rounding to whole metres."""
+"""Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
+
+_BORDER_SAMPLES, _STANDARD_ERRORS = 64, 8.0
+"""Along shorter borders, ridges and valleys look like steps. None of 12,000 cuts of 128 samples
+through the DEMs of four ranges was a step of so many standard errors."""
 
 _log = logging.getLogger(__name__)
 
@@ -108,10 +112,10 @@ class Mosaic:
 def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     """Read tiles onto their common grid.
 
-    Where tiles overlap, the first tile that has a height gives it. If they differ by more than
-    `AGREEMENT_M`, a warning gives the difference. Tiles in degrees that agree in their spacing of
-    latitude alone, as Copernicus' do north and south of 50 degrees, are resampled to the finest
-    spacing of longitude.
+    Where tiles overlap, the first tile that has a height gives it. If tiles differ by more than
+    `AGREEMENT_M` there, or where they meet, a warning gives the difference. Tiles in degrees that
+    agree in their spacing of latitude alone, as Copernicus' do north and south of 50 degrees, are
+    resampled to the finest spacing of longitude.
 
     Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
     far apart, or one has heights above the geoid and another above the ellipsoid.
@@ -143,6 +147,15 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
                 tile.source,
                 disagreement_m,
             )
+        step_m = _border_step_m(heights, row, col, tile.grid)
+        if step_m:
+            _log.warning(
+                "%s stands %.1f m %s the tiles beside it, and the border is a wall; check that all "
+                "have the same datum and unit, and are of one survey",
+                tile.source,
+                abs(step_m),
+                "above" if step_m > 0.0 else "below",
+            )
     return Mosaic(
         heights,
         ", ".join(tile.source for tile in tiles),
@@ -151,6 +164,36 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
         merged([tile.conventions for tile in tiles]),
         tuple(file for tile in tiles for file in tile.files),
     )
+
+
+def _border_step_m(heights: Float32Array, row: int, col: int, grid: Grid) -> float:
+    """Return how far a tile stands above the heights beside it, by its worst side; 0 if it joins.
+
+    ``row`` and ``col`` are of the tile's north-west sample in ``heights``. The slopes on both sides
+    of a border explain their share of a step across it.
+    """
+    steps_m = []
+    for across, first, along, rows in (
+        (heights, row, slice(col, col + grid.cols), grid.rows),
+        (heights.T, col, slice(row, row + grid.rows), grid.cols),
+    ):
+        for inner, outward in ((first, -1), (first + rows - 1, 1)):
+            lines = [inner - outward, inner, inner + outward, inner + 2 * outward]
+            if not (min(lines) >= 0 and max(lines) < len(across)) or rows < 2:
+                continue
+            inside, edge, beside, beyond = (
+                across[line, along].astype(np.float64) for line in lines
+            )
+            with np.errstate(invalid="ignore"):  # Uncovered samples are infinite.
+                step_m = edge - beside - 0.5 * ((inside - edge) + (beside - beyond))
+            step_m = step_m[np.isfinite(step_m)]
+            if len(step_m) < _BORDER_SAMPLES:
+                continue
+            median_m = float(np.median(step_m))
+            error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
+            least_m = AGREEMENT_M + _STANDARD_ERRORS * error_m
+            steps_m.append(median_m if abs(median_m) > least_m else 0.0)
+    return max(steps_m, key=abs, default=0.0)
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:

@@ -57,6 +57,22 @@ def test_tiles_that_disagree_are_named(tmp_path, caplog):
     assert "up to 32.00 m" in caplog.text
 
 
+@pytest.mark.parametrize("raised_m", [0.0, 20.0, -20.0])
+@pytest.mark.parametrize(("row", "col"), [(0, 80), (0, -80), (80, 0), (-80, 0)])
+def test_tiles_that_meet_at_a_wall_are_named(tmp_path, caplog, row, col, raised_m):
+    rng, place = np.random.default_rng(4), np.arange(160)
+    rough = 30.0 * place[:, np.newaxis] + 15.0 * place + rng.normal(0.0, 2.0, (160, 160))
+    north, west = max(0, -row), max(0, -col)
+    first = rough[north : north + 80, west : west + 80]
+    second = rough[north + row :, west + col :][:80, :80] + raised_m
+    read_dem([tile_at(tmp_path, first, 0, 0), tile_at(tmp_path, second, row, col)])
+    if raised_m:
+        assert f"tile_{row}_{col}.tif stands" in caplog.text
+        assert ("above" if raised_m > 0.0 else "below") in caplog.text
+    else:
+        assert caplog.text == ""
+
+
 @pytest.mark.parametrize(
     ("transform", "crs", "message"),
     [
