@@ -59,17 +59,22 @@ def _content(stream: TextIO) -> bytes:
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file at once, or to standard output for ``-``; a failure leaves what was there.
 
-    Raises `InputError` where the file cannot be written.
+    A link stays, and its target is written; so are devices and pipes. Raises `InputError` where the
+    file cannot be written.
     """
     content = content.encode() if isinstance(content, str) else content
     if str(path) == STANDARD:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
         return
-    partial = path.with_name(path.name + ".partial")
+    target = Path(os.path.realpath(path))
+    partial = target.with_name(target.name + ".partial")
     try:
-        partial.write_bytes(content)
-        partial.replace(path)
+        if target.is_char_device() or target.is_fifo():
+            target.write_bytes(content)
+        else:
+            partial.write_bytes(content)
+            partial.replace(target)
     except OSError as error:
         if partial.is_file():
             partial.unlink()
