@@ -28,7 +28,8 @@ def assert_refused(done, message):
     assert done.out == ""
 
 
-def lonlat_of(dem, easting_m, northing_m):
+def lonlat_of(dem, easting_m=601_800.0, northing_m=5_178_000.0):
+    """Return a place on a DEM in degrees, by default where the photo was taken."""
     lon, lat = read_dem([dem]).frame.to_lonlat(easting_m, northing_m)
     return float(lon), float(lat)
 

@@ -19,6 +19,7 @@ from skyline_bench.truth import closed_forms
 
 FRAME = Frame.local(lon=9.8, lat=46.8)
 
+UTM = "EPSG:32632"
 WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
 
@@ -77,24 +78,28 @@ def fractal(rows, cols, relief_m=800.0, seed=0, exponent=2.2):
     return (relief_m * closed_forms.fractal(rows, cols, seed, exponent)).astype(np.float32)
 
 
-def write_dem(path, heights, crs="EPSG:32632", **options):
+def write_dem(path, heights, crs=UTM, tags=None, **options):
     """Write heights (rows, cols) or (rows, cols, bands) as a GeoTIFF; return its path."""
     heights = np.atleast_3d(heights).transpose(2, 0, 1)
     given = {"transform": Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M)} | options
     given |= dict(zip(("count", "height", "width"), heights.shape, strict=True))
     with rasterio.open(path, "w", driver="GTiff", dtype=heights.dtype, crs=crs, **given) as raster:
+        raster.update_tags(**(tags or {}))
         raster.write(heights)
     return path
 
 
+def geotiff_of(heights, *given, **options):
+    """Return the bytes of a GeoTIFF; see `write_dem`."""
+    with MemoryFile() as memory:
+        write_dem(memory.name, heights, *given, **options)
+        return memory.read()
+
+
 def degree_tile(heights, lon, lat):
     """Return the bytes of a GeoTIFF over a degree, whose south-western corner is given."""
-    with MemoryFile() as memory:
-        step = 1 / len(heights)
-        write_dem(
-            memory.name, heights, "EPSG:4326", transform=from_origin(lon, lat + 1, step, step)
-        )
-        return memory.read()
+    step = 1 / len(heights)
+    return geotiff_of(heights, "EPSG:4326", transform=from_origin(lon, lat + 1, step, step))
 
 
 def take_photo(path, terrain, eye, heading_deg=140.0, width_px=1024, **options):

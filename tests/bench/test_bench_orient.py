@@ -10,15 +10,13 @@ from skyline_bench.queries.kinds import perturbed
 from skyline_bench.queries.synthetic import make_queries
 from skyline_bench.sights import label_row, pixel_row
 
-PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
-
 
 def test_photographs_and_made_photos_share_a_record(run_bench, dem, photo, tmp_path):
-    lon, lat = lonlat_of(dem, *PLACE_M)
+    lon, lat = lonlat_of(dem)
     manifest, record = tmp_path / "held.csv", tmp_path / "record.json"
     manifest.write_text(
         "photo,kind,lon,lat,heading_deg,fov_deg,given_fov_deg\n"
-        f"{photo},locate,{lon},{lat},{HEADING_DEG},60,60\n{photo},refuse,{lon},{lat},,,20\n"
+        f"{photo},locate,{lon},{lat},140.95,60,60\n{photo},refuse,{lon},{lat},,,20\n"
     )
     run_bench("orient", dem, "--photos", manifest, "--json", record).ok()
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, 400.0, seed=12))

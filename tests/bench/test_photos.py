@@ -4,21 +4,19 @@ import json
 
 import numpy as np
 import pytest
-from commands import assert_refused
+from commands import assert_refused, lonlat_of
 from photo_scenes import make_scene
 from PIL import Image
 
-from skyline import read_dem, read_query
+from skyline import read_query
 from skyline.errors import InputError, MissingFileError
 from skyline_bench.queries.manifest import Photograph, read_manifest
-
-PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
 
 
 @pytest.fixture
 def manifest(tmp_path, dem, photo):
     """A photo to locate, the same with a wrong lens and with half of its skyline painted away."""
-    lon, lat = (float(v) for v in read_dem([dem]).frame.to_lonlat(*PLACE_M))
+    lon, lat = lonlat_of(dem)
     image = Image.open(photo)
     sky = np.array(image)
     sky[: int(0.97 * len(sky))] = (90, 140, 200)
@@ -29,7 +27,7 @@ def manifest(tmp_path, dem, photo):
     Image.fromarray(ground).convert("RGB").save(tmp_path / "mask.png")
     lines = [
         "photo,kind,lon,lat,heading_deg,given_fov_deg,mask",
-        f"{photo},locate,{lon},{lat},{HEADING_DEG},60,mask.png",
+        f"{photo},locate,{lon},{lat},140.95,60,mask.png",
         f"sky.jpg,locate,{lon},{lat},,60,",
         f"{photo},refuse,{lon},{lat},,35,",
         f"{photo},extract,,,,,mask.png",

@@ -93,7 +93,7 @@ def peaks(tmp_path):
 @pytest.fixture
 def command(store, photo, trace, pose, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
-    at = "{:.6f},{:.6f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
+    at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
     given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
     given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks}
     return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]

@@ -59,7 +59,7 @@ def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
 
 
 def test_areas_of_one_dem_are_searched_together(run, store, dem, photo, tmp_path):
-    lon, _ = lonlat_of(dem, 601_800.0, 5_178_000.0)
+    lon, _ = lonlat_of(dem)
     west, east, grown, other = (tmp_path / f"{name}.h5" for name in ("w", "e", "grown", "other"))
     for area, box in ((west, f"9,46,{lon + 0.003},47"), (east, f"{lon - 0.001},46,11,47")):
         assert run("build", dem, "--spacing", 80, "--bounds", box, "-o", area).code == 0
@@ -110,14 +110,6 @@ def test_a_bad_list_is_refused_in_one_line(run, store, photo, tmp_path, header, 
     shutil.copy(photo, tmp_path / "one.jpg")
     photos = csv_of(tmp_path / "list.csv", [row], header)
     assert_refused(run("match", store, photos), said)
-
-
-@pytest.mark.parametrize("content", ["my notes", "a,b\n1,2"])
-def test_a_file_that_has_no_results_is_refused_and_stays(run, store, photo, tmp_path, content):
-    (tmp_path / "mine.csv").write_text(content)
-    asked = "match", store, photo, "--matcher", "unrefined", "--results", tmp_path / "mine.csv"
-    assert_refused(run(*asked), "no file of results")
-    assert (tmp_path / "mine.csv").read_text() == content
 
 
 def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):

@@ -7,12 +7,9 @@ import shutil
 from commands import assert_refused, lonlat_of
 from PIL import Image
 
-PLACE_M = 601_800.0, 5_178_000.0
-"""Where the photo and the trace were taken; see `off_m` of tests/commands.py."""
-
 
 def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
-    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    at = "{},{}".format(*lonlat_of(dem))
     table = tmp_path / "held.csv"
     asked = ("orient", photo, photo, "--at", at, "--dem", dem, "--fov-deg", "60")
     done = run(*asked, "--csv", table).ok()
@@ -32,7 +29,7 @@ def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
     frames.mkdir()
     Image.new("RGB", (96, 64), (200, 205, 210)).save(frames / "1.jpg")
     shutil.copy(photo, frames / "2.jpg")
-    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    at = "{},{}".format(*lonlat_of(dem))
     done = run("orient", frames, "--at", at, "--dem", dem, "--fov-deg", "60", "--csv", table)
     assert (done.code, done.err.count("\n")) == (2, 1)
     fog, clear = csv.DictReader(table.read_text().splitlines())
@@ -47,7 +44,7 @@ def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):
     assert_refused(run(*orient, "--at", "9"), "expected LON,LAT or LON,LAT,ELEV")
     assert_refused(run(*orient, "--at", "0,0"), "off the map")
     assert_refused(run(*orient, "--at", "9.2,46.7", "--within", "900"), "skyline match")
-    at = "{},{}".format(*lonlat_of(dem, *PLACE_M))
+    at = "{},{}".format(*lonlat_of(dem))
     assert_refused(run(*orient, "--at", f"{at},30000"), "is 30000 m; expected metres")
     assert_refused(run(*orient, "--at", f"{at},-400"), "is -400 m, and the ground of the DEM lies")
     absent = run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46")

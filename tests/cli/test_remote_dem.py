@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 from range_server import serve_apart
-from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
+from scenes import NORTH_M, SPACING_M, WEST_M, fractal, geotiff_of
 
 from skyline import FetchError, InputError, Matcher, read_dem
 
@@ -65,9 +64,7 @@ def tiles():
     made = {}
     for name, half in zip("ab", np.hsplit(heights, 2), strict=True):
         transform = from_origin(west_of(name), NORTH_M, SPACING_M, SPACING_M)
-        with MemoryFile() as memory:
-            write_dem(memory.name, half, transform=transform)
-            made[f"{name}.tif"] = memory.read()
+        made[f"{name}.tif"] = geotiff_of(half, transform=transform)
     return made
 
 

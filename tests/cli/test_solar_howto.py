@@ -11,8 +11,10 @@ from documents import ROOT, blocks_of
 from rasterio.transform import from_origin
 from scenes import write_dem
 
+from skyline import sky_view_factor
+
 ephem = pytest.importorskip("ephem")
-pytest.importorskip("pvlib")
+pvlib = pytest.importorskip("pvlib")
 
 PAGE = ROOT / "docs" / "howto" / "horizons.md"
 
@@ -32,24 +34,12 @@ def valley(tmp_path):
 
 
 def plain_loss(elevation_deg, eye_m, tilt_deg, facing_deg):
-    """Return the loss, step by step, with another sun than pvlib's and no vectors."""
+    """Return the loss, summed step by step, with another sun than pvlib's."""
     observer, body = ephem.Observer(), ephem.Sun()
     observer.lon, observer.lat, observer.elevation = math.radians(9.85), math.radians(46.75), eye_m
     observer.compute_pressure()
     tilt, facing = math.radians(tilt_deg), math.radians(facing_deg)
-    factor, patches = 0.0, 0
-    for zenith_deg in np.arange(0.25, 90.0, 0.5):
-        for azimuth in np.arange(0.25, 360.0, 2.0):
-            zenith, away = math.radians(zenith_deg), math.radians(azimuth) - facing
-            cosine = math.cos(tilt) * math.cos(zenith)
-            cosine += math.sin(tilt) * math.sin(zenith) * math.cos(away)
-            line = elevation_deg[round(azimuth / 0.5) % 720]
-            if cosine > 0.0 and 90.0 - zenith_deg > line:
-                factor += cosine * math.sin(zenith)
-            patches += 1
-    factor *= math.radians(0.5) * math.radians(2.0) / math.pi
-    free = shaded = 0.0
-    at = datetime(2026, 1, 1, tzinfo=UTC)
+    at, steps = datetime(2026, 1, 1, tzinfo=UTC), []
     while at.year == 2026:
         observer.date = at.replace(tzinfo=None)
         body.compute(observer)
@@ -57,34 +47,20 @@ def plain_loss(elevation_deg, eye_m, tilt_deg, facing_deg):
         up = math.sin(height)
         if up > 0.0:
             ghi = 1098.0 * up * math.exp(-0.059 / up)
-            dni, dhi = erbs(ghi, up, at.timetuple().tm_yday)
             cosine = math.cos(tilt) * up
             cosine += math.sin(tilt) * math.cos(height) * math.cos(float(body.az) - facing)
-            beam = dni * max(cosine, 0.0)
             place = math.degrees(body.az) / 0.5
             left, share = int(place) % 720, place % 1.0
             line = (1.0 - share) * elevation_deg[left] + share * elevation_deg[(left + 1) % 720]
-            free += beam + dhi * (1.0 + math.cos(tilt)) / 2.0
-            shaded += (beam if math.degrees(height) > line else 0.0) + dhi * factor
+            is_lit = math.degrees(height) > line
+            steps.append((ghi, math.degrees(height), at.timetuple().tm_yday, cosine, is_lit))
         at += timedelta(minutes=10)
-    return 1.0 - shaded / free
-
-
-def erbs(ghi, up, day):
-    """Return direct normal and diffuse light of the global, after Erbs (1982)."""
-    turn = 2.0 * math.pi * (day - 1) / 365.0
-    extra = 1366.1 * (
-        1.00011 + 0.034221 * math.cos(turn) + 0.00128 * math.sin(turn)
-        + 0.000719 * math.cos(2.0 * turn) + 7.7e-05 * math.sin(2.0 * turn)
-    )  # fmt: skip
-    clear = min(max(ghi / (extra * max(up, 0.065)), 0.0), 1.0)
-    share = 1.0 - 0.09 * clear
-    if clear > 0.22:
-        share = 0.9511 - 0.1604 * clear + 4.388 * clear**2 - 16.638 * clear**3 + 12.336 * clear**4
-    if clear > 0.8:
-        share = 0.165
-    dhi = share * ghi
-    return (0.0, ghi) if up < math.cos(math.radians(87.0)) else ((ghi - dhi) / up, dhi)
+    ghi, height_deg, day, cosine, is_lit = np.array(steps).T
+    split = pvlib.irradiance.erbs(ghi, 90.0 - height_deg, day)
+    beam = split["dni"] * np.maximum(cosine, 0.0)
+    free = beam + split["dhi"] * (1.0 + math.cos(tilt)) / 2.0
+    factor = sky_view_factor(np.arange(720) * 0.5, elevation_deg, tilt_deg, facing_deg)
+    return 1.0 - (beam * is_lit + split["dhi"] * factor).sum() / free.sum()
 
 
 def test_the_annual_loss_of_the_page_is_that_of_the_plain_computation(valley):

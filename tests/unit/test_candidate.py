@@ -77,12 +77,6 @@ def test_a_pose_has_rivals_at_other_places_and_in_other_directions():
     assert np.isinf(some[:1].rival_margin(200.0)).all()
 
 
-def signed_area(ring):
-    """Positive for a counter-clockwise ring of (x, y)."""
-    x, y = np.array(ring).T
-    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
-
-
 def test_an_ellipse_has_the_covariance_s_axes():
     along, across, azimuth_deg = 30.0, 10.0, 25.0
     major = np.array([np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))])
@@ -98,7 +92,8 @@ def test_an_ellipse_has_the_covariance_s_axes():
     off = np.einsum("pi,ij,pj->p", away, np.linalg.inv(covariance), away)
     np.testing.assert_allclose(off, quantile**2)
     np.testing.assert_array_equal(outline[0], outline[-1])
-    assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
+    assert Polygon(outline).area == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
+    assert Polygon(outline).exterior.is_ccw
 
 
 def test_a_wedge_spans_the_field_of_view_about_the_heading():
@@ -109,7 +104,7 @@ def test_a_wedge_spans_the_field_of_view_about_the_heading():
     np.testing.assert_allclose(np.hypot(*away.T), 1000.0)
     azimuth = np.degrees(np.arctan2(*away.T)) % 360.0
     np.testing.assert_allclose(azimuth[[-1, 0]], [320.0, 20.0])
-    assert signed_area(wedge) > 0.0
+    assert Polygon(wedge).exterior.is_ccw
 
 
 GEOD = Geod(ellps="WGS84")

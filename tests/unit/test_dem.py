@@ -4,10 +4,9 @@ import gzip
 
 import numpy as np
 import pytest
-from dem_files import UTM, plane, plane_grid, write
 from pyproj import CRS
 from rasterio.transform import Affine, from_origin
-from scenes import at_deg
+from scenes import UTM, at_deg, write_dem
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
@@ -16,13 +15,26 @@ from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import Warp, local_maxima
 
 
+def plane(x, y):
+    """A height that names its place: every flip and every shift changes it."""
+    return 1000.0 + 0.25 * x - 0.5 * y
+
+
+def plane_grid(rows, cols, transform):
+    """Heights of the plane at pixel centres, relative to the grid's first corner."""
+    row, col = np.mgrid[0:rows, 0:cols] + 0.5
+    x = transform.a * col + transform.b * row
+    y = transform.d * col + transform.e * row
+    return plane(x, y).astype(np.float32)
+
+
 @pytest.mark.parametrize("step_east", [30.0, -30.0])
 @pytest.mark.parametrize("step_north", [-20.0, 20.0])
 @pytest.mark.parametrize("tag", ["Area", "Point"])
 def test_heights_are_where_the_file_puts_them(tmp_path, step_east, step_north, tag):
     transform = Affine(step_east, 0.0, 500_000.0, 0.0, step_north, 5_200_000.0)
     heights, tags = plane_grid(23, 31, transform), {"AREA_OR_POINT": tag}
-    path = write(tmp_path / "dem.tif", heights, transform, tags=tags)
+    path = write_dem(tmp_path / "dem.tif", heights, tags=tags, transform=transform)
     field = read_dem(path)
     assert (field.rows, field.cols) == (23, 31)
     assert (field.spacing_east_m, field.spacing_north_m) == (30.0, 20.0)
@@ -93,7 +105,7 @@ def test_ascii_grid_takes_its_crs_from_the_option(tmp_path):
 
 
 def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
-    path = write(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
+    path = write_dem(tmp_path / "dem.tif", np.ones((3, 3), np.float32))
     assert read_dem(path, DemOptions(crs="EPSG:32633")).frame.name == UTM
     assert "--crs WGS 84 / UTM zone 33N is only for files that name none" in caplog.text
     caplog.clear()
@@ -153,7 +165,7 @@ def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
 def test_a_folder_is_the_elevation_files_in_it(tmp_path):
     heights = plane_grid(8, 16, from_origin(0.0, 0.0, 30.0, 30.0))
     halves = [
-        write(tmp_path / f"{name}.tif", half, from_origin(west, 5_200_000.0, 30.0, 30.0))
+        write_dem(tmp_path / f"{name}.tif", half, transform=from_origin(west, 5e6, 30.0, 30.0))
         for name, half, west in (("b", heights[:, :8], 500_000.0), ("a", heights[:, 8:], 500_240.0))
     ]
     (tmp_path / "readme.txt").write_text("two halves")
@@ -166,7 +178,7 @@ def test_a_saved_field_is_read_as_it_was(tmp_path):
     heights = np.random.default_rng(2).uniform(0.0, 900.0, (40, 50)).astype(np.float32)
     heights[20:30, 20:32] = np.nan
     transform = from_origin(9.5, 46.5, 1 / 3600, 1 / 3600)
-    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:4326"))
+    field = read_dem(write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform))
     path = tmp_path / "dem.terrain"
     save_field(field, path)
     again = read_dem(path)

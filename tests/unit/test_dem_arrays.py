@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import rasterio
 import xarray
-from dem_files import write
 from pyproj import CRS
 from rasterio.transform import Affine
-from scenes import fractal
+from scenes import fractal, write_dem
 
 from skyline.errors import InputError
 from skyline.terrain.dem import DemOptions, read_dem
@@ -45,7 +44,7 @@ def assert_same(field, other):
 
 @pytest.fixture(params=FILES)
 def path(request, tmp_path):
-    return write(tmp_path / "dem.tif", rough(), **FILES[request.param])
+    return write_dem(tmp_path / "dem.tif", rough(), **FILES[request.param])
 
 
 def test_an_open_dataset_gives_what_its_file_gives(path):

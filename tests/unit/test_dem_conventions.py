@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import rasterio
 import xarray
-from dem_files import UTM, write
 from pyproj import CRS, Geod
 from rasterio.transform import from_origin
 from rasterio.warp import Resampling, calculate_default_transform, reproject
+from scenes import UTM, write_dem
 
 from skyline.errors import InputError
 from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, metres_per, model_of
@@ -62,7 +62,7 @@ def warped(path, crs, place, **profile):
         source.astype(np.float32), made, src_transform=transform, src_crs="EPSG:4326",
         dst_transform=target, dst_crs=crs, dst_nodata=np.nan, resampling=Resampling.cubic,
     )  # fmt: skip
-    return write(path, made, target, crs, GEOTIFF_VERSION="1.1", **profile)
+    return write_dem(path, made, crs, transform=target, GEOTIFF_VERSION="1.1", **profile)
 
 
 def true_azimuth_deg(frame, east, north, grid_azimuth_deg):
@@ -114,7 +114,7 @@ UNITS = {
 
 
 def in_unit(path, unit, values, crs=UTM, **profile):
-    write(path, values, crs=crs, **profile)
+    write_dem(path, values, crs=crs, **profile)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = [unit]
     return path
@@ -142,7 +142,7 @@ def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path, unit):
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
 def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, metres, version):
     values, crs = np.array([[1000.0, 1001.0], [1002.0, 1003.0]], np.float32), f"{UTM}+{datum}"
-    field = read_dem(write(tmp_path / "dem.tif", values, crs=crs, GEOTIFF_VERSION=version))
+    field = read_dem(write_dem(tmp_path / "dem.tif", values, crs=crs, GEOTIFF_VERSION=version))
     np.testing.assert_allclose(field.heights_m, values * metres, rtol=2e-7)
     assert field.frame.name == UTM
 
@@ -150,7 +150,7 @@ def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, me
 def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
     values = np.full((60, 60), 1000.0, np.float32)
     corner = from_origin(6_500_000.0, 2_300_000.0, 100.0, 100.0)
-    path = write(tmp_path / "dem.tif", values, corner, "EPSG:2227")
+    path = write_dem(tmp_path / "dem.tif", values, "EPSG:2227", transform=corner)
     assert read_dem(path).height_range_m == (1000.0, 1000.0)
     assert "is the US survey foot and none is named for heights; metres are assumed" in caplog.text
     caplog.clear()
@@ -160,7 +160,7 @@ def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
 
 
 def test_depths_become_negative_heights(tmp_path, caplog):
-    path = write(tmp_path / "dem.tif", np.full((2, 2), 30, np.int16))
+    path = write_dem(tmp_path / "dem.tif", np.full((2, 2), 30, np.int16))
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, positive="down")
     np.testing.assert_array_equal(read_dem(path).heights_m, -30.0)
@@ -225,7 +225,7 @@ def test_tiles_of_different_vertical_datums_are_named_or_refused(tmp_path, caplo
 )
 def test_places_that_cannot_be_known_are_refused(tmp_path, crs, corner, message):
     transform = from_origin(*corner, 1e-3, 1e-3)
-    path = write(tmp_path / "a.tif", np.ones((4, 4), np.int16), transform, crs)
+    path = write_dem(tmp_path / "a.tif", np.ones((4, 4), np.int16), crs, transform=transform)
     with pytest.raises(InputError, match=message) as refused:
         read_dem(path)
     assert "\n" not in str(refused.value)
@@ -241,8 +241,8 @@ def test_a_product_is_known_by_its_name_or_a_tag_and_files_must_agree(tmp_path):
     ):
         assert model_of([name]) == model
     tags = {"SKYLINE_SOURCE": "https://host/Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif"}
-    tagged = str(write(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
-    plain = str(write(tmp_path / "b.tif", np.ones((3, 3), np.float32)))
+    tagged = str(write_dem(tmp_path / "a.tif", np.ones((3, 3), np.float32), tags=tags))
+    plain = str(write_dem(tmp_path / "b.tif", np.ones((3, 3), np.float32)))
     assert model_of([tagged]) == f"{SURFACE}, Copernicus"
     assert model_of([plain]) == UNKNOWN
     assert model_of([tagged, plain]) == UNKNOWN

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 import rasterio
-from dem_files import write
 from rasterio.transform import Affine, from_origin
+from scenes import write_dem
 
 from skyline.errors import InputError, MissingFileError
 from skyline.terrain.dem import DemOptions, read_dem
@@ -50,7 +50,7 @@ MOON = {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100
 @pytest.mark.parametrize(
     ("heights", "options", "given", "said"),
     [
-        (np.ones((2, 4, 4), np.int16), {}, None, "a.tif has 2 bands"),
+        (np.ones((4, 4, 2), np.int16), {}, None, "a.tif has 2 bands"),
         (ONES, {"crs": None}, None, "--crs"),
         (ONES, {"crs": None}, "EPSG:99999", "not understood"),
         (ONES, {"crs": None}, "rubbish", "not understood"),
@@ -65,7 +65,7 @@ MOON = {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100
     ],
 )
 def test_a_raster_that_is_no_dem(tmp_path, heights, options, given, said):
-    assert said in refused(write(tmp_path / "a.tif", heights, **options), DemOptions(crs=given))
+    assert said in refused(write_dem(tmp_path / "a.tif", heights, **options), DemOptions(crs=given))
 
 
 def test_a_grid_without_both_corners(tmp_path):
@@ -76,7 +76,7 @@ def test_a_grid_without_both_corners(tmp_path):
 
 
 def test_a_scale_of_zero(tmp_path):
-    path = write(tmp_path / "a.tif", ONES)
+    path = write_dem(tmp_path / "a.tif", ONES)
     with rasterio.open(path, "r+") as dataset:
         dataset.scales = (0.0,)
     assert "has the scale 0" in refused(path)
@@ -90,7 +90,7 @@ def test_not_a_raster(tmp_path):
 
 def test_gdal_prints_nothing(tmp_path):
     path = tmp_path / "a.tif"
-    write(path, np.ones((300, 300), np.int16), compress="deflate")
+    write_dem(path, np.ones((300, 300), np.int16), compress="deflate")
     path.write_bytes(path.read_bytes()[:600])
     assert "a.tif cannot be read as a raster" in refused(path)
     program = f"""

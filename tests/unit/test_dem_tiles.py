@@ -4,17 +4,18 @@ import gzip
 
 import numpy as np
 import pytest
-from dem_files import CALIFORNIA, UTM, write
 from rasterio.transform import from_origin
-from scenes import at_m
+from scenes import UTM, at_m, write_dem
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem, read_files
 
+CALIFORNIA = [f"N{lat}W{lon}" for lat in (37, 36) for lon in (120, 119)]
+
 
 def tile_at(folder, heights, row, col):
     transform = from_origin(500_000.0 + 30.0 * col, 5_200_000.0 - 30.0 * row, 30.0, 30.0)
-    return write(folder / f"tile_{row}_{col}.tif", heights, transform)
+    return write_dem(folder / f"tile_{row}_{col}.tif", heights, transform=transform)
 
 
 def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path):
@@ -84,7 +85,7 @@ def test_tiles_that_meet_at_a_wall_are_named(tmp_path, caplog, row, col, raised_
 )
 def test_tiles_that_do_not_fit(tmp_path, transform, crs, message):
     first = tile_at(tmp_path, np.ones((200, 5), np.float32), 0, 0)
-    second = write(tmp_path / "b.tif", np.ones((200, 5), np.float32), transform, crs)
+    second = write_dem(tmp_path / "b.tif", np.ones((200, 5), np.float32), crs, transform=transform)
     with pytest.raises(InputError, match=message):
         read_dem([first, second])
 
@@ -99,7 +100,7 @@ def test_tiles_whose_columns_lie_closer_farther_south_become_one_grid(tmp_path):
         heights = (1000.0 + 900.0 * (lon - 9.0) + 700.0 * (lat[:, None] - 50.0)).astype(np.float32)
         heights[30, cols // 2] += change
         transform = from_origin(west - seconds * step / 2, north + step / 2, seconds * step, step)
-        return write(tmp_path / name, heights, transform, "EPSG:4326")
+        return write_dem(tmp_path / name, heights, "EPSG:4326", transform=transform)
 
     south = [tile(f"s{lon}.tif", lon, 50.0, 1.0) for lon in (9, 10)]
     north = [tile(f"n{lon}.tif", lon, 50.0 + 1 / 6, 1.5, 400.0) for lon in (9, 10)]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import rasterio
-from dem_files import write
 from rasterio.transform import from_origin
+from scenes import write_dem
 from scipy.ndimage import gaussian_filter
 
 from skyline.terrain.cleaning import void_undeclared
@@ -26,7 +26,7 @@ def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
     heights = np.full((40, 40), 500, dtype=dtype)
     heights[5:8, 5:8] = value
     heights[20:32, 20:32] = value
-    field = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata))
+    field = read_dem(write_dem(tmp_path / "dem.tif", heights, nodata=nodata))
     assert np.isnan(field.heights_m[20:32, 20:32]).all()
     assert np.count_nonzero(np.isnan(field.heights_m)) == 144
     assert field.heights_m[6, 6] == 500.0
@@ -37,7 +37,7 @@ def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
 def test_masked_samples_are_voids_and_so_are_those_of_the_nodata_value(tmp_path):
     heights = np.full((9, 9), 500, np.int16)
     heights[2, 2] = 450
-    path = write(tmp_path / "dem.tif", heights, nodata=450)
+    path = write_dem(tmp_path / "dem.tif", heights, nodata=450)
     mask = np.full((9, 9), 255, np.uint8)
     mask[4, 4] = 0
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as dataset:
@@ -52,7 +52,9 @@ def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path):
     heights = 800.0 + 4.0 * row + 2.0 * col
     heights[40:70, 50:60] = -32768.0
     heights[90, 90] = 32767.0
-    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:4326", nodata=-32768))
+    field = read_dem(
+        write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform, nodata=-32768)
+    )
     assert (field.provenance.hollow, field.provenance.despiked) == (300, 1)
     east, north = field.to_map(*np.indices(field.heights_m.shape))
     lon, lat = field.frame.to_lonlat(east, north)
@@ -120,14 +122,14 @@ def test_the_sea_stays_where_the_fill_goes():
 def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     heights = mountains()
     heights[:, :30] = 0.0
-    path = write(tmp_path / "dem.tif", heights)
+    path = write_dem(tmp_path / "dem.tif", heights)
     counts = read_dem(path).provenance
     assert (counts.undeclared, counts.hollow) == (4800, 4800)
     assert "exactly 0 m" in caplog.text
 
 
 def test_heights_above_any_ground_are_warned_of(tmp_path, caplog):
-    read_dem(write(tmp_path / "dem.tif", 10.0 * mountains()))
+    read_dem(write_dem(tmp_path / "dem.tif", 10.0 * mountains()))
     assert "more than any ground on Earth" in caplog.text
 
 

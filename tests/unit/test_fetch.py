@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import rasterio
 from range_server import Behaviour, serve
-from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
-from scenes import fractal
+from scenes import fractal, geotiff_of
 
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
@@ -19,18 +18,12 @@ EAST = "/N46E010.tif"
 VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
-def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
+def geotiff(heights, west=9.0, crs="EPSG:4326"):
     """Return a tiled GeoTIFF whose first sample stands, as Copernicus', on the corner."""
-    options = {"crs": "EPSG:4326", "compress": "deflate", "blockxsize": 128, **options}
-    with MemoryFile() as memory:
-        with memory.open(
-            driver="GTiff", width=heights.shape[1], height=heights.shape[0], count=1,
-            dtype=heights.dtype, tiled=True, blockysize=128,
-            transform=from_origin(west - step / 2, north + step / 2, step, step), **options,
-        ) as file:  # fmt: skip
-            file.update_tags(AREA_OR_POINT="Point")
-            file.write(heights, 1)
-        return bytes(memory.getbuffer())
+    step = 1.0 / SAMPLES
+    transform = from_origin(west - step / 2, 47.0 + step / 2, step, step)
+    options = {"compress": "deflate", "tiled": True, "blockxsize": 128, "blockysize": 128}
+    return geotiff_of(heights, crs, {"AREA_OR_POINT": "Point"}, transform=transform, **options)
 
 
 @pytest.fixture(scope="module")

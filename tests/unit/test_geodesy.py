@@ -9,45 +9,12 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame, check_bounds, in_turn, width_deg
+from skyline.geodesy import Frame, check_bounds, width_deg
 
 WGS84 = Geod(ellps="WGS84")
-FRAMES = {
-    "utm": (Frame.from_crs("EPSG:32632"), 9.9, 46.8),
-    "local": (Frame.local(lon=9.6, lat=46.5), 9.9, 46.8),
-    "local south": (Frame.local(lon=170.2, lat=-44.1), 170.9, -44.8),
-    "local far north": (Frame.local(lon=15.0, lat=84.0), 16.0, 84.3),
-    "albers": (Frame.from_crs("ESRI:102003"), -119.2, 37.7),
-    "swiss": (Frame.from_crs("EPSG:21781"), 9.9, 46.8),
-    "polar": (Frame.from_crs("EPSG:3413"), 15.0, 78.0),
-}
 
 
-@pytest.mark.parametrize("name", FRAMES)
-def test_true_azimuth_is_grid_azimuth_plus_convergence(name):
-    frame, lon, lat = FRAMES[name]
-    easting, northing = frame.from_lonlat([lon, lon], [lat - 1e-4, lat + 1e-4])
-    # Walking north along the meridian: true azimuth 0.
-    grid_azimuth_deg = math.degrees(math.atan2(np.diff(easting)[0], np.diff(northing)[0]))
-    middle = {"easting_m": easting.mean(), "northing_m": northing.mean()}
-    convergence_deg = float(frame.convergence_deg(**middle))
-    turn_deg = in_turn(grid_azimuth_deg + convergence_deg)
-    # The factors are of the CRS's own ellipsoid; Bessel's north is 2e-4 degrees off WGS 84's.
-    assert turn_deg == pytest.approx(0.0, abs=1e-3)
-    assert abs(convergence_deg) > 0.1
-
-
-LON, LAT, AWAY_M = st.floats(-180.0, 180.0), st.floats(-84.0, 84.0), st.floats(-2e5, 2e5)
-
-
-@given(lon=LON, lat=LAT, east=AWAY_M, north=AWAY_M)
-def test_round_trip_through_longitude_and_latitude(lon, lat, east, north):
-    frame = Frame.local(lon=lon, lat=lat)
-    back = frame.from_lonlat(*frame.to_lonlat(east, north))
-    np.testing.assert_allclose(back, (east, north), atol=1e-4)
-
-
-@given(lon=LON, lat=LAT, azimuth=st.floats(0.0, 360.0))
+@given(lon=st.floats(-180.0, 180.0), lat=st.floats(-84.0, 84.0), azimuth=st.floats(0.0, 360.0))
 def test_local_frame_is_true_at_its_centre(lon, lat, azimuth):
     frame = Frame.local(lon=lon, lat=lat)
     there_lon, there_lat, _ = WGS84.fwd(lon, lat, azimuth, 1000.0)

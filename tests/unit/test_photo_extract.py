@@ -31,7 +31,7 @@ PLAIN_GROSS = 0.02
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_skyline_of_drawn_photos(kind, record_property):
+def test_skyline_of_drawn_photos(kind):
     scenes = [make_scene(kind, seed, 720, 480) for seed in (100, 101)]
     queries = [extract_skyline(scene.image) for scene in scenes]
     error_px = np.concatenate(
@@ -40,8 +40,6 @@ def test_skyline_of_drawn_photos(kind, record_property):
     visible = np.concatenate([s.visible for s in scenes])
     trusted = np.concatenate([q.trusted for q in queries])
     median, p90 = np.percentile(error_px, [50, 90])
-    record_property("median_px", median)
-    record_property("p90_px", p90)
     assert median < WHOLE_PIXEL_MEDIAN
     assert p90 < FAINT_P90.get(kind, WHOLE_PIXEL_P90)
     assert np.mean(error_px > 3.0) < GROSS.get(kind, PLAIN_GROSS)

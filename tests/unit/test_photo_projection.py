@@ -50,13 +50,20 @@ def test_the_distortion_of_a_lens_is_undone(distortion):
     assert_allclose(back, places, rtol=0.0, atol=1e-7)
 
 
-def test_too_wide_a_field_of_view_is_refused():
-    with pytest.raises(InputError, match=r"361 degrees; expected 1 to 360: a full turn"):
-        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 361.0, CYLINDER)
-    with pytest.raises(InputError, match=r"180 degrees; expected 1 to 179.* cylindrical"):
-        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 180.0)
-    with pytest.raises(InputError, match="361 degrees; expected 1 to 360"):
-        read_query("absent.jpg", 361.0, projection=CYLINDER)
+@pytest.mark.parametrize(
+    ("projection", "fov_deg", "said"),
+    [
+        (CYLINDER, 361.0, "361 degrees; expected 1 to 360: a full turn"),
+        (Projection.PERSPECTIVE, 180.0, r"180 degrees; expected 1 to 179.* cylindrical"),
+        (Projection.PERSPECTIVE, 0.99, "expected 1 to 179"),
+        (Projection.PERSPECTIVE, np.nan, "expected 1 to 179"),
+    ],
+)
+def test_an_impossible_field_of_view_is_refused_before_a_file_is_read(projection, fov_deg, said):
+    with pytest.raises(InputError, match=said):
+        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, fov_deg, projection)
+    with pytest.raises(InputError, match=said):
+        read_query("absent.jpg", fov_deg, projection=projection)
 
 
 ATTRIBUTES = """<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"

@@ -17,27 +17,9 @@ from skyline.photo.read import read_query, write_overlay
 from skyline.photo.trace import read_trace, write_trace
 
 
-def query_of(row_px, height_px=100, fov_deg=None):
+def query_of(row_px, height_px=100):
     row_px = np.asarray(row_px, dtype=float)
-    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, len(row_px), height_px, fov_deg)
-
-
-def test_image_plane_of_the_corners():
-    # At 90 degrees a 4 px wide image spans u = -1 to 1: centres at +-3/4 and +-1/4.
-    u, v = query_of([0.0, np.nan, 0.5, 1.0], height_px=2, fov_deg=90.0).image_plane()
-    assert_allclose(u, [-0.75, 0.25, 0.75], atol=1e-15)
-    # Row 0.5 is halfway down a 2 px high image; a row is 2/W = 1/2 in v.
-    assert_allclose(v, [0.25, 0.0, -0.25], atol=1e-15)
-
-
-@pytest.mark.parametrize("fov_deg", [0.99, 179.1, np.nan])
-def test_impossible_fov_is_refused_everywhere(fov_deg, tmp_path):
-    query = query_of([1.0, 2.0])
-    with pytest.raises(InputError, match=r"field of view is .* expected 1 to 179"):
-        query.with_fov(fov_deg)
-    # The field of view is looked at before the file.
-    with pytest.raises(InputError, match="field of view"):
-        read_query(tmp_path / "absent.jpg", fov_deg)
+    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, len(row_px), height_px)
 
 
 @given(
@@ -133,15 +115,6 @@ def test_a_mask_of_white_ground_in_a_white_frame_is_refused(tmp_path):
     Image.fromarray(mask[4:-4, 4:-4]).save(tmp_path / "mask.png")  # The frame is cut off.
     with pytest.raises(InputError, match="black above white, as one with white ground"):
         read_query(tmp_path / "mask.png")
-
-
-@pytest.mark.parametrize("mode", ["1", "RGBA", "P", "I;16"])
-def test_mask_in_any_mode(tmp_path, mode):
-    grey = np.zeros((30, 20), np.uint8)
-    grey[:12] = 255
-    deep = Image.fromarray(grey.astype(np.uint16) * 257)
-    (deep if mode == "I;16" else Image.fromarray(grey).convert(mode)).save(tmp_path / "mask.png")
-    assert_array_equal(read_query(tmp_path / "mask.png").row_px, np.full(20, 11.5))
 
 
 def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):

@@ -12,13 +12,6 @@ from skyline.match.query_rays import QueryRays, level, project
 from skyline.photo.query import Projection, QuerySkyline
 
 
-def test_the_frame_s_edge_stays_the_frame_s_edge():
-    edge = np.array([np.tan(np.radians(30.0))])
-    turned = equally_trusted(edge, edge, 60.0).with_fov(90.0)
-    np.testing.assert_allclose([turned.u, turned.v], 1.0)
-    assert turned.fov_deg == 90.0
-
-
 def test_a_field_of_view_is_searched_about_the_one_given():
     u = np.array([-0.5, 0.5])
     rays = equally_trusted(u, u**2, 60.0)

@@ -155,9 +155,7 @@ def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplo
     ("text", "message"),
     [
         ("name,x,y\na,1,2\n", "has the columns"),
-        ("name,lon,lat\na,1,2,3\n", "line 2 has 4 cells; expected 3"),
-        ("name,lon,lat\na,east,2\n", "line 2: lon is `east`"),
-        ("name,lon,lat\na,1,91\n", "from -90 to 90"),
+        ("name,lon,lat\na,1,91\n", "line 2: lat is `91`; expected a number from -90 to 90"),
         ("name,lon,lat\nGr\udcfcnhorn,1,2\n", "not UTF-8"),
     ],
 )

@@ -57,11 +57,12 @@ def test_results_of_another_search_are_not_mixed(path):
         ResultsFile(path, "another")
 
 
-def test_another_file_is_refused_and_kept(path):
-    path.write_bytes(b"column_px,row_px\n1,2\n")
+@pytest.mark.parametrize("content", [b"column_px,row_px\n1,2\n", b"my notes"])
+def test_another_file_is_refused_and_kept(path, content):
+    path.write_bytes(content)
     with pytest.raises(InputError, match="--results"):
         ResultsFile(path, "one")
-    assert path.read_bytes() == b"column_px,row_px\n1,2\n"
+    assert path.read_bytes() == content
     with pytest.raises(InputError, match=r"expected \.csv or \.gpkg"):
         ResultsFile(path.with_suffix(".xlsx"), "one")
 

@@ -27,6 +27,13 @@ def test_a_module_on_a_plain_sees_half_of_one_plus_its_cosine(tilt_deg, facing_d
     assert factor == pytest.approx(expected, abs=2e-5)
 
 
+@pytest.mark.parametrize(("tilt_deg", "wall_deg"), [(10.0, 30.0), (40.0, 40.0), (60.0, 75.0)])
+def test_a_module_that_sees_a_cap_round_the_zenith_whole(tilt_deg, wall_deg):
+    factor = sky_view_factor(AZIMUTH_DEG, np.full(720, wall_deg), tilt_deg, 251.0)
+    expected = np.cos(np.radians(tilt_deg)) * np.cos(np.radians(wall_deg)) ** 2
+    assert factor == pytest.approx(expected)
+
+
 def test_a_module_is_shaded_by_what_it_faces_and_not_by_what_is_behind():
     south = np.where(np.abs(AZIMUTH_DEG - 180.0) < 45.0, 30.0, 0.0)
     faced, behind = (sky_view_factor(AZIMUTH_DEG, south, 60.0, to) for to in (180.0, 0.0))

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dem_files import write
 from rasterio.transform import from_origin
-from scenes import FRAME, at_m, field_from
+from scenes import FRAME, at_m, field_from, write_dem
 from scipy.ndimage import gaussian_filter
 
 from skyline.terrain import cleaning
@@ -36,7 +35,7 @@ def peaks(seed, shape=(150, 180)):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_every_local_maximum_is_as_high_within_a_cell(tmp_path, north, seed):
     heights, transform = peaks(seed), from_origin(9.0, north, STEP_DEG, STEP_DEG)
-    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:4326"))
+    field = read_dem(write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform))
     row, col = local_maxima(heights)
     assert row.size > 100
     lon, lat = 9.0 + (col + 0.5) * STEP_DEG, north - (row + 0.5) * STEP_DEG

@@ -45,7 +45,7 @@ def test_ctrl_c_ends_it_without_a_word(store):
         assert server.process.stderr.read() == ""
 
 
-def test_two_stores_are_searched_as_one(run, dem, photo, tmp_path):
+def test_two_stores_are_served_as_one(run, dem, photo, tmp_path):
     stores = [tmp_path / "west.h5", tmp_path / "east.h5"]
     whole = Matcher(built(run, dem, tmp_path / "whole.h5", "10.32,46.74,10.34,46.755"))
     for store, bounds in zip(

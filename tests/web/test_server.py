@@ -4,7 +4,6 @@ import http.client
 import json
 import struct
 import threading
-import time
 import zipfile
 import zlib
 from contextlib import ExitStack, closing
@@ -201,7 +200,7 @@ def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
 
 def test_three_people_match_at_once_and_look_meanwhile(served, photo):
     people = [ready(served, photo) for _ in range(3)]
-    results, slowest_s = {}, []
+    results, looks = {}, 0
 
     def match(of_photo):
         results[of_photo] = served.ask("POST", f"{of_photo}/match", TINY)
@@ -213,16 +212,15 @@ def test_three_people_match_at_once_and_look_meanwhile(served, photo):
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):
-            began = time.perf_counter()
             socket.send(look(people[0][1]))
             received(socket, "look")
-            slowest_s.append(time.perf_counter() - began)
+            looks += 1
         for thread in threads:
             thread.join()
     for status, found in results.values():
         assert status == 200
         assert found["candidates"] == alone["candidates"]
-    assert len(slowest_s) > 5
+    assert looks > 5
 
 
 def test_a_match_reports_its_progress_and_is_cancelled(served, photo):
