@@ -151,7 +151,8 @@ def match(
             raise InputError(error)
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(photos, common))
-    check_outputs([*exports, results], [*stores, *photos, *(Path(one.path) for one in queries)])
+    inputs = [*stores, *photos, *(Path(one.path) for one in queries), *filter(None, [peaks])]
+    check_outputs([*exports, results], inputs)
     for path in exports:
         suffix_of(path, EXPORTS)
     surfaces = tuple(map(absolute_name, without_folders(surface or ())))

@@ -1,12 +1,14 @@
 """CSV files as people have them: other separators, names and orders of columns."""
 
 import io
+import os
 import sys
+from threading import Thread
 
 import pytest
 
 from skyline.errors import InputError
-from skyline.files import is_table, read_table
+from skyline.files import is_table, read_table, write_whole
 
 
 def places(path, text):
@@ -53,3 +55,19 @@ def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
         assert is_table("-") is is_csv
         if is_csv:
             assert read_table("-", "").rows[0].label == "1"
+
+
+def test_links_stay_and_pipes_are_written(tmp_path):
+    (tmp_path / "first.csv").touch()
+    link = tmp_path / "latest.csv"
+    link.symlink_to("first.csv")
+    write_whole(link, "one")
+    assert (link.is_symlink(), (tmp_path / "first.csv").read_text()) == (True, "one")
+    os.mkfifo(tmp_path / "pipe")
+    read = []
+    reader = Thread(target=lambda: read.append((tmp_path / "pipe").read_text()), daemon=True)
+    reader.start()
+    write_whole(tmp_path / "pipe", "two")
+    reader.join(timeout=10.0)
+    assert (read, (tmp_path / "pipe").is_fifo()) == (["two"], True)
+    assert {one.name for one in tmp_path.iterdir()} == {"first.csv", "latest.csv", "pipe"}
