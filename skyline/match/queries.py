@@ -199,7 +199,7 @@ def written_ns(files: Sequence[Path]) -> tuple[int, ...]:
 
 
 def _parts(stores: Sequence[Path]) -> list[slice]:
-    """Return parts of the blocks of places of stores, none of renderings.
+    """Return the blocks of stores of places, in parts; none for stores of renderings.
 
     Stores that overlap have fewer blocks together, and the last parts may be empty.
     """
@@ -247,13 +247,7 @@ def _read_as_of(_: tuple[int, ...], query: Query) -> QuerySkyline:
     return query.read()
 
 
-_open_matcher: dict[_Opening, Matcher] = {}
-"""The one matcher that this process has open, by its opening."""
-
-
+@lru_cache(maxsize=1)
 def _opened(*opening: Hashable) -> Matcher:
-    if opening not in _open_matcher:
-        while _open_matcher:
-            _open_matcher.popitem()[1].release()
-        _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
-    return _open_matcher[opening]
+    """Return the one matcher that this process has open."""
+    return Matcher(*opening[1:])  # type: ignore[arg-type]
