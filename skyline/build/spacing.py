@@ -55,9 +55,8 @@ _SAMPLE = 512
 """Number of viewpoints from which a price is computed."""
 
 _LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
-"""Least number of those viewpoints that must stand on the surface, and greatest number of samples
-of viewpoints that are tried for it: in the elevation model of an island, nearly all may be
-holes."""
+"""At least 64 viewpoints must stand on the surface, and up to 256 samples of 512 are tried until
+they do: in the elevation model of an island, nearly all may be holes."""
 _BISECTIONS = 60
 
 _WINDOWS = 36

@@ -138,7 +138,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return the store of an area from the cache, where it is built if it is not there.
+    """Return the store of an area from the cache; it is built first if it is not there.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
     source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`

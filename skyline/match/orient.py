@@ -58,7 +58,7 @@ _MOST_WITHIN_M = 500.0
 _RING = 8
 """Places rendered around the known one."""
 _HEADINGS, _PLACES = 48, 32
-"""Best fits that are refined: one for each heading, and those of any places and headings."""
+"""Numbers of fits that are refined: the best fit of each heading, and the best of all fits."""
 _SEPARATION_M, _TURN_DEG = 15.0, 4.0
 """Fits nearer to a better one, that look within this angle of it, are the same."""
 _APART_DEG = 10.0

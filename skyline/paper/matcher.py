@@ -232,9 +232,6 @@ def _pose(
     return np.stack([score, heading_deg, query.pitch_deg + np.degrees(raised), -turn_deg])
 
 
-# --- the shortlist --------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Patches:
     """The patches of C locations, K each with S samples, as the right-hand side of a product."""
