@@ -89,7 +89,10 @@ class CurveFit:
         pose[:, _PITCH] = -np.median(self._misses(pose)[0], axis=1)
         for scale_deg in scales_deg:
             miss, change, nearness, known = self._misses(pose)
-            variance = self._variance(pose, nearness)
+            # The expected squared errors of the tangents.
+            bent = _CURVATURE * np.square(self._deviation_m * nearness)
+            variance = np.square(self._query_error(pose))[:, np.newaxis] + np.square(bent)
+            variance = variance.astype(np.float32)
             weight = self._rays.weight.astype(np.float32) * known
             weight = weight / (variance + np.square(miss) + np.radians(scale_deg) ** 2)
             pose = self._bounded(pose, self._step(pose, miss, change, weight.astype(np.float32)))
@@ -169,12 +172,6 @@ class CurveFit:
             return np.arctan2(right, forward), up / np.hypot(right, forward)
         forward = np.maximum(forward, _MIN_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)
-
-    def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
-        """Return the expected squared error (M, R) of the tangents."""
-        query = self._query_error(pose)
-        move = _CURVATURE * np.square(self._deviation_m * nearness)
-        return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
 
     def _query_error(self, pose: Float32Array) -> FloatArray:
         """Return the expected error (M,) of the query's tangents, as large as a pixel.
