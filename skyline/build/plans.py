@@ -12,7 +12,6 @@ from skyline.build.spacing import Prices, blocks_of, planned_places
 from skyline.camera import pixel_size
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
-from skyline.render.context import Releasable
 from skyline.render.horizon import (
     DEFAULT_TOLERANCE_DEG,
     HorizonRenderer,
@@ -43,18 +42,15 @@ _KEYPOINT_TOLERANCE_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class PartRenderer(Releasable):
+class PartRenderer:
     """Renders parts of one plan."""
 
     renderer: ColumnRenderer
+    """Frees its memory on the GPU, as a context manager at the end."""
     header: StoreHeader
     """Header of the parts, with the renderer's name."""
     columns: Callable[[Any], Columns]
     """Returns the rows of a part."""
-
-    def release(self) -> None:
-        """Free the renderer's memory on the GPU."""
-        self.renderer.release()
 
 
 @dataclass(frozen=True, slots=True)
