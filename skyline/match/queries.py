@@ -247,7 +247,14 @@ def _read_as_of(_: tuple[int, ...], query: Query) -> QuerySkyline:
     return query.read()
 
 
-@lru_cache(maxsize=1)
+_open_matcher: dict[_Opening, Matcher] = {}
+"""The one matcher that this process has open, by its opening."""
+
+
 def _opened(*opening: Hashable) -> Matcher:
-    """Return the one matcher that this process has open."""
-    return Matcher(*opening[1:])  # type: ignore[arg-type]
+    if opening not in _open_matcher:
+        # Released first, so that two elevation models never take memory at once.
+        while _open_matcher:
+            _open_matcher.popitem()[1].release()
+        _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
+    return _open_matcher[opening]
