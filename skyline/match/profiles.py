@@ -61,7 +61,7 @@ _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 class Profiles:
     """Skylines of L locations all the way round, in B equal steps of grid azimuth.
 
-    `on_bins` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
+    `at_pitches` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
     """
 
