@@ -156,13 +156,14 @@ def build_store(
     done, rendered = len(parts) - len(left), 0
     show = progress or (lambda *_: None)
     written: Iterable[int] = ()
-    with plan.opened(terrain) if runner is None and left else nullcontext() as renderer:
+    opened = plan.opened(terrain) if runner is None and left else None
+    with nullcontext() if opened is None else opened.renderer:
         started = time.perf_counter()
         show(done, len(parts))
         if runner is not None:
             written = _on_workers(runner, header, plan, left)
-        elif renderer is not None:
-            written = (_render_part(part, renderer, some) for part, some in left.items())
+        elif opened is not None:
+            written = (_render_part(part, opened, some) for part, some in left.items())
         try:
             for rows_of_part in written:
                 rendered += rows_of_part
@@ -264,7 +265,7 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
     path, work = item
     if build not in _open_renderer:
         while _open_renderer:
-            _open_renderer.popitem()[1].release()
+            _open_renderer.popitem()[1].renderer.release()
         try:
             terrain = header.read_dem()
         except StoreMismatchError as error:

@@ -8,11 +8,10 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.build.spacing import AdaptivePlanner, Prices, blocks_of
+from skyline.build.spacing import Prices, blocks_of, planned_places
 from skyline.camera import pixel_size
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
-from skyline.render.context import Releasable
 from skyline.render.horizon import (
     DEFAULT_TOLERANCE_DEG,
     HorizonRenderer,
@@ -43,18 +42,15 @@ _KEYPOINT_TOLERANCE_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class PartRenderer(Releasable):
+class PartRenderer:
     """Renders parts of one plan."""
 
     renderer: ColumnRenderer
+    """Frees its memory on the GPU, as a context manager at the end."""
     header: StoreHeader
     """Header of the parts, with the renderer's name."""
     columns: Callable[[Any], Columns]
     """Returns the rows of a part."""
-
-    def release(self) -> None:
-        """Free the renderer's memory on the GPU."""
-        self.renderer.release()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,23 +94,24 @@ class PlacePlan:
         """Return a renderer of the parts; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        planner = None
-        if self.spacing_m is None:
-            area = map_bounds(terrain, self.bounds_deg)
-            prices = Prices(terrain, area, renderer.render)
-            price = prices.of_number(self.places or DEFAULT_PLACES)
-            if self.places is None:
-                densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
-                price = min(max(price, densest), sparsest)
-            planner = AdaptivePlanner(terrain, renderer.render, area, price)
-        half_m = (self.spacing_m or 0.0) / 2.0
-
-        def columns(part: Any) -> Columns:
-            if planner is None:
-                return columns_of(header, Places.of(renderer.render(part), half_m))
-            return columns_of(header, planner.places(part))
-
-        return PartRenderer(renderer, header, columns)
+        if self.spacing_m is not None:
+            half_m = self.spacing_m / 2.0
+            return PartRenderer(
+                renderer,
+                header,
+                lambda eyes: columns_of(header, Places.of(renderer.render(eyes), half_m)),
+            )
+        look, area = renderer.render, map_bounds(terrain, self.bounds_deg)
+        prices = Prices(terrain, area, look)
+        price = prices.of_number(self.places or DEFAULT_PLACES)
+        if self.places is None:
+            densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
+            price = min(max(price, densest), sparsest)
+        return PartRenderer(
+            renderer,
+            header,
+            lambda block: columns_of(header, planned_places(terrain, look, area, price, block)),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

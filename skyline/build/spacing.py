@@ -14,12 +14,12 @@ views, 60 degrees wide; docs/method.md has the terrain, and the fit on other ter
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, IntArray
+from skyline.arrays import Float32Array, Float64Array, Int64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
@@ -55,9 +55,8 @@ _SAMPLE = 512
 """Number of viewpoints from which a price is computed."""
 
 _LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
-"""Least number of those viewpoints that must stand on the surface, and greatest number of samples
-of viewpoints that are tried for it: in the elevation model of an island, nearly all may be
-holes."""
+"""At least 64 viewpoints must stand on the surface, and up to 256 samples of 512 are tried until
+they do: in the elevation model of an island, nearly all may be holes."""
 _BISECTIONS = 60
 
 _WINDOWS = 36
@@ -159,57 +158,40 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
     return eyes, (east - west) * (north - south) * len(eyes) / tried
 
 
-@dataclass(frozen=True, slots=True)
-class AdaptivePlanner:
-    """Lays out and renders places, block by block; those outside the area are not kept."""
+def planned_places(
+    terrain: HeightField, look: Look, area: Rectangle, price: float, block: tuple[int, int]
+) -> Places:
+    """Lay out and render the places of a block, row by row from the north-west.
 
-    terrain: HeightField
-    look: Look
-    area: Rectangle
-    price: float
-    """One of `Prices`."""
-
-    def places(self, block: tuple[int, int]) -> Places:
-        """Return the places of a block, row by row from the north-west."""
-        seen = _Seen(self.terrain, self.look, block)
-        # Nodes around the block are included, for the squares at its sides.
-        seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
-        nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
-        for level in range(_LEVELS):
-            nodes = nodes[self._in_reach(seen, nodes, level)]
-            seen.fill(nodes)
-            halved = self._pays(seen, nodes, level)
-            rows.append(seen.rows(nodes[~halved]))
-            tolerances_m.append(np.full(len(rows[-1]), _SPACING_M[level] / 2.0, np.float32))
-            nodes = _next_lattice(nodes[halved], level)
-        some = Places.concatenate(seen.places)[np.concatenate(rows)]
-        places = replace(some, tolerance_m=np.concatenate(tolerances_m))
-        west, south, east, north = self.area
-        order = np.lexsort((places.easting_m, -places.northing_m))
-        east_m, north_m = places.easting_m[order], places.northing_m[order]
-        order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
-        return places[order]
-
-    def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
-        """Return a mask of the nodes (N, 2) at which a denser lattice pays."""
-        if level == _LEVELS - 1:
-            return np.zeros(len(nodes), dtype=bool)
-        cost = seen.lost_around(nodes, level) + self.price * _DENSITY
-        denser = cost[:, level + 1 :].min(axis=1) < cost[:, level]
-        return np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, denser)
-
-    def _in_reach(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
-        """Return a mask of the nodes (N, 2) whose square meets the area."""
-        side = _side(level)
-        west, south = seen.position_m(nodes - nodes % side)
-        reach_m = side * _FINEST_M
-        area = self.area
-        return np.asarray(
-            (west <= area[2])
-            & (west + reach_m > area[0])
-            & (south <= area[3])
-            & (south + reach_m > area[1])
-        )
+    ``price`` is one of `Prices`; places outside the area are not kept.
+    """
+    seen = _Seen(terrain, look, block)
+    # Nodes around the block are included, for the squares at its sides.
+    seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
+    nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
+    west, south, east, north = area
+    for level in range(_LEVELS):
+        # Only squares that meet the area.
+        left_m, low_m = seen.position_m(nodes - nodes % _side(level))
+        side_m = _side(level) * _FINEST_M
+        meets = (left_m <= east) & (left_m + side_m > west)
+        nodes = nodes[meets & (low_m <= north) & (low_m + side_m > south)]
+        seen.fill(nodes)
+        # They are divided where a denser lattice pays.
+        halved = np.zeros(len(nodes), dtype=bool)
+        if level < _LEVELS - 1:
+            cost = seen.lost_around(nodes, level) + price * _DENSITY
+            pays = cost[:, level + 1 :].min(axis=1) < cost[:, level]
+            halved = np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, pays)
+        rows.append(seen.rows(nodes[~halved]))
+        tolerances_m.append(np.full(len(rows[-1]), _SPACING_M[level] / 2.0, np.float32))
+        nodes = _next_lattice(nodes[halved], level)
+    some = Places.concatenate(seen.places)[np.concatenate(rows)]
+    places = replace(some, tolerance_m=np.concatenate(tolerances_m))
+    order = np.lexsort((places.easting_m, -places.northing_m))
+    east_m, north_m = places.easting_m[order], places.northing_m[order]
+    order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
+    return places[order]
 
 
 _UNTRIED, _BARE = -2, -1

@@ -237,7 +237,8 @@ class MatchResult:
 
     def to_dataframe(self) -> Any:
         """Return the candidates as a pandas DataFrame, one row each, best first."""
-        return _table(one.to_dict() for one in self.candidates)
+        pandas = library("pandas", "a DataFrame")
+        return pandas.DataFrame([one.to_dict() for one in self.candidates])
 
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -357,11 +358,6 @@ class JointResult:
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
-def _table(rows: Iterable[dict[str, Any]]) -> Any:
-    """Return rows as a pandas DataFrame; `InputError` where pandas is not installed."""
-    return library("pandas", "a DataFrame").DataFrame(list(rows))
-
-
 def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     """Return results as a table, one row each.
 
@@ -376,7 +372,7 @@ def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     InputError
         Pandas is not installed.
     """
-    return _table(one.to_row() for one in results)
+    return library("pandas", "a DataFrame").DataFrame([one.to_row() for one in results])
 
 
 def to_geodataframe(results: Iterable[MatchResult]) -> Any:

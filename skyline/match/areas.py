@@ -138,7 +138,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return the store of an area from the cache, where it is built if it is not there.
+    """Return the store of an area from the cache; it is built first if it is not there.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
     source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
@@ -150,14 +150,10 @@ def prepare_area(
     source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
     home = _areas() / _origin(files, source)
     with _explained():
-        # The smallest that serves.
-        serving = [
-            (_km2(one.bounds_deg), str(one.folder), one)
-            for one in _areas_in(home.glob("*"))
-            if one.is_finished and _contains(one.bounds_deg, area.needed)
-        ]
+        finished = (one for one in _areas_in(home.glob("*")) if one.is_finished)
+        serving = [one for one in finished if _contains(one.bounds_deg, area.needed)]
         if serving:
-            made = min(serving)[2]
+            made = min(serving, key=lambda one: _km2(one.bounds_deg))
             print_note(f"the area is in the cache already: {made.folder}")
             return made
         folder = home / _name_of(area.built)

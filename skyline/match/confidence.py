@@ -288,7 +288,7 @@ def shared_probabilities(
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
     """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
 
-    Another answer gets no more of the probability for its weight than the best one.
+    No other answer gets more of the probability for its weight than the best one does.
     """
     own, others = weight * is_near[best], weight * ~is_near[best]
     worth = sure / own.sum()

@@ -13,8 +13,6 @@ with Cauchy weights whose scale shrinks from round to round. The first order neg
 grows with (t / D)^2, so near terrain is trusted less.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
@@ -48,20 +46,6 @@ ROUGH_FIT = 40, (0.5, 0.35, 0.25)
 GOOD_FIT = 100, (0.5, 0.35, 0.25, 0.2, 0.2)
 """The number of runs of the query's columns whose means are fitted, and the scales of the Cauchy
 weights, degrees, beside the expected error, from round to round."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Misses:
-    """Elevation tangents of rays (M, R) of M poses minus those of the profiles."""
-
-    miss: Float32Array
-    """(M, R) float32. 0 where the profile is unknown."""
-    change: Float32Array
-    """(M, P, R) float32. Derivatives of the miss by the columns of a pose."""
-    nearness: Float32Array
-    """(M, R) float32. Inverse distance of the profile, 1 / m."""
-    known: BoolArray
-    """(M, R). Whether the profile is known."""
 
 
 class CurveFit:
@@ -102,15 +86,18 @@ class CurveFit:
         """
         pose = np.zeros(self._prior.shape, dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading_rad, zoom
-        misses = self._misses(pose)
-        pose[:, _PITCH] = -np.median(misses.miss, axis=1)
+        pose[:, _PITCH] = -np.median(self._misses(pose)[0], axis=1)
         for scale_deg in scales_deg:
-            misses = self._misses(pose)
-            variance = self._variance(pose, misses.nearness)
-            weight = self._rays.weight.astype(np.float32) * misses.known
-            weight = weight / (variance + np.square(misses.miss) + np.radians(scale_deg) ** 2)
-            pose = self._bounded(pose, self._step(pose, misses, weight.astype(np.float32)))
-        score = self._score(pose, self._misses(pose))
+            miss, change, nearness, known = self._misses(pose)
+            # The expected squared errors of the tangents.
+            bent = _CURVATURE * np.square(self._deviation_m * nearness)
+            variance = np.square(self._query_error(pose))[:, np.newaxis] + np.square(bent)
+            variance = variance.astype(np.float32)
+            weight = self._rays.weight.astype(np.float32) * known
+            weight = weight / (variance + np.square(miss) + np.radians(scale_deg) ** 2)
+            pose = self._bounded(pose, self._step(pose, miss, change, weight.astype(np.float32)))
+        miss, _, _, known = self._misses(pose)
+        score = self._score(pose, miss, known)
         heading, pitch, roll, zoom = pose[:, :_EAST].T.astype(np.float64)
         move = pose[:, _MOVE].astype(np.float64)
         return Hypotheses(
@@ -125,8 +112,15 @@ class CurveFit:
             score.astype(np.float64),
         )
 
-    def _misses(self, pose: Float32Array) -> _Misses:
-        """Return the misses of poses (M, P), and their derivatives."""
+    def _misses(
+        self, pose: Float32Array
+    ) -> tuple[Float32Array, Float32Array, Float32Array, BoolArray]:
+        """Return the misses (M, R) of poses (M, P): rays' tangents minus those of the profiles.
+
+        Also return their derivatives (M, P, R) by the columns of a pose, the profiles' inverse
+        distances (M, R), 1 / m, and whether a profile is known (M, R). An unknown one has a miss
+        of 0.
+        """
         y, nearness = self._y, self._nearness
         azimuth, tangent = self._project(pose)
         bins = y.shape[1]
@@ -163,7 +157,7 @@ class CurveFit:
             wander = self._wander.T
             change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
         miss = np.where(known, miss, np.float32(0.0))
-        return _Misses(miss, change, near, known)
+        return miss, change, near, known
 
     def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
@@ -178,12 +172,6 @@ class CurveFit:
             return np.arctan2(right, forward), up / np.hypot(right, forward)
         forward = np.maximum(forward, _MIN_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)
-
-    def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
-        """Return the expected squared error (M, R) of the tangents."""
-        query = self._query_error(pose)
-        move = _CURVATURE * np.square(self._deviation_m * nearness)
-        return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
 
     def _query_error(self, pose: Float32Array) -> FloatArray:
         """Return the expected error (M,) of the query's tangents, as large as a pixel.
@@ -208,11 +196,13 @@ class CurveFit:
             prior[:, _WANDER:] = self._rays.warp_sd**-2.0
         return prior
 
-    def _step(self, pose: Float32Array, misses: _Misses, weight: Float32Array) -> Float32Array:
+    def _step(
+        self, pose: Float32Array, miss: Float32Array, change: Float32Array, weight: Float32Array
+    ) -> Float32Array:
         """Return the damped Gauss-Newton step (M, P) that is subtracted from poses."""
-        weighted = misses.change * weight[:, np.newaxis]
-        normal = weighted @ misses.change.transpose(0, 2, 1)
-        gradient = (weighted @ misses.miss[:, :, np.newaxis])[:, :, 0] + self._prior * pose
+        weighted = change * weight[:, np.newaxis]
+        normal = weighted @ change.transpose(0, 2, 1)
+        gradient = (weighted @ miss[:, :, np.newaxis])[:, :, 0] + self._prior * pose
         diagonal = np.einsum("mkk->mk", normal)
         diagonal += self._prior
         diagonal += _DAMPING * (diagonal + 1.0)
@@ -230,10 +220,10 @@ class CurveFit:
         pose[:, _MOVE] = np.clip(pose[:, _MOVE], -farthest, farthest)
         return pose
 
-    def _score(self, pose: Float32Array, misses: _Misses) -> Float32Array:
+    def _score(self, pose: Float32Array, miss: Float32Array, known: BoolArray) -> Float32Array:
         error = self._query_error(pose)
-        cost = np.minimum(np.abs(misses.miss) / error[:, np.newaxis], np.float32(_OUTLIER))
-        cost = np.where(misses.known, cost, np.float32(_UNKNOWN))
+        cost = np.minimum(np.abs(miss) / error[:, np.newaxis], np.float32(_OUTLIER))
+        cost = np.where(known, cost, np.float32(_UNKNOWN))
         unlikely = 0.5 * (np.square(pose) * self._prior).sum(axis=1) / self._runs
         mean = (cost * self._rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)

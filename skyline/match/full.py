@@ -29,8 +29,8 @@ from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 
 _SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
-"""Poses that retrieval returns, a place of the store, and their least and greatest number: among
-more places there are more that are alike."""
+"""Poses that retrieval returns for each place of the store, and their least and greatest number:
+the more places there are, the more are alike."""
 SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0

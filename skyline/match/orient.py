@@ -58,7 +58,7 @@ _MOST_WITHIN_M = 500.0
 _RING = 8
 """Places rendered around the known one."""
 _HEADINGS, _PLACES = 48, 32
-"""Best fits that are refined: one for each heading, and those of any places and headings."""
+"""Numbers of fits that are refined: the best fit of each heading, and the best of all fits."""
 _SEPARATION_M, _TURN_DEG = 15.0, 4.0
 """Fits nearer to a better one, that look within this angle of it, are the same."""
 _APART_DEG = 10.0
@@ -126,18 +126,14 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the orientation as a row of numbers and text, as ``--csv`` writes it."""
-        names = (
-            "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "lon", "lat",
-            "eye_elevation_m",
-        )  # fmt: skip
         row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
-        for name in names:
+        for angle in ("heading", "pitch", "roll", "fov"):
+            row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
+            sd_name = f"{angle}_sd_deg"
+            row[sd_name] = None if self.pose is None else getattr(self, sd_name)
+        for name in ("distortion", "lon", "lat", "eye_elevation_m", "residual_deg"):
             row[name] = getattr(self.pose, name, None)
-            sd_name = name.replace("_deg", "_sd_deg")
-            if hasattr(self, sd_name):
-                row[sd_name] = None if self.pose is None else getattr(self, sd_name)
         return row | {
-            "residual_deg": getattr(self.pose, "residual_deg", None),
             "moved_m": None if self.pose is None else self.moved_m,
             "confidence": self.confidence,
             "seconds": self.seconds,

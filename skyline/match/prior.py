@@ -18,7 +18,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy import Frame, Rectangle, are_bounds, check_bounds, in_turn
+from skyline.geodesy import Frame, Rectangle, check_bounds, in_turn
 from skyline.match.candidate import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
@@ -316,21 +316,15 @@ class Prior:
 
         The hint is given where the swapped narrowing would meet the rectangle around the places.
         """
-        if self.frame is None:
-            return ""
         near, bounds = self.narrowing.near, self.narrowing.bounds_deg
-        west, east = places.easting_m.min(), places.easting_m.max()
-        south, north = places.northing_m.min(), places.northing_m.max()
-        if near is not None and max(abs(near[0]), abs(near[1])) <= 90.0:
-            easting, northing = self.frame.from_lonlat(near[1], near[0])
-            if west <= easting <= east and south <= northing <= north:
-                return f"; {swapped_in_words(*near[:2])}"
-        if bounds is not None:
-            swapped = bounds[1], bounds[0], bounds[3], bounds[2]
-            if are_bounds(*swapped):
-                box = self.frame.rectangle_m(swapped)
-                if box[0] <= east and west <= box[2] and box[1] <= north and south <= box[3]:
-                    return f"; {swapped_in_words(*bounds)}"
+        for given in (near and near[:2], bounds):
+            if given is None or self.frame is None:
+                continue
+            lat, lon = np.reshape(given, (-1, 2)).T
+            east_m, north_m = self.frame.from_lonlat(lon, lat)
+            pairs = (east_m, places.easting_m), (north_m, places.northing_m)
+            if all(a.min() <= b.max() and b.min() <= a.max() for a, b in pairs):
+                return f"; {swapped_in_words(*given)}"
         return ""
 
 

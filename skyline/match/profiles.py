@@ -34,7 +34,7 @@ from scipy import fft
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.match.candidate import Hypotheses
-from skyline.match.query_rays import QueryCurves, QueryRays
+from skyline.match.query_rays import QueryRays, at_pitches
 from skyline.match.scene import quadrant_bins, quadrants
 from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
 from skyline.store.format import KeypointColumns
@@ -61,7 +61,7 @@ _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 class Profiles:
     """Skylines of L locations all the way round, in B equal steps of grid azimuth.
 
-    `QueryCurves.of` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
+    `at_pitches` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
     """
 
@@ -177,7 +177,7 @@ class ProfileMatcher(ABC):
     def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
-        `skyline.match.query_rays.QueryCurves` levels the query at the assumed pitches and puts it
+        `skyline.match.query_rays.at_pitches` levels the query at the assumed pitches and puts it
         on the profiles' bins. The score is infinite at a location where nothing fits.
         """
 
@@ -192,31 +192,31 @@ class CorrelationMatcher(ProfileMatcher):
     def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
-        curves = QueryCurves.of(query, profiles.bins)
+        pitches = at_pitches(query, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
-        ncc = [self._greatest(curves, chunk) for chunk in chunks]
-        peak, pitch, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
+        ncc = [self._greatest(pitches, chunk) for chunk in chunks]
+        peak, pitch_deg, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
         axis = turn + profiles.bins // 2
         heading_deg = axis % profiles.bins * (360.0 / profiles.bins)
         none = np.zeros(len(profiles))
-        return profiles.poses(1.0 - peak, heading_deg, curves.pitch_deg[pitch], none, query.fov_deg)
+        return profiles.poses(1.0 - peak, heading_deg, pitch_deg, none, query.fov_deg)
 
     def _greatest(
-        self, curves: QueryCurves, y: Float32Array
-    ) -> tuple[Float64Array, IntArray, IntArray]:
-        """Return the greatest ncc of each location (-inf if none), its pitch's row and its turn."""
+        self, pitches: list[tuple[float, Float64Array, Float64Array]], y: Float32Array
+    ) -> tuple[Float64Array, Float64Array, IntArray]:
+        """Return the greatest ncc of each location (-inf if none), its pitch and its turn."""
         transforms = _transformed(y)
         row = np.arange(len(y))
-        best = np.full(len(y), -np.inf)
-        pitch, turn = np.zeros((2, len(y)), dtype=np.intp)
-        for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
+        best, pitch_deg = np.full(len(y), -np.inf), np.zeros(len(y))
+        turn = np.zeros(len(y), dtype=np.intp)
+        for assumed_deg, q, weight in pitches:
             ncc = self._ncc(transforms, q, weight)
             peak = ncc.argmax(axis=1)
             greater = ncc[row, peak] > best
             best = np.where(greater, ncc[row, peak], best)
-            pitch = np.where(greater, number, pitch)
+            pitch_deg = np.where(greater, assumed_deg, pitch_deg)
             turn = np.where(greater, peak, turn)
-        return best, pitch, turn
+        return best, pitch_deg, turn
 
     def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""

@@ -6,7 +6,7 @@ best. The answers are those of one process, to the bit.
 """
 
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -154,7 +154,7 @@ def match_here(matcher: Matcher, queries: Iterable[Query]) -> Iterator[MatchResu
     """Match queries in this process; yields the result of each, or the error that refuses it."""
     for query in queries:
         try:
-            yield _matched(matcher, Query.read, query)
+            yield _matched(matcher, query)
         except SkylineError as error:
             yield error
 
@@ -199,7 +199,7 @@ def written_ns(files: Sequence[Path]) -> tuple[int, ...]:
 
 
 def _parts(stores: Sequence[Path]) -> list[slice]:
-    """Return parts of the blocks of places of stores, none of renderings.
+    """Return the blocks of stores of places, in parts; none for stores of renderings.
 
     Stores that overlap have fewer blocks together, and the last parts may be empty.
     """
@@ -226,18 +226,13 @@ def _screen(opening: _Opening, job: tuple[Query, slice]) -> Alike | None:
 
 
 def _match(opening: _Opening, job: tuple[Query, Alike | None]) -> MatchResult:
-    return _matched(_opened(*opening), _read, *job)
+    return _matched(_opened(*opening), *job)
 
 
-def _matched(
-    matcher: Matcher,
-    read: Callable[[Query], QuerySkyline],
-    query: Query,
-    screened: Alike | None = None,
-) -> MatchResult:
+def _matched(matcher: Matcher, query: Query, screened: Alike | None = None) -> MatchResult:
     """Match one query; the result's seconds include reading it."""
     started = time.perf_counter()
-    found = matcher.match(read(query), narrowing=query.narrowing, screened=screened)
+    found = matcher.match(_read(query), narrowing=query.narrowing, screened=screened)
     seconds = time.perf_counter() - started
     return replace(found, seconds=seconds, name=query.path, id=query.label)
 
@@ -258,6 +253,7 @@ _open_matcher: dict[_Opening, Matcher] = {}
 
 def _opened(*opening: Hashable) -> Matcher:
     if opening not in _open_matcher:
+        # Released first, so that two elevation models never take memory at once.
         while _open_matcher:
             _open_matcher.popitem()[1].release()
         _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]

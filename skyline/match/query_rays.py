@@ -24,7 +24,7 @@ USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
 _PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
-"""Pitches that matchers of renderings assume; the camera is taken not to roll."""
+"""Pitches of `at_pitches`; the camera is taken not to roll."""
 _DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
 """Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
 6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
@@ -356,27 +356,16 @@ def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64A
     return replace(query, u=u, v=v, weight=weight)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class QueryCurves:
-    """A query sampled on the azimuth bins of a profile, one row per assumed pitch."""
-
-    y: Float64Array
-    """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN outside the
-    photo."""
-    weight: Float64Array
-    """(H, B) float64. Trust in each bin; 0 outside the photo."""
-    pitch_deg: Float64Array
-    """(H,) float64."""
-
-    @classmethod
-    def of(cls, query: QueryRays, bins: int) -> "QueryCurves":
-        """Level the rays at each pitch and sample them on ``bins`` equal steps of azimuth."""
-        y, weight = zip(*(on_bins(query, pitch, bins) for pitch in _PITCHES_DEG), strict=True)
-        return cls(np.stack(y), np.stack(weight), np.array(_PITCHES_DEG))
+def at_pitches(query: QueryRays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
+    """Return each pitch that matchers of renderings assume, with y and weight as of `on_bins`."""
+    return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
 
 
 def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
-    """Return y (B,) and weight (B,) of the query levelled at one pitch.
+    """Return a query, levelled at one pitch, on B equal steps of azimuth.
+
+    These are the tangents y (B,) of its elevation angle, NaN outside the photo, and the trust (B,)
+    in each, 0 outside. Bin B / 2 is straight ahead.
 
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
     slope. Values at bin centres are interpolated linearly between these averages.

@@ -88,7 +88,7 @@ class SolverMode:
     steps: int
     """Gauss-Newton steps from one rendering."""
     choices: int
-    """Number of steps, from the first, before which the errors' deviations are chosen anew."""
+    """The errors' deviations are chosen anew before each of the first so many steps."""
     nodes: int
     """Height errors along a skyline; see `HeightErrors.of`."""
     bins: int = 1440

@@ -17,7 +17,6 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skyline.match.profiles import TANGENT_PER_PX, Profiles
-from skyline.match.query_rays import QueryCurves
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 _TOLERANCE_PX = 1.0
@@ -84,29 +83,28 @@ class QueryCurve:
     pitch_deg: float
 
     @classmethod
-    def of(cls, curves: QueryCurves, row: int) -> Self:
-        """Take the query at attitude ``row``."""
-        y = curves.y[row : row + 1]
-        table = polyline_vertices(y, _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
+    def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
+        """Take the query at one of its pitches; see `skyline.match.query_rays.at_pitches`."""
+        table = polyline_vertices(y[np.newaxis], _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
-        y_px = y[0] / TANGENT_PER_PX
+        y_px = y / TANGENT_PER_PX
         bin_px = 2.0 * np.pi / len(y_px) / TANGENT_PER_PX
         offsets = patch_offsets(bin_px)
         x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
-        seen = np.flatnonzero(curves.weight[row] > 0.0)
+        seen = np.flatnonzero(weight > 0.0)
         local_bins = np.array([-1, 0, 1], dtype=np.intp) * (offsets[-1] // 2)
         near = np.clip(keypoints[:, np.newaxis] + local_bins, 0, len(y_px) - 1)
         rows = np.zeros(len(keypoints), dtype=np.intp)
         patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets)
         return cls(
             np.stack([x_px[seen], y_px[seen]], axis=1),
-            curves.weight[row, seen],
+            weight[seen],
             seen,
             keypoints,
             local_bins,
             np.stack([x_px[near], y_px[near]], axis=-1),
             patches.astype(np.float32),
-            float(curves.pitch_deg[row]),
+            pitch_deg,
         )
 
     @property

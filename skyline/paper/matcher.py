@@ -33,7 +33,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.candidate import Hypotheses
 from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles
-from skyline.match.query_rays import QueryCurves, QueryRays
+from skyline.match.query_rays import QueryRays, at_pitches
 from skyline.paper.curves import (
     MIN_OVERLAP,
     QueryCurve,
@@ -92,8 +92,7 @@ class PaperMatcher(ProfileMatcher):
 
         A location that is not on the shortlist has no fit.
         """
-        curves = QueryCurves.of(query, self.profiles.bins)
-        assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
+        assumed = [QueryCurve.of(*one) for one in at_pitches(query, self.profiles.bins)]
         fits = _no_fit(len(self.profiles))
         for one, listed in zip(assumed, self._listed(assumed), strict=True):
             for start in range(0, len(listed), _CHUNK):
@@ -231,9 +230,6 @@ def _pose(
     turn_deg = np.degrees(np.arctan2(affine[:, 1, 0], affine[:, 0, 0]))
     heading_deg = (x_px / stored.bin_px + bins // 2) * (360.0 / bins) % 360.0
     return np.stack([score, heading_deg, query.pitch_deg + np.degrees(raised), -turn_deg])
-
-
-# --- the shortlist --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

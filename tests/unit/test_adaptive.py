@@ -7,7 +7,7 @@ import pytest
 from scenes import field_of
 
 from skyline.build import spacing
-from skyline.build.spacing import BLOCK_M, AdaptivePlanner, blocks_of, expected_finds, lost_shares
+from skyline.build.spacing import BLOCK_M, blocks_of, expected_finds, lost_shares, planned_places
 from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
 
@@ -42,8 +42,9 @@ def looking(distance_m):
 
 
 def planned(terrain, distance_m, price, area=AREA):
-    planner = AdaptivePlanner(terrain, looking(distance_m), area, price)
-    return Places.concatenate([planner.places(block) for block in blocks_of(area)])
+    blocks = blocks_of(area)
+    look = looking(distance_m)
+    return Places.concatenate([planned_places(terrain, look, area, price, one) for one in blocks])
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from scenes import field_of, fractal
 from skyline.build.plans import uniform_grid
 from skyline.match import query_rays
 from skyline.match.profiles import CorrelationMatcher, Profiles
-from skyline.match.query_rays import QueryCurves
+from skyline.match.query_rays import at_pitches
 from skyline.paper import matcher
 from skyline.paper.curves import chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
@@ -75,10 +75,9 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
 def test_correlation_equals_a_direct_loop(profiles, viewpoints):
     query = query_at(viewpoints, 7, 77.0)
     fits = CorrelationMatcher(profiles).fit(query)
-    curves = QueryCurves.of(query, profiles.bins)
     for location in (0, 7, 20):
         best = -np.inf
-        for y, weights in zip(curves.y, curves.weight, strict=True):
+        for _, y, weights in at_pitches(query, profiles.bins):
             seen = np.flatnonzero(weights > 0.0)
             q, weight = y[seen], weights[seen]
             for turn in range(profiles.bins):
