@@ -120,6 +120,17 @@ def is_file(path: str | Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113  (`Path.is_file` raises an error for long names)
 
 
+def version_of(path: str | Path) -> tuple[int, int, int] | None:
+    """Return a file's size and the times at which it was written and put here; None without a file.
+
+    A copy or an unpacked file may keep the first time, but not the second, both nanoseconds.
+    """
+    if not is_file(path):
+        return None
+    known = os.stat(path)  # noqa: PTH116  (as in `is_file`)
+    return known.st_size, known.st_mtime_ns, known.st_ctime_ns
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """A row of a table: its line in the file, and its cells without spaces around them."""

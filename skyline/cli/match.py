@@ -29,12 +29,12 @@ from skyline.cli.console import (
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
 from skyline.errors import InputError, SkylineError, entry_named, printable, suffix_of
-from skyline.files import STANDARD
+from skyline.files import STANDARD, version_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.match.prior import Narrowing
-from skyline.match.queries import Query, listed, match_here, match_many, written_ns
+from skyline.match.queries import Query, listed, match_here, match_many
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.peaks import read_peaks
@@ -151,8 +151,10 @@ def match(
             raise InputError(error)
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(photos, common))
-    inputs = [*stores, *photos, *(Path(one.path) for one in queries), *filter(None, [peaks])]
-    check_outputs([*exports, results], inputs)
+    check_outputs(
+        [*exports, results],
+        [*stores, *photos, *(Path(one.path) for one in queries), *filter(None, [peaks])],
+    )
     for path in exports:
         suffix_of(path, EXPORTS)
     surfaces = tuple(map(absolute_name, without_folders(surface or ())))
@@ -317,7 +319,7 @@ def _match_together(
 def _search_of(stores: Sequence[Path], matcher: str, common: Query, surfaces: Iterable[str]) -> str:
     """Return a digest of the stores and the options, which differs between searches."""
     names = [one.name for one in stores]
-    settings = repr((names, written_ns(stores), matcher, MatchConfig(), common, *surfaces))
+    settings = repr((names, [*map(version_of, stores)], matcher, MatchConfig(), common, *surfaces))
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 

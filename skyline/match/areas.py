@@ -29,6 +29,7 @@ from skyline.build.parts import build_places
 from skyline.build.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.files import version_of
 from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
@@ -227,9 +228,7 @@ def _origin(files: Sequence[str], source: str) -> str:
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
         return f"{name}-{_digest(template)}"
     read = dict.fromkeys(one for file in files for one in (file, *files_of(file)))
-    facts = [(file, Path(file).stat() if Path(file).is_file() else None) for file in read]
-    about = [(file, known and (known.st_size, known.st_mtime_ns)) for file, known in facts]
-    return f"dem-{_digest(*about)}"
+    return f"dem-{_digest(*((file, version_of(file)) for file in read))}"
 
 
 def _seen_from(bounds_deg: Bounds) -> Bounds:

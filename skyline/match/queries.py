@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import STANDARD, Row, Table, is_file, is_table, read_table
+from skyline.files import STANDARD, Row, Table, is_table, read_table, version_of
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
@@ -44,7 +44,7 @@ _PART_BLOCKS = 128
 """Blocks of places that one job screens, in a tenth of a second."""
 
 _Opening = tuple[Hashable, ...]
-"""The times at which the stores and models were written, followed by the arguments of `Matcher`."""
+"""The versions of the stores and models, followed by the arguments of `Matcher`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,8 @@ class Query:
     fov_deg: float | None = None
     """By default from the file."""
     fov_slack: float | None = None
-    """Standard deviation of a given field of view, as a share of it; by default the matcher's."""
+    """Standard deviation of the field of view, as a share of it; by default the file's or the
+    matcher's."""
     projection: Projection | None = None
     """By default from the file."""
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
@@ -79,9 +80,10 @@ class Query:
     def read(self) -> QuerySkyline:
         """Return the skyline; raises as `skyline.photo.read.read_query`."""
         query = read_query(self.path, self.fov_deg, projection=self.projection)
-        if self.fov_deg is None or self.fov_slack is None:
+        if query.fov_deg is None or self.fov_slack is None:
             return query
-        return replace(query, lens=Lens(self.fov_deg, self.fov_slack * self.fov_deg))
+        lens = query.lens if self.fov_deg is None and query.lens else Lens(query.fov_deg)
+        return replace(query, lens=replace(lens, sd_deg=self.fov_slack * query.fov_deg))
 
 
 def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
@@ -171,7 +173,7 @@ def match_many(
     stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
     # A worker that outlives this command must not take a file for the one it has replaced.
     models = (Path(name) for some in matcher[1:] if isinstance(some, tuple) for name in some)
-    opening = (written_ns([*stores, *models]), stores, *matcher[1:])
+    opening = (tuple(map(version_of, [*stores, *models])), stores, *matcher[1:])
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
     parts = _parts(stores)
     screened: list[Alike | SkylineError | None] = [None] * len(jobs)
@@ -191,11 +193,6 @@ def match_many(
     for query, alike in zip(queries, screened, strict=True):
         result = alike if isinstance(alike, SkylineError) else next(matched)
         yield replace(result, name=query.path) if isinstance(result, MatchResult) else result
-
-
-def written_ns(files: Sequence[Path]) -> tuple[int, ...]:
-    """Return the times at which files were written; 0 where there is none."""
-    return tuple(one.stat().st_mtime_ns if is_file(one) else 0 for one in files)
 
 
 def _parts(stores: Sequence[Path]) -> list[slice]:
@@ -239,11 +236,11 @@ def _matched(matcher: Matcher, query: Query, screened: Alike | None = None) -> M
 
 def _read(query: Query) -> QuerySkyline:
     """Read a query once for all the parts of the store that this worker screens."""
-    return _read_as_of(written_ns([Path(query.path)]), query)
+    return _read_as_of(version_of(query.path), query)
 
 
 @lru_cache(maxsize=4)
-def _read_as_of(_: tuple[int, ...], query: Query) -> QuerySkyline:
+def _read_as_of(_: object, query: Query) -> QuerySkyline:
     return query.read()
 
 

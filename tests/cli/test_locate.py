@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import threading
+import time
 from collections import namedtuple
 from contextlib import nullcontext
 from dataclasses import replace
@@ -234,9 +235,13 @@ def test_a_lock_that_is_removed_while_waited_for_is_taken_anew(cache):
     assert not folder.parent.exists()
 
 
-def test_files_beside_a_dem_tell_areas_apart(made, tmp_path):
+def test_other_files_of_a_name_and_files_beside_a_dem_tell_areas_apart(made, tmp_path):
     dem = tmp_path / "dem.tif"
-    shutil.copy(made / "dem.tif", dem)
+    shutil.copy2(made / "dem.tif", dem)
+    first = areas._origin([str(dem)], "copernicus")
+    time.sleep(0.05)
+    shutil.copy2(made / "dem.tif", dem)  # As long and, by its time, as old
     before = areas._origin([str(dem)], "copernicus")
+    assert before != first
     (tmp_path / "dem.tif.aux.xml").write_text("<PAMDataset><SRS>EPSG:4258</SRS></PAMDataset>")
     assert areas._origin([str(dem)], "copernicus") != before

@@ -2,6 +2,7 @@
 
 import os
 import re
+import time
 
 import numpy as np
 import pytest
@@ -144,7 +145,8 @@ def test_a_worker_reads_a_trace_anew_once_it_has_changed(tmp_path):
     path = tmp_path / "t.csv"
     for row in (2, 3):
         path.write_text(f"# width=2 height=9 fov_deg=60\ncolumn_px,row_px\n0,{row}\n1,{row}\n")
-        os.utime(path, ns=(row, row))
+        os.utime(path, ns=(1, 1))  # As files copied from an archive have it
+        time.sleep(0.05)  # The clock of a file system may tick as slowly as every 10 ms.
         assert queries._read(queries.Query(str(path))).row_px.tolist() == [row, row]
 
 
@@ -157,5 +159,9 @@ def test_a_trace_notes_its_camera(tmp_path):
         write_trace(query, tmp_path / "again.csv")
         again = read_query(tmp_path / "again.csv")
         assert (again.fov_deg, again.lens, again.eye_height_m) == (60.0, query.lens, 12.0)
-    given = read_query(trace_file(tmp_path, "0,30\n9,31\n", notes), 50.0)
+    path = trace_file(tmp_path, "0,30\n9,31\n", notes)
+    given = read_query(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
+    for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
+        listed = queries.Query(str(path), fov_deg, fov_slack=0.2).read()
+        assert listed.lens.sd_deg == pytest.approx(sd_deg)
