@@ -38,8 +38,8 @@ from skyline.solar import (
     horizons_of,
     write_horizons,
 )
-from skyline.terrain.dem import DemOptions, read_blocks, read_dem, read_surface
-from skyline.terrain.heightfield import HeightField, TerrainBlocks
+from skyline.terrain.dem import read_surface
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -164,18 +164,13 @@ def panorama(
     lonlat = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
-    options = DemOptions(crs=crs, reproject=reproject)
+    terrain = read_terrain(dem, crs, reproject)
     with note_if_slow(f"drawing {output}"):
-        if surface:
-            terrain = read_dem(dem, options)
-            blocks, over = TerrainBlocks.of(terrain), read_surface(surface, terrain)
-        else:
-            blocks, over = read_blocks(dem, options), None
-        gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-        view = panorama_view(blocks, lonlat, gazetteer, config, over)
+        over = read_surface(surface, terrain) if surface else None
+        gazetteer = None if peaks is None else read_peaks(peaks, terrain.frame)
+        view = panorama_view(terrain, lonlat, gazetteer, config, over)
         unnamed = pictures.save_view(view, output)
-    landscape = view.landscape
-    _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
+    _print_where(terrain, lonlat, view.landscape.eye, eye_height, summit_within)
     seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed_in_words(unnamed)}")

@@ -24,7 +24,7 @@ from skyline.report.landscape import (
 )
 from skyline.report.peaks import Peaks
 from skyline.terrain.dem import Dem, read_surface
-from skyline.terrain.heightfield import HeightField, TerrainBlocks
+from skyline.terrain.heightfield import HeightField
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"
@@ -82,8 +82,7 @@ def save_panorama(
     """
     suffix_of(path, PANORAMA_SUFFIXES)
     over = None if surface is None else read_surface(surface, terrain)
-    blocks = TerrainBlocks.of(terrain)
-    view = panorama_view(blocks, (lon, lat), peaks, config or PanoramaConfig(), over)
+    view = panorama_view(terrain, (lon, lat), peaks, config or PanoramaConfig(), over)
     save_view(view, path)
     return len(view.sightings)
 
@@ -274,7 +273,7 @@ def _title(view: PanoramaView) -> str:
     place = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
     lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*place.values()))
     surface_m = float(landscape.terrain.height_at(**place))
-    ground_m = landscape.ground_m
+    ground_m = float(eye.eye_elevation_m[0]) - view.config.eye_height_m
     beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
     return (
         f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "

@@ -13,24 +13,20 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Frame
-from skyline.terrain.tiles import Grid
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""
-
-BLOCK = 64
-"""Cells along a side of a block."""
 
 _LEAST_SPACING_M = 0.01
 """Least spacing of samples. No model is finer; a grid in degrees read as metres would be (a second
@@ -365,60 +361,6 @@ def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Arr
     around = np.concatenate([place + _SLOPE_REACH_M * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
     east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
     return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TerrainBlocks:
-    """R x C blocks of a height field, made only where an eye may see them.
-
-    Terrain behind a ridge need not be warped. Neighbouring blocks share the samples of their common
-    edge.
-    """
-
-    frame: Frame
-    grid: Grid
-    """Grid of the samples, in metres of the frame."""
-    highest_m: Float32Array
-    """(R, C) float32. Upper bound of the heights of each block; -inf for a block without
-    heights."""
-    field: Callable[[BoolArray], HeightField]
-    """Takes a mask of wanted blocks (R, C) and returns a field with these; others may be missing or
-    NaN."""
-
-    @classmethod
-    def of(cls, field: HeightField) -> Self:
-        """Return the blocks of a whole field."""
-        highest = np.asarray(field.heights_m, np.float32)
-        for axis in (0, 1):
-            edges = block_edges(highest.shape[axis])
-            shared = np.take(highest, edges[1:], axis)
-            highest = np.fmax(np.fmax.reduceat(highest, edges[:-1], axis), shared)
-        highest = np.nan_to_num(highest, nan=-np.inf)
-        steps_m = field.spacing_east_m, field.spacing_north_m
-        grid = Grid(field.west_m, field.north_m, *steps_m, field.rows, field.cols)
-        return cls(field.frame, grid, highest, lambda _: field)
-
-    def around_m(self, easting_m: float, northing_m: float) -> tuple[Float64Array, ...]:
-        """Return metres east and north of a place to the middles of the blocks, (R, C) each."""
-        rows, cols = (np.arange(count) + 0.5 for count in self.highest_m.shape)
-        east_m = self.grid.west + cols * BLOCK * self.grid.step_east - easting_m
-        north_m = self.grid.north - rows * BLOCK * self.grid.step_north - northing_m
-        return tuple(np.meshgrid(east_m, north_m))
-
-    @property
-    def spacing_m(self) -> float:
-        """The finer of the two sample spacings."""
-        return min(self.grid.step_east, self.grid.step_north)
-
-    @property
-    def radius_m(self) -> float:
-        """The distance of a block's corners from its middle."""
-        return 0.5 * BLOCK * float(np.hypot(self.grid.step_east, self.grid.step_north))
-
-
-def block_edges(samples: int) -> Int64Array:
-    """Return the first sample of each block along an axis, and the last sample of the last."""
-    return np.append(np.arange(0, max(samples - 1, 1), BLOCK), samples - 1)
 
 
 def facts_html(facts: Mapping[str, str], picture: UInt8Array | None = None) -> str:
