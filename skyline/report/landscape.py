@@ -113,7 +113,7 @@ def panorama_view(
     landscape = Landscape.of(terrain, eye, azimuth_deg)
     seen = []
     if peaks is not None:
-        check_on_map(peaks, terrain.frame, terrain.bounds_m)
+        check_on_map(peaks, terrain)
         seen = visible_peaks(terrain, eye, peaks, Curvature())
     inside = [
         one

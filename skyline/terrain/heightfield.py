@@ -4,9 +4,7 @@ Each cell between four samples is two triangles, split along the diagonal that j
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
 """
 
-import base64
 import hashlib
-import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, FloatArray, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.errors import InputError, printable
-from skyline.geodesy import Frame
+from skyline.geodesy import Bounds, Frame
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
@@ -35,8 +33,6 @@ _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
 _SLOPE_REACH_M = 15.0
 """Half the distance over which the ground's slope is taken."""
-_LONGEST_PX = 240
-"""The longer side of the picture of a field in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -131,14 +127,12 @@ class HeightField:
         return f"HeightField({', '.join([f'{samples} samples', f'{spacing} apart', *others])})"
 
     def _repr_html_(self) -> str:
-        west, south, east, north = self.bounds_m
-        corners = self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
+        facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in self.box_deg)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
         if self.provenance.files:
             facts["files"] = ", ".join(self.provenance.files)
-        return facts_html(facts, _relief(self.heights_m, self.spacing_east_m, self.spacing_north_m))
+        return facts_html(facts)
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -237,6 +231,12 @@ class HeightField:
             self.west_m + (self.cols - 1) * self.spacing_east_m,
             self.north_m,
         )
+
+    @property
+    def box_deg(self) -> Bounds:
+        """West, south, east, north of the map, degrees; west > east across the antimeridian."""
+        west, south, east, north = self.bounds_m
+        return self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
 
     def reach_m(self, *, easting_m: float, northing_m: float) -> float:
         """Return the distance of the farthest corner from a place, metres."""
@@ -363,35 +363,10 @@ def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Arr
     return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
 
 
-def facts_html(facts: Mapping[str, str], picture: UInt8Array | None = None) -> str:
-    """Return named facts as HTML, beside a grey picture (H, W) if there is one."""
+def facts_html(facts: Mapping[str, str]) -> str:
+    """Return named facts as an HTML table."""
     rows = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
         for name, fact in facts.items()
     )
-    drawn = ""
-    if picture is not None:
-        from PIL import Image  # noqa: PLC0415  (only notebooks need it)
-
-        file = io.BytesIO()
-        Image.fromarray(picture).save(file, format="PNG")
-        style = f"width: {_LONGEST_PX * picture.shape[1] // max(picture.shape)}px"
-        source = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-        drawn = f'<img alt="map" style="{style}" src="{source}">'
-    return (
-        '<div style="display: flex; gap: 1em; align-items: flex-start">'
-        f"{drawn}<table>{rows}</table></div>"
-    )
-
-
-def _relief(heights_m: FloatArray, east_m: float, north_m: float) -> UInt8Array:
-    """Return a small picture of terrain lit from the north-west; holes are light."""
-    step = -(-max(heights_m.shape) // _LONGEST_PX)
-    some = np.atleast_2d(heights_m[::step, ::step].astype(np.float64))
-    if min(some.shape) < 2:
-        return np.full(some.shape, 220, dtype=np.uint8)
-    south, east = np.gradient(some, north_m * step, east_m * step)
-    light = (np.sqrt(2.0) + east + south) / (2.0 * np.sqrt(1.0 + east**2 + south**2))
-    picture: UInt8Array
-    picture = np.nan_to_num(40.0 + 200.0 * light.clip(0.0, 1.0), nan=220.0).astype(np.uint8)
-    return picture
+    return f"<table>{rows}</table>"
