@@ -20,7 +20,6 @@ from skyline.cli.console import (
     are_degrees,
     note_if_slow,
     output_option,
-    parse_numbers,
     print_error,
     print_line,
     print_note,
@@ -28,7 +27,7 @@ from skyline.cli.console import (
     read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, printable, suffix_of
+from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
@@ -139,7 +138,7 @@ def camera_place(at: str | None) -> Place | None:
         return None
     count = 3 if at.count(",") == 2 else 2
     error = f"--at is `{at}`; expected LON,LAT or LON,LAT,ELEV in degrees and metres"
-    lon, lat, *rest = parse_numbers(at, count, error)
+    lon, lat, *rest = numbers_of(at.split(","), count, error)
     if not are_degrees(lon, lat):
         raise InputError(error)
     return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
