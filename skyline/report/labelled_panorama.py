@@ -25,6 +25,7 @@ from skyline.report.landscape import (
 from skyline.report.peaks import Peaks
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_at
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"
@@ -82,7 +83,10 @@ def save_panorama(
     """
     suffix_of(path, PANORAMA_SUFFIXES)
     over = None if surface is None else read_surface(surface, terrain)
-    view = panorama_view(terrain, (lon, lat), peaks, config or PanoramaConfig(), over)
+    config = config or PanoramaConfig()
+    above_m, within_m = config.eye_height_m, config.summit_within_m
+    eye = stand_at(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
+    view = panorama_view(terrain, eye, peaks, config, over)
     save_view(view, path)
     return len(view.sightings)
 

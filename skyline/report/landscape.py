@@ -27,7 +27,7 @@ from skyline.report.peaks import (
 )
 from skyline.solar import horizons_of
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""
@@ -94,21 +94,14 @@ class PanoramaView:
 
 def panorama_view(
     terrain: HeightField,
-    lonlat: tuple[float, float],
+    eye: Viewpoints,
     peaks: Peaks | None,
     config: PanoramaConfig,
     surface: HeightField | None = None,
 ) -> PanoramaView:
-    """Return the view from a place and its visible peaks; raises as `stand_at`, `Landscape.of`."""
+    """Return the view of one eye and its visible peaks; raises as `Landscape.of`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
     columns = row_count(fov_deg) * COLUMNS
-    eye = stand_at(
-        terrain,
-        lon=lonlat[0],
-        lat=lonlat[1],
-        eye_height_m=config.eye_height_m,
-        summit_within_m=config.summit_within_m,
-    )
     azimuth_deg = start_deg + np.arange(0.5, columns) * (fov_deg / columns)
     landscape = Landscape.of(terrain, eye, azimuth_deg)
     seen = []

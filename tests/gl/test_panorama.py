@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FRAME, at_deg, at_m, field_from, field_of, fractal
+from scenes import at_deg, at_m, field_from, field_of, fractal
 from scipy.ndimage import maximum_filter
 
 from skyline import PanoramaConfig, Peaks, horizon, save_panorama, stand_on
@@ -86,9 +86,9 @@ def mountains():
 
 def test_no_name_overlaps_another_or_leaves_the_picture(mountains):
     field, peaks = mountains
-    lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(165.0, 240.0)))
     config = PanoramaConfig(eye_height_m=500.0)
-    figure, _ = draw_panorama(panorama_view(field, lonlat, peaks, config))
+    eye = stand_on(field, **at_m(field.to_map(165.0, 240.0)), eye_height_m=500.0)
+    figure, _ = draw_panorama(panorama_view(field, eye, peaks, config))
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
     assert len(names) > 8
@@ -107,11 +107,12 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
     trees = replace(field, heights_m=field.heights_m + np.float32(25.0))
     config = PanoramaConfig(90.0, 120.0, 100.0)
-    view = panorama_view(field, lonlat, None, config, trees)
+    place_m = field.to_map(150.0, 150.0)
+    eye = stand_on(field, **at_m(place_m), eye_height_m=100.0)
+    view = panorama_view(field, eye, None, config, trees)
     landscape = view.landscape
     # Of the line between tenths of a degree, notches of the skyline are cut off.
     assert np.percentile(view.surface_deg - landscape.skyline_deg, [1, 50]).min() > 0.0
-    place_m = field.to_map(150.0, 150.0)
     eye = stand_on(trees, **at_m(place_m), eye_height_m=75.0)
     over = Landscape.of(trees, eye, landscape.azimuth_deg)
     assert np.abs(view.surface_deg - over.skyline_deg).mean() < 0.01
@@ -136,9 +137,9 @@ def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
     names = (*(f"Knoll {index}" for index in range(6)), "Lonely Mountain")
     place_m = np.append(row_m, 0.0), np.array([9000.0] * 6 + [5000.0])
     peaks = Peaks(names=names, **at_m(place_m), height_m=np.full(7, np.nan))
-    lonlat = tuple(float(at) for at in FRAME.to_lonlat(0.0, 0.0))
     config = PanoramaConfig(0.0, 60.0, eye_height_m=1200.0)
-    view = panorama_view(field, lonlat, peaks, config)
+    eye = stand_on(field, easting_m=0.0, northing_m=0.0, eye_height_m=1200.0)
+    view = panorama_view(field, eye, peaks, config)
     assert len(view.sightings) == 7
     figure, unnamed = draw_panorama(view)
     named = [one.get_text() for one in figure.findobj(lambda one: one.get_gid() == SUMMIT)]
