@@ -45,10 +45,7 @@ export function zoom(times, about = null) {
   draw();
 }
 
-const onScreen = ([column, row]) => [
-  (column + 0.5) * view.scale + view.left,
-  (row + 0.5) * view.scale + view.top,
-];
+const onScreen = ([column, row]) => [layers.x(view, column), layers.y(view, row)];
 
 export function pan(across, down) {
   view.left += across;
