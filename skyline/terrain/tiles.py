@@ -49,11 +49,6 @@ class Grid:
         return self.north - (self.rows - 1) * self.step_north
 
     @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the outermost samples."""
-        return self.west, self.south, self.east, self.north
-
-    @property
     def centre(self) -> tuple[float, float]:
         """Abscissa and ordinate of the middle of the grid."""
         return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)

@@ -111,7 +111,9 @@ def _span(at: Float64Array, count: int) -> slice:
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     """Return the grid of the target: whole multiples of the spacing around the source."""
-    west, south, east, north = to_frame.transform_bounds(*grid.bounds, densify_pts=_EDGE_POINTS)
+    west, south, east, north = to_frame.transform_bounds(
+        grid.west, grid.south, grid.east, grid.north, densify_pts=_EDGE_POINTS
+    )
     if not np.isfinite([west, south, east, north]).all():
         raise InputError(
             f"the DEM reaches from {grid.west:.6g}, {grid.south:.6g} to {grid.east:.6g}, "
