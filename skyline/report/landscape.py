@@ -149,9 +149,56 @@ class Landscape:
     def of(cls, terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array) -> Self:
         """Find the terrain that one eye sees at azimuths (C,) in equal steps.
 
-        The Earth is curved, with refraction k = 0.13. Raises `InputError` if no terrain is visible.
+        The Earth is curved, with refraction k = 0.13; ridges have the exact height of the surface.
+        Raises `InputError` if no terrain is visible.
         """
-        return cls(terrain, eye, azimuth_deg, *_points(terrain, eye, azimuth_deg))
+        curvature = Curvature()
+        turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
+        grid_rad = np.radians(azimuth_deg - turn_deg)
+        steps_m = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))
+        # No terrain from a step on stands above this angle; a metre covers all rounding.
+        up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)
+        most_deg = np.maximum.accumulate(np.degrees(np.arctan(up_m / steps_m))[::-1])[::-1]
+        so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
+        found = []
+        for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
+            for first in range(0, len(steps_m), _STEPS_AT_ONCE):
+                open_ = so_far_deg[start : start + _COLUMNS_AT_ONCE] < most_deg[first]
+                columns = start + np.flatnonzero(open_)
+                rays = grid_rad[columns], steps_m[first : first + _STEPS_AT_ONCE]
+                on_deg = ground_elevation_deg(terrain, eye, curvature, *rays).astype(np.float32)
+                rising_deg = np.concatenate([so_far_deg[columns, np.newaxis], on_deg], axis=1)
+                np.maximum.accumulate(rising_deg, axis=1, out=rising_deg)
+                so_far_deg[columns] = rising_deg[:, -1]
+                ray, nth = np.nonzero(rising_deg[:, 1:] > rising_deg[:, :-1])
+                found.append((columns[ray], first + nth, rising_deg[ray, nth + 1]))
+        column, step, up_deg = (np.concatenate(part) for part in zip(*found, strict=True))
+        if not len(column):
+            raise InputError(
+                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
+            )
+        order = np.argsort(column, kind="stable")  # Steps are in order already.
+        column, step, up_deg = column[order], step[order], up_deg[order]
+        distance_m = steps_m[step]
+        behind_m = np.append(distance_m[1:], np.inf)
+        behind_m[np.append(np.diff(column) > 0, True)] = np.inf
+        is_ridge = behind_m > _RIDGE_JUMP * distance_m + _RIDGE_SAMPLES * terrain.spacing_m
+        ridge = step[is_ridge]
+        crest_deg = highest_between_deg(
+            terrain,
+            eye,
+            curvature,
+            grid_rad[column[is_ridge]],
+            steps_m[np.maximum(ridge - 1, 0)],
+            steps_m[np.minimum(ridge + 1, len(steps_m) - 1)],
+        )
+        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg.astype(np.float32))
+        # A raised ridge may hide points found behind it.
+        highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
+        seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
+        begins = np.searchsorted(column[seen], np.arange(len(azimuth_deg) + 1))
+        points = distance_m[seen], up_deg[seen], is_ridge[seen]
+        return cls(terrain, eye, azimuth_deg, begins, *points)
 
     @property
     def skyline_deg(self) -> Float32Array:
@@ -197,58 +244,6 @@ class Landscape:
         # The last of several in a range stands highest.
         ridge_deg[ranges, self.column[self.is_ridge]] = self.elevation_deg[self.is_ridge]
         return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
-
-
-def _points(
-    terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array
-) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
-    """Return the points of a `Landscape`; ridges have the exact height of the surface there."""
-    curvature = Curvature()
-    turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    grid_rad = np.radians(azimuth_deg - turn_deg)
-    steps_m = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))
-    # No terrain from a step on stands above this angle; a metre covers all rounding.
-    up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)
-    most_deg = np.maximum.accumulate(np.degrees(np.arctan(up_m / steps_m))[::-1])[::-1]
-    so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
-    found = []
-    for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
-        for first in range(0, len(steps_m), _STEPS_AT_ONCE):
-            open_ = so_far_deg[start : start + _COLUMNS_AT_ONCE] < most_deg[first]
-            columns = start + np.flatnonzero(open_)
-            rays = grid_rad[columns], steps_m[first : first + _STEPS_AT_ONCE]
-            on_deg = ground_elevation_deg(terrain, eye, curvature, *rays).astype(np.float32)
-            rising_deg = np.concatenate([so_far_deg[columns, np.newaxis], on_deg], axis=1)
-            np.maximum.accumulate(rising_deg, axis=1, out=rising_deg)
-            so_far_deg[columns] = rising_deg[:, -1]
-            ray, nth = np.nonzero(rising_deg[:, 1:] > rising_deg[:, :-1])
-            found.append((columns[ray], first + nth, rising_deg[ray, nth + 1]))
-    column, step, up_deg = (np.concatenate(part) for part in zip(*found, strict=True))
-    if not len(column):
-        raise InputError(
-            "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
-        )
-    order = np.argsort(column, kind="stable")  # Steps are in order already.
-    column, step, up_deg = column[order], step[order], up_deg[order]
-    distance_m = steps_m[step]
-    behind_m = np.append(distance_m[1:], np.inf)
-    behind_m[np.append(np.diff(column) > 0, True)] = np.inf
-    is_ridge = behind_m > _RIDGE_JUMP * distance_m + _RIDGE_SAMPLES * terrain.spacing_m
-    ridge = step[is_ridge]
-    crest_deg = highest_between_deg(
-        terrain,
-        eye,
-        curvature,
-        grid_rad[column[is_ridge]],
-        steps_m[np.maximum(ridge - 1, 0)],
-        steps_m[np.minimum(ridge + 1, len(steps_m) - 1)],
-    )
-    up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg.astype(np.float32))
-    # A raised ridge may hide points found behind it.
-    highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
-    seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
-    begins = np.searchsorted(column[seen], np.arange(len(azimuth_deg) + 1))
-    return begins, distance_m[seen], up_deg[seen], is_ridge[seen]
 
 
 def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64Array:
