@@ -72,9 +72,9 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, d
     page.all("#candidates button")[0].click()
     best = page.settled()
 
-    before = page.of("hand", "it.live.shown")
+    before = page.measured("look")
     page.drag(".camera", 9, 6, steps=3)
-    page.until(lambda: page.of("hand", "it.live.shown") > before + 1)
+    page.until(lambda: page.measured("look") > before + 1)
     moved = page.state("state.pose")
     assert off_m(dem, moved) > 60.0
     page.until(lambda: page.state("state.sight.gap") > best)

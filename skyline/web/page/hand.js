@@ -14,7 +14,6 @@ const SLIDERS = [
   ["eyeHeight", "Eye height m", 0, 300, 0.5],
 ];
 const PLACES = [["lat", "Latitude, degrees", -90, 90], ["lon", "Longitude, degrees", -180, 180]];
-export const live = { shown: 0, latency: [] };
 let flying = null, next = null, number = 0;
 
 export function moveTo(part, stillMoving = false) {
@@ -114,9 +113,7 @@ function answered(seen) {
     if (!seen.summits && state.sight?.summits) seen.summits = null;
     state.sight = seen;
     $("gap").textContent = seen.gap === null ? "nothing to compare" : `skylines ${seen.gap.toFixed(2)}° apart in the median column`;
-    live.shown++;
-    live.latency.push(performance.now() - asked);
-    if (live.latency.length > 1000) live.latency.shift();
+    performance.measure("look", { start: asked });
   }
   $("gap").hidden = false;
   emit("sight");
