@@ -282,7 +282,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
         print_note(f"the pose in {path} is not trusted: {printable(str(record['refusal']))}")
     if not isinstance(record, dict) or any(record.get(name) is None for name in _NEEDED):
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
-    numbers = _numbers_of(record, path)
+    numbers = _pose_numbers(record, path)
     projection.check_fov_deg(numbers["fov_deg"])
     if any(numbers["wander"]) and not projection.is_panorama:
         raise InputError(
@@ -291,7 +291,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
     return numbers
 
 
-def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
+def _pose_numbers(record: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the numbers of a pose in a file; raises `InputError` for values that no camera has."""
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}
