@@ -30,7 +30,8 @@ from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints, is_inside
 
 SUMMIT_RADIUS_M = 150.0
-"""Radius around a named place in which its summit is searched, and terrain cannot hide it."""
+"""Distance from a named place within which its summit is searched, and within which terrain does
+not hide the summit."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
 _GEOJSON = (".geojson", ".json")

@@ -149,7 +149,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
-    """Group tiles by spacing of longitude if their grids differ in nothing else, else in one."""
+    """Group tiles by spacing of longitude; in one group unless in degrees and alike in latitude."""
     first = tiles[0]
     groups: dict[float, list[Tile]] = {}
     for tile in tiles:
