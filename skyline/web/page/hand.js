@@ -140,7 +140,7 @@ async function fit() {
 function placeAt(place) {
   if (!state.photo) return alertUser("add a photo first");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
-  const heading = asked.heading?.deg ?? state.photo.heading ?? 0;
+  const heading = asked.heading?.[0] ?? state.photo.heading ?? 0;
   setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
   emit("chosen");
 }
