@@ -43,7 +43,7 @@ _PROMISED: dict[str, Row] = {
 _Figure = tuple[str, float, str]
 """A name, a value and its unit."""
 
-_STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
+_MEASURED = "return performance.getEntriesByName('{}').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
 
 
@@ -173,8 +173,8 @@ def _strokes(chromium: Any) -> list[float]:
         for step in range(8):
             _mouse(chromium, "mouseMoved", column + 3.0 * step, row)
         _mouse(chromium, "mouseReleased", column + 24.0, row)
-        _until(lambda: len(chromium.execute_script(_STROKES)) > count)  # noqa: B023  (called here)
-    return [float(duration) for duration in chromium.execute_script(_STROKES)]
+        _until(lambda: len(chromium.execute_script(_MEASURED.format("stroke"))) > count)  # noqa: B023  (called here)
+    return [float(duration) for duration in chromium.execute_script(_MEASURED.format("stroke"))]
 
 
 def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
@@ -184,8 +184,7 @@ def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
     _mouse(chromium, "mousePressed", column, row)
     _mouse(chromium, "mouseMoved", column + 6.0, row)
     time.sleep(0.5)
-    chromium.execute_async_script(_STATE.format("hand", "it.live.latency.length = 0"))
-    shown = _ask(chromium, "hand", "it.live.shown")
+    chromium.execute_script("performance.clearMeasures('look')")
     began = time.perf_counter()
     moves = 0
     while time.perf_counter() - began < drag_s:
@@ -194,11 +193,10 @@ def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
         _mouse(chromium, "mouseMoved", column + 25 * np.cos(turn), row + 20 * np.sin(turn))
         time.sleep(max(0.0, began + moves / _DRAG_HZ - time.perf_counter()))
     seconds = time.perf_counter() - began
-    shown = _ask(chromium, "hand", "it.live.shown") - shown
-    latency = _ask(chromium, "hand", "it.live.latency")
+    latency = chromium.execute_script(_MEASURED.format("look"))
     _mouse(chromium, "mouseReleased", column, row)
     return [
-        ("renderings shown a second", shown / seconds, "1/s"),
+        ("renderings shown a second", len(latency) / seconds, "1/s"),
         ("moves of the mouse a second", moves / seconds, "1/s"),
         ("hand to skyline, median", np.median(latency), "ms"),
         ("hand to skyline, 95 %", np.percentile(latency, 95), "ms"),

@@ -275,22 +275,17 @@ def read_terrain(dem: list[str], crs: str | None, reproject: bool) -> "HeightFie
         return read_dem(dem, DemOptions(crs=crs, reproject=reproject))
 
 
-def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:
-    """Return ``count`` numbers between commas; raises `InputError` with ``error`` otherwise."""
-    return numbers_of(text.split(","), count, error)
-
-
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
     """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
     error = f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
-    west, south, east, north = parse_numbers(text, 4, error)
+    west, south, east, north = numbers_of(text.split(","), 4, error)
     return west, south, east, north
 
 
 def parse_place(text: str) -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
     error = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
-    lon, lat = parse_numbers(text, 2, error)
+    lon, lat = numbers_of(text.split(","), 2, error)
     if not are_degrees(lon, lat):
         swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""
         raise InputError(error + swapped)

@@ -14,11 +14,10 @@ from skyline.cli.console import (
     Crs,
     Dems,
     Reproject,
-    parse_numbers,
     print_line,
     read_terrain,
 )
-from skyline.errors import InputError, printable
+from skyline.errors import InputError, numbers_of, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
@@ -71,7 +70,7 @@ def _describe_terrain(field: HeightField) -> Facts:
         "samples": f"{field.cols} x {field.rows}",
         "spacing_m": [field.spacing_east_m, field.spacing_north_m],
         "bounds_m": [west, south, east, north],
-        "bounds_deg": list(field.frame.box_deg(easting_m=[west, east], northing_m=[south, north])),
+        "bounds_deg": list(field.box_deg),
         "height_range_m": list(field.height_range_m),
         "convergence_deg": float(turn_deg),
         **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},
@@ -118,11 +117,11 @@ def explain(
 ) -> None:
     """Show which terrain a skyline depends on, which is left out, and the resulting error."""
     wanted = "LON,LAT in degrees, or easting and northing in metres"
-    first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
+    first, second = numbers_of(at.split(","), 2, f"--at is `{at}`; expected {wanted}")
     terrain = read_terrain(dem, crs, reproject)
     east_m, north_m = np.array([[first], [second]])
     if max(abs(first), abs(second)) <= 360.0:
-        east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
+        east_m, north_m = place_on(terrain, first, second)
     eye = stand_on(terrain, easting_m=east_m, northing_m=north_m)
     _print_facts(_describe_scene(terrain, eye), as_json)
 

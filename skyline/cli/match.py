@@ -22,13 +22,12 @@ from skyline.cli.console import (
     note_if_slow,
     on_interrupt,
     panel,
-    parse_numbers,
     print_error,
     print_line,
     print_note,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
-from skyline.errors import InputError, SkylineError, entry_named, printable, suffix_of
+from skyline.errors import InputError, SkylineError, entry_named, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, version_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
@@ -329,9 +328,11 @@ def narrowing_of(near: str | None, heading: str | None, use_gps: bool) -> Narrow
     if near is not None:
         is_box = near.count(",") == 3
         count, form = (4, "W,S,E,N") if is_box else (3, "LON,LAT,KM, or 4 numbers W,S,E,N")
-        numbers = parse_numbers(near, count, f"--near is `{near}`; expected {count} numbers {form}")
+        numbers = numbers_of(
+            near.split(","), count, f"--near is `{near}`; expected {count} numbers {form}"
+        )
         circle, box = (None, numbers) if is_box else (numbers, None)
     if heading is not None:
         error = f"--heading is `{heading}`; expected 2 numbers DEG,SLACK"
-        sector = parse_numbers(heading, 2, error)
+        sector = numbers_of(heading.split(","), 2, error)
     return Narrowing(circle, box, sector, use_gps=use_gps)  # type: ignore[arg-type]

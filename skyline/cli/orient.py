@@ -20,7 +20,6 @@ from skyline.cli.console import (
     are_degrees,
     note_if_slow,
     output_option,
-    parse_numbers,
     print_error,
     print_line,
     print_note,
@@ -28,7 +27,7 @@ from skyline.cli.console import (
     read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, printable, suffix_of
+from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
@@ -139,7 +138,7 @@ def camera_place(at: str | None) -> Place | None:
         return None
     count = 3 if at.count(",") == 2 else 2
     error = f"--at is `{at}`; expected LON,LAT or LON,LAT,ELEV in degrees and metres"
-    lon, lat, *rest = parse_numbers(at, count, error)
+    lon, lat, *rest = numbers_of(at.split(","), count, error)
     if not are_degrees(lon, lat):
         raise InputError(error)
     return lon, lat, rest[0] if rest else None, DEFAULT_WITHIN_M
@@ -283,7 +282,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
         print_note(f"the pose in {path} is not trusted: {printable(str(record['refusal']))}")
     if not isinstance(record, dict) or any(record.get(name) is None for name in _NEEDED):
         raise InputError(f"pose {path} has no pose; {_EXPECTED}")
-    numbers = _numbers_of(record, path)
+    numbers = _pose_numbers(record, path)
     projection.check_fov_deg(numbers["fov_deg"])
     if any(numbers["wander"]) and not projection.is_panorama:
         raise InputError(
@@ -292,7 +291,7 @@ def _read_pose(path: Path, photo: Path, projection: Projection) -> dict[str, Any
     return numbers
 
 
-def _numbers_of(record: dict[str, Any], path: Path) -> dict[str, Any]:
+def _pose_numbers(record: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the numbers of a pose in a file; raises `InputError` for values that no camera has."""
     names = (*_NEEDED, "pitch_deg", "roll_deg", "distortion", "eye_elevation_m")
     given = {name: record[name] for name in names if record.get(name) is not None}

@@ -1,6 +1,7 @@
 """``skyline horizon``, ``sun`` and ``panorama``: the view from a place."""
 
 import logging
+from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 from typing import Annotated
@@ -38,8 +39,8 @@ from skyline.solar import (
     horizons_of,
     write_horizons,
 )
-from skyline.terrain.dem import DemOptions, read_blocks, read_dem, read_surface
-from skyline.terrain.heightfield import HeightField, TerrainBlocks
+from skyline.terrain.dem import read_surface
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
@@ -97,12 +98,13 @@ def horizon(
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
     if output not in {None, Path(STANDARD)}:
         suffix_of(output, KINDS)
+    places = [parse_place(text) for text in at or ()]
     terrain = read_terrain(dem, crs, reproject)
     ids: tuple[str, ...] = ()
     if points is not None:
         eyes, ids = read_viewpoints(points, terrain, eye_height, summit_within)
     else:
-        eyes = _eyes(terrain, at or [], eye_height, summit_within)
+        eyes = _eyes(terrain, places, eye_height, summit_within)
     over = read_surface(surface, terrain) if surface else None
     curvature = Curvature(refraction_k=k)
     with progress_bar("rendering") as progress:
@@ -128,8 +130,9 @@ def sun(
         asked = date.fromisoformat(day)
     except ValueError as error:
         raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
+    places = [parse_place(text) for text in at or ()]
     terrain = read_terrain(dem, crs, reproject)
-    eyes = _eyes(terrain, at or [], eye_height, summit_within)
+    eyes = _eyes(terrain, places, eye_height, summit_within)
     with progress_bar("rendering") as progress:
         found = horizons_of(terrain, eyes, progress=progress)
     print_line("lon,lat,from_utc,to_utc")
@@ -161,65 +164,50 @@ def panorama(
     from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
     from skyline.report.figures import unnamed_in_words  # noqa: PLC0415
 
-    lonlat = parse_place(at)
+    place = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
-    options = DemOptions(crs=crs, reproject=reproject)
+    terrain = read_terrain(dem, crs, reproject)
+    eye = _eyes(terrain, [place], eye_height, summit_within)
     with note_if_slow(f"drawing {output}"):
-        if surface:
-            terrain = read_dem(dem, options)
-            blocks, over = TerrainBlocks.of(terrain), read_surface(surface, terrain)
-        else:
-            blocks, over = read_blocks(dem, options), None
-        gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-        view = panorama_view(blocks, lonlat, gazetteer, config, over)
+        over = read_surface(surface, terrain) if surface else None
+        gazetteer = None if peaks is None else read_peaks(peaks, terrain.frame)
+        view = panorama_view(terrain, eye, gazetteer, config, over)
         unnamed = pictures.save_view(view, output)
-    landscape = view.landscape
-    _print_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
     seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed_in_words(unnamed)}")
 
 
 def _eyes(
-    terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
+    terrain: HeightField,
+    places: Sequence[tuple[float, float]],
+    eye_height_m: float,
+    summit_within_m: float | None,
 ) -> Viewpoints:
-    """Place eyes, and print a note for each that does not stand on the surface at its place."""
-    lon, lat = np.transpose([parse_place(text) for text in at])
+    """Place eyes at longitudes and latitudes, and print a note for each that stands on a summit."""
+    lon, lat = np.transpose(places)
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
     )
-    for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
-        _print_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
+    easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
+    away_m = np.hypot(eyes.easting_m - easting_m, eyes.northing_m - northing_m)
+    stands_m = eyes.eye_elevation_m - eye_height_m
+    surface_m = terrain.height_at(lon=lon, lat=lat)
+    eye_lon, eye_lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+    for k, place in enumerate(f"{place[0]:.5f},{place[1]:.5f}" for place in places):
+        if summit_within_m:
+            print_note(
+                f"{place}: the highest point within {summit_within_m:g} m is {eye_lon[k]:.5f},"
+                f"{eye_lat[k]:.5f}, {stands_m[k]:.0f} m high and {away_m[k]:.0f} m away"
+            )
+        elif summit_within_m is None and stands_m[k] - surface_m[k] > 0.01:
+            print_note(
+                f"{place} is beside a summit of the model: the eye stands as high as it, "
+                f"{stands_m[k]:.0f} m, and not on its slope, {surface_m[k]:.0f} m (as "
+                "--summit-within 0 would have it)"
+            )
     return eyes
-
-
-def _print_where(
-    terrain: HeightField,
-    asked: tuple[float, float],
-    eye: Viewpoints,
-    eye_height_m: float,
-    summit_within_m: float | None,
-) -> None:
-    """Print a note if the eye stands on a summit near its place."""
-    asked_m = np.array(terrain.frame.from_lonlat(*asked))
-    stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
-    place = f"{asked[0]:.5f},{asked[1]:.5f}"
-    if summit_within_m:
-        lon, lat = (float(one[0]) for one in terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
-        away_m = np.hypot(eye.easting_m[0] - asked_m[0], eye.northing_m[0] - asked_m[1])
-        print_note(
-            f"{place}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
-            f"{stands_m:.0f} m high and {away_m:.0f} m away"
-        )
-        return
-    surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
-    if summit_within_m is None and stands_m - surface_m > 0.01:
-        print_note(
-            f"{place} is beside a summit of the model: the eye stands as high as it, "
-            f"{stands_m:.0f} m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 "
-            "would have it)"
-        )
 
 
 def _warn(found: LocalHorizons) -> None:

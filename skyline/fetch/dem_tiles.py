@@ -6,11 +6,11 @@ A source has one address for each degree of latitude and longitude.
 import json
 import logging
 import math
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from string import Formatter
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -45,8 +45,6 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
-
-_FIELD = re.compile(r"\{(lat|lon|ns|ew)(?::(\d{1,2}d))?\}")
 
 _log = logging.getLogger(__name__)
 
@@ -137,8 +135,7 @@ def fetch_dem(
 def address(template: str, lat: int, lon: int) -> str:
     """Return the address of the tile with a south-west corner at these degrees."""
     ns, ew = "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
-    values = {"lat": abs(lat), "lon": abs(lon), "ns": ns, "ew": ew}
-    return _FIELD.sub(lambda field: format(values[field[1]], field[2] or ""), template)
+    return template.format(lat=abs(lat), lon=abs(lon), ns=ns, ew=ew)
 
 
 def _check_template(template: str) -> None:
@@ -146,8 +143,9 @@ def _check_template(template: str) -> None:
         parts = urlsplit(address(template, 0, 0))
         usable = parts.scheme in ("http", "https") and bool(parts.hostname)
         usable &= not set(parts.geturl()) & {"{", "}"}
-        usable &= {"lat", "lon"} <= {name for name, _ in _FIELD.findall(template)}
-    except ValueError:
+        fields = {name for _, name, *_ in Formatter().parse(template) if name is not None}
+        usable &= {"lat", "lon"} <= fields <= {"lat", "lon", "ns", "ew"}
+    except (ValueError, LookupError, AttributeError):
         usable = False
     if not usable:
         raise InputError(

@@ -18,7 +18,7 @@ TIMEOUT_S = 30
 """Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
 
 PASSING = (429, 500, 502, 503, 504)
-"""Codes of HTTP for failures that may pass."""
+"""HTTP status codes of failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
 """Words of curl for a server that cannot be found: without a network every attempt fails alike."""

@@ -210,9 +210,10 @@ def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
-    """Return whether rays go north and east, whose slope in array order is positive or negative.
+    """Return whether rays along a heading go north, and whether they go east.
 
-    The slope is columns a row for headings 0 and 2, rows a column for 1 and 3.
+    Their slope in array order is positive where it ``grows``, else negative: columns a row for
+    headings 0 and 2, rows a column for 1 and 3.
     """
     forward = heading in (1, 2)
     aside = grows == forward

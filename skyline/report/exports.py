@@ -4,9 +4,8 @@ Candidates are points, views and ellipses in degrees of WGS 84 as GeoJSON (RFC 7
 and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); and waypoints, which navigation
 devices and hiking maps read, as GPX 1.1. The places of a store are a GeoPackage.
 
-``match --results`` writes a row for each photo as soon as it is done, with which a stopped search
-continues: to CSV (RFC 4180), or to a GeoPackage (OGC 12-128r18), whose points are the best
-candidates.
+``match --results`` writes a row for each photo as soon as it is done, so that a stopped search can
+go on: to CSV (RFC 4180), or to a GeoPackage (OGC 12-128r18), whose points are the best candidates.
 """
 
 import csv

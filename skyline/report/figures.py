@@ -60,8 +60,9 @@ def place_labels(
     """Place labels centred on the columns of their leader lines, in the order given.
 
     A label lies in the lowest row with room for it, within the picture's width and with a gap on
-    either side. Where leader lines are too near for that, it begins or ends at its own line, below
-    all others, which move up a row. A label that fits in none of the rows is left out.
+    either side. Where leader lines are too near for that, the label begins or ends at its own line
+    in the lowest row, and all others move up a row. A label that fits in none of the rows is left
+    out.
     """
     placed: list[PlacedLabel] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):

@@ -24,7 +24,8 @@ from skyline.report.landscape import (
 )
 from skyline.report.peaks import Peaks
 from skyline.terrain.dem import Dem, read_surface
-from skyline.terrain.heightfield import HeightField, TerrainBlocks
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_at
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"
@@ -82,8 +83,10 @@ def save_panorama(
     """
     suffix_of(path, PANORAMA_SUFFIXES)
     over = None if surface is None else read_surface(surface, terrain)
-    blocks = TerrainBlocks.of(terrain)
-    view = panorama_view(blocks, (lon, lat), peaks, config or PanoramaConfig(), over)
+    config = config or PanoramaConfig()
+    above_m, within_m = config.eye_height_m, config.summit_within_m
+    eye = stand_at(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
+    view = panorama_view(terrain, eye, peaks, config, over)
     save_view(view, path)
     return len(view.sightings)
 
@@ -274,7 +277,7 @@ def _title(view: PanoramaView) -> str:
     place = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
     lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*place.values()))
     surface_m = float(landscape.terrain.height_at(**place))
-    ground_m = landscape.ground_m
+    ground_m = float(eye.eye_elevation_m[0]) - view.config.eye_height_m
     beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
     return (
         f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "

@@ -1,8 +1,7 @@
 """The terrain and the named summits that one eye sees in a panorama.
 
 Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; a point is
-seen if its elevation angle is greater than those of all nearer points. Blocks of terrain that
-nearer terrain hides are never read.
+seen if its elevation angle is greater than those of all nearer points.
 """
 
 import itertools
@@ -27,9 +26,8 @@ from skyline.report.peaks import (
     visible_peaks,
 )
 from skyline.solar import horizons_of
-from skyline.terrain.heightfield import BLOCK, HeightField, TerrainBlocks
-from skyline.terrain.summits import PROMINENCE_REACH
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, place_on, stand_on
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""
@@ -39,10 +37,9 @@ _LEAST_FOV_DEG = 5.0
 _SURFACE_STEP_DEG = 0.1
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
-_RINGS_SAMPLES = (300.0, 1000.0, math.inf)
-"""Outer radii of rings around the eye; terrain seen in one ring hides terrain of the next."""
-_HIDDEN_DEG = 0.05
-"""Terrain this far below nearer terrain is hidden, as are peaks on it between two columns."""
+_BLOCK = 64
+"""Columns are followed to the farthest corner of the blocks of this many samples a side that cover
+the terrain."""
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
 """A point is a ridge if the next terrain in sight is farther by more than this factor and, beyond
 that, by more than this many samples."""
@@ -96,52 +93,33 @@ class PanoramaView:
 
 
 def panorama_view(
-    blocks: TerrainBlocks,
-    lonlat: tuple[float, float],
+    terrain: HeightField,
+    eye: Viewpoints,
     peaks: Peaks | None,
     config: PanoramaConfig,
     surface: HeightField | None = None,
 ) -> PanoramaView:
-    """Return the view from a place and its visible peaks; raises as `Landscape.of`."""
+    """Return the view of one eye and its visible peaks; raises as `Landscape.of`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
     columns = row_count(fov_deg) * COLUMNS
-    easting_m, northing_m = place_on(blocks.frame, blocks.grid.bounds, *lonlat)
-    landscape = Landscape.of(
-        blocks,
-        (float(easting_m[0]), float(northing_m[0])),
-        config.eye_height_m,
-        start_deg + np.arange(0.5, columns) * (fov_deg / columns),
-        config.summit_within_m,
-    )
-    terrain, eye = landscape.terrain, landscape.eye
+    azimuth_deg = start_deg + np.arange(0.5, columns) * (fov_deg / columns)
+    landscape = Landscape.of(terrain, eye, azimuth_deg)
     seen = []
     if peaks is not None:
-        check_on_map(peaks, blocks.frame, blocks.grid.bounds)
+        check_on_map(peaks, terrain)
         seen = visible_peaks(terrain, eye, peaks, Curvature())
     inside = [
         one
         for one in seen
         if (one.azimuth_deg + landscape.convergence_deg - start_deg) % 360.0 < fov_deg
     ]
-    if inside:
-        inside = most_prominent_first(_terrain_around(blocks, inside), inside)
     surface_deg = None
     if surface is not None:
         both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
         surface_deg = np.interp(
             landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
         )
-    return PanoramaView(landscape, inside, config, surface_deg)
-
-
-def _terrain_around(blocks: TerrainBlocks, sightings: Sequence[Sighting]) -> HeightField:
-    """Return the terrain around summits, including parts hidden from the eye."""
-    wanted = np.zeros(blocks.highest_m.shape, np.bool_)
-    for one in sightings:
-        east_m, north_m = np.abs(blocks.around_m(one.easting_m, one.northing_m))
-        grid, reach = blocks.grid, PROMINENCE_REACH + 0.5 * BLOCK
-        wanted |= (east_m <= reach * grid.step_east) & (north_m <= reach * grid.step_north)
-    return blocks.field(wanted)
+    return PanoramaView(landscape, most_prominent_first(terrain, inside), config, surface_deg)
 
 
 def row_count(fov_deg: float) -> int:
@@ -154,11 +132,8 @@ class Landscape:
     """The terrain that one eye sees: P points in C columns of azimuth, outwards in each."""
 
     terrain: HeightField
-    """Parts hidden from the eye may be missing."""
     eye: Viewpoints
     """A single eye."""
-    ground_m: float
-    """Height of the ground below the eye; on a summit, the height of the summit."""
     azimuth_deg: Float64Array
     """(C,) float64. Azimuth from true north, increasing."""
     begins: Int64Array
@@ -171,44 +146,59 @@ class Landscape:
     """(P,) bool. Whether the terrain behind a point drops out of sight."""
 
     @classmethod
-    def of(
-        cls,
-        blocks: TerrainBlocks,
-        place_m: tuple[float, float],
-        eye_height_m: float,
-        azimuth_deg: Float64Array,
-        summit_within_m: float | None = 0.0,
-    ) -> Self:
-        """Find the terrain visible from an easting and a northing at azimuths (C,) in equal steps.
+    def of(cls, terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array) -> Self:
+        """Find the terrain that one eye sees at azimuths (C,) in equal steps.
 
-        The Earth is curved, with refraction k = 0.13. Raises `OffMapError` if the place is off the
-        map or on a hole, and `InputError` if no terrain is visible.
+        The Earth is curved, with refraction k = 0.13; ridges have the exact height of the surface.
+        Raises `InputError` if no terrain is visible.
         """
-        near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
-        easting_m, northing_m = place_m
-        from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
-        wanted = from_m <= near_m + (summit_within_m or 0.0)
-        terrain = blocks.field(wanted)
-        if np.isnan(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
-            # This raises an error that names the extent of the map.
-            terrain = blocks.field(np.zeros_like(wanted))
-        eye = stand_on(
+        curvature = Curvature()
+        turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
+        grid_rad = np.radians(azimuth_deg - turn_deg)
+        steps_m = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))
+        # No terrain from a step on stands above this angle; a metre covers all rounding.
+        up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)
+        most_deg = np.maximum.accumulate(np.degrees(np.arctan(up_m / steps_m))[::-1])[::-1]
+        so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
+        found = []
+        for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
+            for first in range(0, len(steps_m), _STEPS_AT_ONCE):
+                open_ = so_far_deg[start : start + _COLUMNS_AT_ONCE] < most_deg[first]
+                columns = start + np.flatnonzero(open_)
+                rays = grid_rad[columns], steps_m[first : first + _STEPS_AT_ONCE]
+                on_deg = ground_elevation_deg(terrain, eye, curvature, *rays).astype(np.float32)
+                rising_deg = np.concatenate([so_far_deg[columns, np.newaxis], on_deg], axis=1)
+                np.maximum.accumulate(rising_deg, axis=1, out=rising_deg)
+                so_far_deg[columns] = rising_deg[:, -1]
+                ray, nth = np.nonzero(rising_deg[:, 1:] > rising_deg[:, :-1])
+                found.append((columns[ray], first + nth, rising_deg[ray, nth + 1]))
+        column, step, up_deg = (np.concatenate(part) for part in zip(*found, strict=True))
+        if not len(column):
+            raise InputError(
+                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
+            )
+        order = np.argsort(column, kind="stable")  # Steps are in order already.
+        column, step, up_deg = column[order], step[order], up_deg[order]
+        distance_m = steps_m[step]
+        behind_m = np.append(distance_m[1:], np.inf)
+        behind_m[np.append(np.diff(column) > 0, True)] = np.inf
+        is_ridge = behind_m > _RIDGE_JUMP * distance_m + _RIDGE_SAMPLES * terrain.spacing_m
+        ridge = step[is_ridge]
+        crest_deg = highest_between_deg(
             terrain,
-            easting_m=easting_m,
-            northing_m=northing_m,
-            eye_height_m=eye_height_m,
-            summit_within_m=summit_within_m,
+            eye,
+            curvature,
+            grid_rad[column[is_ridge]],
+            steps_m[np.maximum(ridge - 1, 0)],
+            steps_m[np.minimum(ridge + 1, len(steps_m) - 1)],
         )
-        from_m = np.hypot(*blocks.around_m(eye.easting_m[0], eye.northing_m[0])) - blocks.radius_m
-        rays = _RayWalk(blocks, eye, azimuth_deg)
-        rays.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
-        for ring_m in itertools.pairwise((near_m, *farther_m)):
-            seen, until_m = rays.may_be_seen(ring_m[0])
-            wanted = np.where(from_m <= ring_m[0], wanted, seen)
-            terrain = blocks.field(wanted & (from_m <= ring_m[1]))
-            rays.walk(terrain, *ring_m, until_m)
-        ground_m = float(eye.eye_elevation_m[0]) - eye_height_m
-        return cls(terrain, eye, ground_m, azimuth_deg, *rays.points(terrain))
+        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg.astype(np.float32))
+        # A raised ridge may hide points found behind it.
+        highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
+        seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
+        begins = np.searchsorted(column[seen], np.arange(len(azimuth_deg) + 1))
+        points = distance_m[seen], up_deg[seen], is_ridge[seen]
+        return cls(terrain, eye, azimuth_deg, begins, *points)
 
     @property
     def skyline_deg(self) -> Float32Array:
@@ -256,104 +246,20 @@ class Landscape:
         return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
 
 
-class _RayWalk:
-    """Follows columns of azimuth outwards; see `Landscape`."""
-
-    def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
-        self._blocks, self._eye, self._curvature = blocks, eye, Curvature()
-        self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
-        turn_deg = blocks.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
-        self._grid_rad = np.radians(azimuth_deg - turn_deg)
-        self._column_rad = math.radians(azimuth_deg[1] - azimuth_deg[0])
-        self._distance_m = _steps_m(blocks, self._place, self._column_rad)
-        self._so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
-        self._seen: list[tuple[Int64Array, Int64Array, Float32Array]] = []
-
-    def walk(self, terrain: HeightField, from_m: float, to_m: float, until_m: Float64Array) -> None:
-        """Continue from one distance to another, in each column at most to ``until_m``, (C,)."""
-        begin, end = np.searchsorted(self._distance_m, [from_m, to_m]).tolist()
-        for start in range(0, len(until_m), _COLUMNS_AT_ONCE):
-            for first in range(begin, end, _STEPS_AT_ONCE):
-                part = slice(first, min(first + _STEPS_AT_ONCE, end))
-                open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
-                columns = start + np.flatnonzero(open_)
-                rays = self._grid_rad[columns], self._distance_m[part]
-                on_deg = ground_elevation_deg(terrain, self._eye, self._curvature, *rays)
-                so_far_deg = self._so_far_deg[columns, np.newaxis]
-                up_deg = np.concatenate([so_far_deg, on_deg.astype(np.float32)], axis=1)
-                np.maximum.accumulate(up_deg, axis=1, out=up_deg)
-                self._so_far_deg[columns] = up_deg[:, -1]
-                column, step = np.nonzero(up_deg[:, 1:] > up_deg[:, :-1])
-                self._seen.append((columns[column], first + step, up_deg[column, step + 1]))
-
-    def points(
-        self, terrain: HeightField
-    ) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
-        """Return the points of a `Landscape`; ridges have the exact height of the surface there."""
-        column, step, up_deg = (np.concatenate(part) for part in zip(*self._seen, strict=True))
-        if not len(column):
-            raise InputError(
-                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
-            )
-        order = np.argsort(column, kind="stable")  # Steps are in order already.
-        column, step, up_deg = column[order], step[order], up_deg[order]
-        distance_m = self._distance_m[step]
-        behind_m = np.append(distance_m[1:], np.inf)
-        behind_m[np.append(np.diff(column) > 0, True)] = np.inf
-        samples_m = _RIDGE_SAMPLES * terrain.spacing_m
-        is_ridge = behind_m > _RIDGE_JUMP * distance_m + samples_m
-        ridge = step[is_ridge]
-        crest_deg = highest_between_deg(
-            terrain,
-            self._eye,
-            self._curvature,
-            self._grid_rad[column[is_ridge]],
-            self._distance_m[np.maximum(ridge - 1, 0)],
-            self._distance_m[np.minimum(ridge + 1, len(self._distance_m) - 1)],
-        )
-        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg.astype(np.float32))
-        # A raised ridge may hide points found behind it.
-        highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
-        seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
-        begins = np.searchsorted(column[seen], np.arange(len(self._so_far_deg) + 1))
-        return begins, distance_m[seen], up_deg[seen], is_ridge[seen]
-
-    def may_be_seen(self, near_m: float) -> tuple[BoolArray, Float64Array]:
-        """Return which blocks (R, C) beyond a distance the nearer terrain leaves unhidden.
-
-        The second array is the distance of the farthest of them in each column, (C,).
-        """
-        blocks = self._blocks
-        east_m, north_m = blocks.around_m(*self._place)
-        away_m, radius_m = np.hypot(east_m, north_m), blocks.radius_m
-        from_m, to_m = np.maximum(away_m - radius_m, near_m), away_m + radius_m
-        up_m = blocks.highest_m - self._eye.eye_elevation_m - self._curvature.drop_m(from_m)
-        up_deg = np.degrees(np.arctan(up_m / np.where(up_m > 0.0, from_m, to_m))) + _HIDDEN_DEG
-        far = np.flatnonzero((to_m > near_m) & (up_deg > self._so_far_deg.min()))
-        half_rad = np.arcsin(radius_m / away_m.flat[far])
-        # Two full turns of columns, so that a span across north is not cut.
-        columns, turn = len(self._so_far_deg), round(2.0 * math.pi / self._column_rad)
-        hidden_deg = np.full((2, turn), np.inf)
-        hidden_deg[:, :columns] = self._so_far_deg
-        left_rad = np.arctan2(east_m, north_m).flat[far] - half_rad - self._grid_rad[0]
-        left = (left_rad % (2.0 * math.pi) / self._column_rad).astype(np.int64) % turn
-        right = left + np.ceil(2.0 * half_rad / self._column_rad).astype(np.int64) + 2
-        spans = np.stack([left, right], axis=1)
-        least_deg = np.minimum.reduceat(np.append(hidden_deg, np.inf), spans.ravel())[::2]
-        seen = up_deg.flat[far] > least_deg
-        unhidden = np.zeros(away_m.shape, np.bool_)
-        unhidden.flat[far[seen]] = True
-        until_m = np.zeros(2 * turn)
-        for (first, last), far_m in zip(spans[seen], to_m.flat[far[seen]], strict=True):
-            until_m[first:last] = np.maximum(until_m[first:last], far_m)
-        return unhidden, until_m.reshape(2, turn).max(axis=0)[:columns]
-
-
-def _steps_m(blocks: TerrainBlocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
-    """Return distances from underfoot to the farthest corner of the terrain."""
-    reach_m = float(np.hypot(*blocks.around_m(*place)).max()) + blocks.radius_m
-    step_m = blocks.spacing_m
+def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64Array:
+    """Return distances from underfoot to beyond the farthest corner of the terrain."""
+    rows, cols = (
+        np.arange(0.5 * _BLOCK, max(count - 1, 1) + 0.5 * _BLOCK, _BLOCK)
+        for count in (terrain.rows, terrain.cols)
+    )
+    easting_m, northing_m = terrain.to_map(rows, cols)
+    farthest_m = np.hypot(
+        np.abs(easting_m - eye.easting_m[0]).max(), np.abs(northing_m - eye.northing_m[0]).max()
+    )
+    step_m = terrain.spacing_m
+    corner_m = 0.5 * _BLOCK * np.hypot(terrain.spacing_east_m, terrain.spacing_north_m)
+    reach_m = float(farthest_m + corner_m)
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
-    near = np.arange(UNDERFOOT_SAMPLES * blocks.spacing_m, turn_m, step_m)
+    near = np.arange(UNDERFOOT_SAMPLES * step_m, turn_m, step_m)
     wider = math.ceil(math.log(reach_m / turn_m) / pixel_rad) + 1
     return np.concatenate([near, np.geomspace(turn_m, max(reach_m, 1.01 * turn_m), wider + 1)])

@@ -286,8 +286,7 @@ class ReliefTiles:
         self._terrain = terrain
         step = max(1, max(terrain.rows, terrain.cols) // 512)
         self._range_m = tint_range_m(terrain.heights_m[::step, ::step])
-        west, south, east, north = terrain.bounds_m
-        self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
+        self.bounds_deg = terrain.box_deg
         """West, south, east and north of the model, degrees; west > east across the
         antimeridian."""
 

@@ -37,10 +37,10 @@ def draw_overlay(
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, int]:
-    """Draw skylines and peaks over a query's picture; arguments and results as of `draw_labels`.
+    """Draw skylines and peaks over a query's picture, with the arguments of `draw_labels`.
 
-    The result is a JPEG. Without a photo the canvas is blank; ``pose`` is the pose from which
-    ``sight`` and ``peaks`` are seen.
+    Returns a JPEG and the number of peaks without room for their names. Without a photo the canvas
+    is blank; ``pose`` is the pose from which ``sight`` and ``peaks`` are seen.
     """
     texts = [one.label for one in peaks]
     figure, axis, unnamed = _draw_picture(query, photo, peaks, texts, _KEYS_PX)

@@ -23,14 +23,15 @@ from pyproj.exceptions import CRSError
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import Row, read_bytes, read_table
-from skyline.geodesy import GROUND_M, Curvature, Frame, Rectangle
+from skyline.geodesy import GROUND_M, Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sightlines import edge_crossings_m
 from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints, is_inside
 
 SUMMIT_RADIUS_M = 150.0
-"""Radius around a named place in which its summit is searched, and terrain cannot hide it."""
+"""Distance from a named place within which its summit is searched, and within which terrain does
+not hide the summit."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
 _GEOJSON = (".geojson", ".json")
@@ -104,22 +105,23 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     return Peaks(names=names, easting_m=first, northing_m=second, height_m=height_m)
 
 
-def check_on_map(peaks: Peaks, frame: Frame, bounds_m: Rectangle) -> None:
+def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
     """Check that peaks lie on a map: log a warning if none of them does.
 
     Raises `InputError` if eastings and northings are degrees: in a frame around the model they
     would lie in its middle.
     """
-    in_degrees = is_inside(bounds_m, *frame.from_lonlat(peaks.easting_m, peaks.northing_m))
+    frame, places_m = terrain.frame, (peaks.easting_m, peaks.northing_m)
+    in_degrees = is_inside(terrain, *frame.from_lonlat(*places_m))
     if in_degrees.any():
         raise InputError(
             f"the easting and northing of {peaks.names[int(np.argmax(in_degrees))]} are degrees; "
             "expected metres: name the columns lon,lat"
         )
-    if not len(peaks) or is_inside(bounds_m, peaks.easting_m, peaks.northing_m).any():
+    if not len(peaks) or is_inside(terrain, *places_m).any():
         return
-    lon, lat = frame.to_lonlat(peaks.easting_m, peaks.northing_m)
-    swapped = is_inside(bounds_m, *frame.from_lonlat(lat, lon)).any()
+    lon, lat = frame.to_lonlat(*places_m)
+    swapped = is_inside(terrain, *frame.from_lonlat(lat, lon)).any()
     _log.warning(
         "none of %d peaks lies on the elevation model (the first is %s at %.4f,%.4f)%s",
         len(peaks),

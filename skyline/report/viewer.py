@@ -265,7 +265,7 @@ class Viewer(Releasable):
         self.terrain, self.peaks = read_dem(terrain), peaks
         self.frame = self.terrain.frame
         if peaks is not None:
-            check_on_map(peaks, self.frame, self.terrain.bounds_m)
+            check_on_map(peaks, self.terrain)
         self.curvature = curvature or Curvature()
         self._thread, self._making = render_thread, Lock()
         self._scene: RenderedScene | None = None

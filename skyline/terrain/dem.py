@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
 from skyline.geodesy import (
@@ -28,10 +28,10 @@ from skyline.geodesy import (
     to_wgs84,
 )
 from skyline.terrain.cleaning import clean, strips
-from skyline.terrain.heightfield import HeightField, Provenance, TerrainBlocks
+from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.rasters import absolute_name, open_tile, without_folders
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
-from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
+from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
 
 CONFORMAL_DEG = 0.01
 """Greatest error of angles in a metric CRS that is used without a warning."""
@@ -104,7 +104,7 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
     grid. One in degrees or feet, or whose axes point south or west, is warped once to the
     transverse Mercator frame centred on it, with every summit as high as it was
-    (`skyline.terrain.warp.Warp`); samples of the box around it that lie outside the DEM are NaN and
+    (`skyline.terrain.warp.warp`); samples of the box around it that lie outside the DEM are NaN and
     counted nowhere. Heights are converted from the unit of the band, or of the CRS's vertical axis.
 
     Parameters
@@ -141,22 +141,6 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     return _height_field(read_files(files, options), options)
 
 
-def read_blocks(paths: Sequence[str | Path], options: DemOptions = DemOptions()) -> TerrainBlocks:
-    """Read a DEM as blocks of the field of `read_dem`, warped only where asked for.
-
-    All samples are those of `read_dem`, to the bit. Parameters and errors are the same too.
-    """
-    mosaic = read_files(paths, options)
-    if is_metric(mosaic.crs) and not options.reproject:
-        return TerrainBlocks.of(_height_field(mosaic, options))
-    warp, frame, provenance = _warp(mosaic, options)
-
-    def field(wanted: BoolArray) -> HeightField:
-        return _field(*warp.blocks_m(wanted), frame, provenance)
-
-    return TerrainBlocks(frame, warp.target, warp.highest_m(), field)
-
-
 def read_files(paths: Sequence[str | Path], options: DemOptions = DemOptions()) -> Mosaic:
     """Read files onto their own common grid, not cleaned; otherwise as `read_dem`."""
     if not paths:
@@ -175,36 +159,31 @@ def dem_of(tile: Tile, options: DemOptions) -> HeightField:
 
 def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
     """Clean heights on their files' own grid, and warp them if they need a metric frame."""
-    if not is_metric(mosaic.crs) or options.reproject:
-        warp, frame, provenance = _warp(mosaic, options)
-        return _field(warp.heights_m(), warp.target, frame, provenance)
-    grid, frame, conventions = mosaic.grid, Frame.from_crs(mosaic.crs), _placed(mosaic)
-    _warn_of_distortion(grid, frame)
-    counts = clean(mosaic.heights_m, mosaic.source, max(grid.step_east, grid.step_north))
-    provenance = Provenance(mosaic.files, "none", *counts, asdict(options), conventions)
-    return _field(mosaic.heights_m, grid, frame, provenance)
-
-
-def _warp(mosaic: Mosaic, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their files' own grid, and prepare their warp to a frame centred on it."""
-    crs, grid, conventions = mosaic.crs, mosaic.grid, _placed(mosaic)
-    if crs.is_projected and not is_upright(crs):
-        _log.warning(
-            "%s: the axes of %s point %s; the DEM is warped to the local conformal frame",
-            mosaic.source,
-            crs.name,
-            " and ".join(axis.direction for axis in crs.axis_info),
+    crs, grid, heights_m, conventions = mosaic.crs, mosaic.grid, mosaic.heights_m, _placed(mosaic)
+    if is_metric(crs) and not options.reproject:
+        frame, resampling = Frame.from_crs(crs), "none"
+        _warn_of_distortion(grid, frame)
+        counts = clean(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
+    else:
+        if crs.is_projected and not is_upright(crs):
+            _log.warning(
+                "%s: the axes of %s point %s; the DEM is warped to the local conformal frame",
+                mosaic.source,
+                crs.name,
+                " and ".join(axis.direction for axis in crs.axis_info),
+            )
+        frame = local_frame(grid, crs)
+        ground_spacing = ground_spacing_m(grid, crs, frame)
+        counts = clean(heights_m, mosaic.source, max(ground_spacing))
+        spacing_m = square_spacing_m(ground_spacing)
+        resampling = (
+            f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
+            f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal "
+            "frame"
         )
-    frame = local_frame(grid, crs)
-    ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = clean(mosaic.heights_m, mosaic.source, max(ground_spacing))
-    spacing_m = square_spacing_m(ground_spacing)
-    resampling = (
-        f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
-        f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
-    )
+        heights_m, grid = warp(heights_m, grid, crs, frame, spacing_m)
     provenance = Provenance(mosaic.files, resampling, *counts, asdict(options), conventions)
-    return Warp(mosaic.heights_m, grid, crs, frame, spacing_m), frame, provenance
+    return _field(heights_m, grid, frame, provenance)
 
 
 def _placed(mosaic: Mosaic) -> dict[str, str]:

@@ -4,33 +4,27 @@ Each cell between four samples is two triangles, split along the diagonal that j
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
 """
 
-import base64
 import hashlib
-import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.errors import InputError, printable
-from skyline.geodesy import Frame
-from skyline.terrain.tiles import Grid
+from skyline.geodesy import Bounds, Frame
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""
-
-BLOCK = 64
-"""Cells along a side of a block."""
 
 _LEAST_SPACING_M = 0.01
 """Least spacing of samples. No model is finer; a grid in degrees read as metres would be (a second
@@ -39,8 +33,6 @@ _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
 _SLOPE_REACH_M = 15.0
 """Half the distance over which the ground's slope is taken."""
-_LONGEST_PX = 240
-"""The longer side of the picture of a field in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -135,14 +127,12 @@ class HeightField:
         return f"HeightField({', '.join([f'{samples} samples', f'{spacing} apart', *others])})"
 
     def _repr_html_(self) -> str:
-        west, south, east, north = self.bounds_m
-        corners = self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
-        facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
+        facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in self.box_deg)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
         if self.provenance.files:
             facts["files"] = ", ".join(self.provenance.files)
-        return facts_html(facts, _relief(self.heights_m, self.spacing_east_m, self.spacing_north_m))
+        return facts_html(facts)
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -241,6 +231,12 @@ class HeightField:
             self.west_m + (self.cols - 1) * self.spacing_east_m,
             self.north_m,
         )
+
+    @property
+    def box_deg(self) -> Bounds:
+        """West, south, east, north of the map, degrees; west > east across the antimeridian."""
+        west, south, east, north = self.bounds_m
+        return self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
 
     def reach_m(self, *, easting_m: float, northing_m: float) -> float:
         """Return the distance of the farthest corner from a place, metres."""
@@ -367,89 +363,10 @@ def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Arr
     return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TerrainBlocks:
-    """R x C blocks of a height field, made only where an eye may see them.
-
-    Terrain behind a ridge need not be warped. Neighbouring blocks share the samples of their common
-    edge.
-    """
-
-    frame: Frame
-    grid: Grid
-    """Grid of the samples, in metres of the frame."""
-    highest_m: Float32Array
-    """(R, C) float32. Upper bound of the heights of each block; -inf for a block without
-    heights."""
-    field: Callable[[BoolArray], HeightField]
-    """Takes a mask of wanted blocks (R, C) and returns a field with these; others may be missing or
-    NaN."""
-
-    @classmethod
-    def of(cls, field: HeightField) -> Self:
-        """Return the blocks of a whole field."""
-        highest = np.asarray(field.heights_m, np.float32)
-        for axis in (0, 1):
-            edges = block_edges(highest.shape[axis])
-            shared = np.take(highest, edges[1:], axis)
-            highest = np.fmax(np.fmax.reduceat(highest, edges[:-1], axis), shared)
-        highest = np.nan_to_num(highest, nan=-np.inf)
-        steps_m = field.spacing_east_m, field.spacing_north_m
-        grid = Grid(field.west_m, field.north_m, *steps_m, field.rows, field.cols)
-        return cls(field.frame, grid, highest, lambda _: field)
-
-    def around_m(self, easting_m: float, northing_m: float) -> tuple[Float64Array, ...]:
-        """Return metres east and north of a place to the middles of the blocks, (R, C) each."""
-        rows, cols = (np.arange(count) + 0.5 for count in self.highest_m.shape)
-        east_m = self.grid.west + cols * BLOCK * self.grid.step_east - easting_m
-        north_m = self.grid.north - rows * BLOCK * self.grid.step_north - northing_m
-        return tuple(np.meshgrid(east_m, north_m))
-
-    @property
-    def spacing_m(self) -> float:
-        """The finer of the two sample spacings."""
-        return min(self.grid.step_east, self.grid.step_north)
-
-    @property
-    def radius_m(self) -> float:
-        """The distance of a block's corners from its middle."""
-        return 0.5 * BLOCK * float(np.hypot(self.grid.step_east, self.grid.step_north))
-
-
-def block_edges(samples: int) -> Int64Array:
-    """Return the first sample of each block along an axis, and the last sample of the last."""
-    return np.append(np.arange(0, max(samples - 1, 1), BLOCK), samples - 1)
-
-
-def facts_html(facts: Mapping[str, str], picture: UInt8Array | None = None) -> str:
-    """Return named facts as HTML, beside a grey picture (H, W) if there is one."""
+def facts_html(facts: Mapping[str, str]) -> str:
+    """Return named facts as an HTML table."""
     rows = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
         for name, fact in facts.items()
     )
-    drawn = ""
-    if picture is not None:
-        from PIL import Image  # noqa: PLC0415  (only notebooks need it)
-
-        file = io.BytesIO()
-        Image.fromarray(picture).save(file, format="PNG")
-        style = f"width: {_LONGEST_PX * picture.shape[1] // max(picture.shape)}px"
-        source = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-        drawn = f'<img alt="map" style="{style}" src="{source}">'
-    return (
-        '<div style="display: flex; gap: 1em; align-items: flex-start">'
-        f"{drawn}<table>{rows}</table></div>"
-    )
-
-
-def _relief(heights_m: FloatArray, east_m: float, north_m: float) -> UInt8Array:
-    """Return a small picture of terrain lit from the north-west; holes are light."""
-    step = -(-max(heights_m.shape) // _LONGEST_PX)
-    some = np.atleast_2d(heights_m[::step, ::step].astype(np.float64))
-    if min(some.shape) < 2:
-        return np.full(some.shape, 220, dtype=np.uint8)
-    south, east = np.gradient(some, north_m * step, east_m * step)
-    light = (np.sqrt(2.0) + east + south) / (2.0 * np.sqrt(1.0 + east**2 + south**2))
-    picture: UInt8Array
-    picture = np.nan_to_num(40.0 + 200.0 * light.clip(0.0, 1.0), nan=220.0).astype(np.uint8)
-    return picture
+    return f"<table>{rows}</table>"

@@ -18,7 +18,7 @@ _FALL_SDS, _LEVEL_SDS = 2.0, 0.5
 heights."""
 _SUMMIT_REACH = 16
 """Distance from a summit, in samples, within which the ground must fall off."""
-PROMINENCE_REACH = 64
+_PROMINENCE_REACH = 64
 """Distance from a summit, in samples, within which the way to higher ground is searched."""
 _PROMINENCE_STEP_M = 1.0
 _BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
@@ -121,7 +121,7 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
     the sample nearest to a named place is not always the highest of its hill. Ground that is more
     than 64 samples away, or not known, counts as higher.
     """
-    hill = _framed(field, row, col, PROMINENCE_REACH)
+    hill = _framed(field, row, col, _PROMINENCE_REACH)
     low_m, high_m = 0.0, float(field.heights_m[row, col]) - float(hill.min())
     while high_m - low_m > _PROMINENCE_STEP_M:
         fall_m = 0.5 * (low_m + high_m)

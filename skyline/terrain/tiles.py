@@ -53,11 +53,6 @@ class Grid:
         return self.north - (self.rows - 1) * self.step_north
 
     @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the outermost samples."""
-        return self.west, self.south, self.east, self.north
-
-    @property
     def centre(self) -> tuple[float, float]:
         """Abscissa and ordinate of the middle of the grid."""
         return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)
@@ -197,7 +192,7 @@ def _border_step_m(heights: Float32Array, row: int, col: int, grid: Grid) -> flo
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
-    """Group tiles by spacing of longitude if their grids differ in nothing else, else in one."""
+    """Group tiles by spacing of longitude; in one group unless in degrees and alike in latitude."""
     first = tiles[0]
     groups: dict[float, list[Tile]] = {}
     for tile in tiles:

@@ -10,7 +10,7 @@ from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.files import read_table
-from skyline.geodesy import GROUND_M, Frame, Rectangle
+from skyline.geodesy import GROUND_M
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
@@ -116,7 +116,7 @@ def stand_at(
 
     By default an eye beside a summit of the model stands as high as the summit.
     """
-    easting_m, northing_m = place_on(field.frame, field.bounds_m, lon, lat)
+    easting_m, northing_m = place_on(field, lon, lat)
     return stand_on(
         field,
         easting_m=easting_m,
@@ -127,21 +127,20 @@ def stand_at(
 
 
 def place_on(
-    frame: Frame, bounds_m: Rectangle, lon_deg: ArrayLike, lat_deg: ArrayLike
+    field: HeightField, lon_deg: ArrayLike, lat_deg: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
 
     Raises `OffMapError` for a place off the map.
     """
     lon, lat = _flat(lon_deg, lat_deg)
-    easting, northing = frame.from_lonlat(lon, lat)
-    outside = np.flatnonzero(~is_inside(bounds_m, easting, northing))
+    easting, northing = field.frame.from_lonlat(lon, lat)
+    outside = np.flatnonzero(~is_inside(field, easting, northing))
     if outside.size:
         first = outside[0]
-        west, south, east, north = bounds_m
-        box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
+        box = field.box_deg
         remedy = "give another place, or a DEM that covers it"
-        if is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first])):
+        if is_inside(field, *field.frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "
@@ -211,11 +210,11 @@ def _no_ground(
         f"{_first_of(missing, len(easting_m))} at lon {lon:.5f}, lat {lat:.5f} (easting "
         f"{easting:.2f}, northing {northing:.2f}) is"
     )
-    if is_inside(field.bounds_m, easting, northing):
+    if is_inside(field, easting, northing):
         return OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
     remedy = "move it or remove it"
-    if is_inside(field.bounds_m, northing, easting):
+    if is_inside(field, northing, easting):
         remedy = swapped_in_words(easting, northing, names="easting and northing")
     return OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
@@ -227,9 +226,9 @@ def _first_of(failing: Int64Array, count: int) -> str:
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
-def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-    """Return a mask of the places that lie within bounds."""
-    west, south, east, north = bounds_m
+def is_inside(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return a mask of the places that lie on a map."""
+    west, south, east, north = field.bounds_m
     easting, northing = np.asarray(easting_m), np.asarray(northing_m)
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
@@ -281,8 +280,8 @@ def read_viewpoints(
     )
     labels = tuple(row.label for row in table.rows) if {*_LABELS} & {*table.header} else ()
     if places == ("lon", "lat"):
-        first, second = place_on(field.frame, field.bounds_m, first, second)
-    elif is_inside(field.bounds_m, *field.frame.from_lonlat(first, second)).all():
+        first, second = place_on(field, first, second)
+    elif is_inside(field, *field.frame.from_lonlat(first, second)).all():
         # In a frame around the model they would lie in its middle, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
     if eyes == ["eye_elevation_m"]:

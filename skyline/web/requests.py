@@ -9,11 +9,9 @@ from skyline.web.engine import Engine
 from skyline.web.session import POSE, PagePhoto
 
 _RANGES = {
-    "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "km": (0.01, 20_000.0),
-    "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
-    "high": (-500.0, 9000.0), "eyeHeight": (-500.0, 5000.0), "heading": (-360.0, 720.0),
-    "pitch": (-80.0, 80.0), "roll": (-80.0, 80.0), "fov": (1.0, 360.0),
-    "distortion": (-1.0, 1.0), "wander": (-1.0, 1.0),
+    "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "eyeHeight": (-500.0, 5000.0),
+    "heading": (-360.0, 720.0), "pitch": (-80.0, 80.0), "roll": (-80.0, 80.0),
+    "fov": (1.0, 360.0), "distortion": (-1.0, 1.0), "wander": (-1.0, 1.0),
     "column": (-1e6, 1e6), "row": (-1e6, 1e6), "radius": (0.0, 1e5),
 }  # fmt: skip
 
@@ -49,12 +47,11 @@ def strokes_of(asked: Any) -> list[Stroke]:
 
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
     """Return the narrowing of a request; null stands for unknown."""
-    height = asked.get("eyeHeight")
     return Narrowing(
-        near=_numbers(asked, "near", "lon", "lat", "km"),
-        heading_deg=_numbers(asked, "heading", "deg", "slack"),
-        elevation_m=_numbers(asked, "elevation", "low", "high"),
-        eye_height_m=None if height is None else number(asked, "eyeHeight"),
+        near=asked.get("near"),
+        heading_deg=asked.get("heading"),
+        elevation_m=asked.get("elevation"),
+        eye_height_m=asked.get("eyeHeight"),
     )
 
 
@@ -107,13 +104,3 @@ def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> tup
     if not isinstance(rank, int) or not 0 <= rank < len(candidates):
         raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {len(candidates) - 1}")
     return (*candidates[rank : rank + 1], *candidates[:rank], *candidates[rank + 1 :])
-
-
-def _numbers(asked: Mapping[str, Any], part: str, *names: str) -> Any:
-    """Return the numbers in a part of a request; None if the part is null."""
-    values = asked.get(part)
-    if values is None:
-        return None
-    if not isinstance(values, Mapping):
-        raise InputError(f"{part} is {str(values)[:40]}; expected an object")
-    return tuple(number(values, name) for name in names)

@@ -22,7 +22,7 @@ COMMANDS = {
     "explain": (("{dem}", "--at", "601800,5178000"), "info.read_terrain"),
     "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
-    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
+    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_terrain"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "orient.read_terrain"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "orient.read_terrain"),

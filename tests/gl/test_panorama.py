@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rasterio.transform import Affine
-from scenes import FRAME, at_deg, at_m, field_from, field_of, fractal, write_dem
+from scenes import at_deg, at_m, field_from, field_of, fractal
 from scipy.ndimage import maximum_filter
 
-from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
+from skyline import PanoramaConfig, Peaks, horizon, save_panorama, stand_on
 from skyline.report.labelled_panorama import SUMMIT, draw_panorama
 from skyline.report.landscape import Landscape, panorama_view
-from skyline.terrain.dem import read_blocks
-from skyline.terrain.heightfield import TerrainBlocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
 
@@ -27,7 +24,7 @@ def two_walls():
         ),
         701, 10.0,
     )  # fmt: skip
-    return Landscape.of(TerrainBlocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
+    return Landscape.of(field, stand_on(field, easting_m=0.0, northing_m=0.0), AZIMUTH_DEG)
 
 
 def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_walls):
@@ -62,7 +59,8 @@ def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     field, _ = mountains
     place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
     exact = horizon(field, **at_deg(field.frame.to_lonlat(*place)), eye_height_m=20.0, step_deg=0.1)
-    seen = Landscape.of(TerrainBlocks.of(field), place, 20.0, exact.azimuth_deg[0])
+    eye = stand_on(field, **at_m(place), eye_height_m=20.0)
+    seen = Landscape.of(field, eye, exact.azimuth_deg[0])
     distance_m, resolved = exact.distance_m[0], exact.distance_m[0] > 0.35 * field.spacing_m
     short_deg = exact.elevation_deg[0] - seen.skyline_deg
     # What stands highest is found to where it crosses an edge, unless it is hidden at both steps
@@ -73,27 +71,6 @@ def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     assert short_deg.min() > -1e-3
     assert (short_deg <= bound_deg)[resolved].all()
     assert np.percentile(short_deg[resolved], 95) < 1e-3
-
-
-def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
-    heights = 1500.0 + fractal(700, 700, 1500.0, seed=9)
-    transform = Affine(1 / 1200, 0.0, 9.0, 0.0, -1 / 1200, 47.0)
-    path = write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform)
-    whole, blocks = read_dem(path), read_blocks([path])
-    place = tuple(float(at) for at in whole.to_map(200.0, 150.0))
-    azimuth_deg = np.arange(0.0, 360.0, 0.1)
-    expected = Landscape.of(TerrainBlocks.of(whole), place, 30.0, azimuth_deg)
-    seen = Landscape.of(blocks, place, 30.0, azimuth_deg)
-    made = np.isfinite(seen.terrain.heights_m).sum()
-    assert 0.05 < made / np.isfinite(whole.heights_m).sum() < 0.9
-    np.testing.assert_array_equal(seen.begins, expected.begins)
-    np.testing.assert_array_equal(seen.is_ridge, expected.is_ridge)
-    np.testing.assert_allclose(seen.elevation_deg, expected.elevation_deg, atol=1e-5)
-    # As does looking at all of it, to the last corner.
-    everywhere = replace(TerrainBlocks.of(whole), highest_m=np.full_like(blocks.highest_m, np.inf))
-    plain = Landscape.of(everywhere, place, 30.0, azimuth_deg)
-    np.testing.assert_array_equal(plain.begins, expected.begins)
-    np.testing.assert_array_equal(plain.elevation_deg, expected.elevation_deg)
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +86,9 @@ def mountains():
 
 def test_no_name_overlaps_another_or_leaves_the_picture(mountains):
     field, peaks = mountains
-    lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(165.0, 240.0)))
     config = PanoramaConfig(eye_height_m=500.0)
-    figure, _ = draw_panorama(panorama_view(TerrainBlocks.of(field), lonlat, peaks, config))
+    eye = stand_on(field, **at_m(field.to_map(165.0, 240.0)), eye_height_m=500.0)
+    figure, _ = draw_panorama(panorama_view(field, eye, peaks, config))
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
     assert len(names) > 8
@@ -130,12 +107,14 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
     trees = replace(field, heights_m=field.heights_m + np.float32(25.0))
     config = PanoramaConfig(90.0, 120.0, 100.0)
-    view = panorama_view(TerrainBlocks.of(field), lonlat, None, config, trees)
+    place_m = field.to_map(150.0, 150.0)
+    eye = stand_on(field, **at_m(place_m), eye_height_m=100.0)
+    view = panorama_view(field, eye, None, config, trees)
     landscape = view.landscape
     # Of the line between tenths of a degree, notches of the skyline are cut off.
     assert np.percentile(view.surface_deg - landscape.skyline_deg, [1, 50]).min() > 0.0
-    place_m = field.to_map(150.0, 150.0)
-    over = Landscape.of(TerrainBlocks.of(trees), place_m, 75.0, landscape.azimuth_deg)
+    eye = stand_on(trees, **at_m(place_m), eye_height_m=75.0)
+    over = Landscape.of(trees, eye, landscape.azimuth_deg)
     assert np.abs(view.surface_deg - over.skyline_deg).mean() < 0.01
     line = draw_panorama(view)[0].axes[0].lines[0]
     np.testing.assert_array_equal(line.get_ydata(), view.surface_deg)
@@ -158,9 +137,9 @@ def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
     names = (*(f"Knoll {index}" for index in range(6)), "Lonely Mountain")
     place_m = np.append(row_m, 0.0), np.array([9000.0] * 6 + [5000.0])
     peaks = Peaks(names=names, **at_m(place_m), height_m=np.full(7, np.nan))
-    lonlat = tuple(float(at) for at in FRAME.to_lonlat(0.0, 0.0))
     config = PanoramaConfig(0.0, 60.0, eye_height_m=1200.0)
-    view = panorama_view(TerrainBlocks.of(field), lonlat, peaks, config)
+    eye = stand_on(field, easting_m=0.0, northing_m=0.0, eye_height_m=1200.0)
+    view = panorama_view(field, eye, peaks, config)
     assert len(view.sightings) == 7
     figure, unnamed = draw_panorama(view)
     named = [one.get_text() for one in figure.findobj(lambda one: one.get_gid() == SUMMIT)]

@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.dem import DemOptions, read_dem, save_field
 from skyline.terrain.tiles import Grid
-from skyline.terrain.warp import Warp, local_maxima
+from skyline.terrain.warp import local_maxima, warp
 
 
 def plane(x, y):
@@ -119,8 +119,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     step = 1.0 / 1200.0
     grid = Grid(9.0, 47.0, step, step, 50, 60)
     frame = Frame.local(lon=9.0 + 29.5 * step, lat=47.0 - 24.5 * step)
-    warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 70.0)
-    warped, target = warp.heights_m(), warp.target
+    warped, target = warp(heights, grid, CRS.from_epsg(4326), frame, 70.0)
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]
     lon, lat = frame.to_lonlat(target.west + 70.0 * col, target.north - 70.0 * row)
 
@@ -187,31 +186,3 @@ def test_a_saved_field_is_read_as_it_was(tmp_path):
     path.write_bytes(path.read_bytes()[:-3000])
     with pytest.raises(InputError, match="holds no elevation model that skyline saved"):
         read_dem(path)
-
-
-@pytest.mark.parametrize(("north", "west"), [(47.0, 9.0), (69.0, 9.0), (-10.0, 179.9)])
-def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(north, west):
-    rng = np.random.default_rng(7)
-    heights = rng.uniform(0.0, 1000.0, (300, 260)).astype(np.float32)
-    heights[40:60, 100:180] = np.nan
-    grid = Grid(west, north, 1.0 / 1200.0, 1.0 / 1200.0, 300, 260)
-    frame = Frame.local(lon=west + 0.1, lat=north - 0.1)
-    warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 40.0)
-    whole, highest = warp.heights_m(), warp.highest_m()
-    # Each to the edge that it shares with the next.
-    within = [slice(64 * index, 64 * index + 65) for index in range(max(highest.shape))]
-    for block in np.ndindex(highest.shape):
-        part = whole[within[block[0]], within[block[1]]]
-        assert np.fmax.reduce(part, axis=None, initial=-np.inf) <= highest[block]
-    assert np.median(highest) < 1000.0
-    wanted = rng.uniform(size=highest.shape) < 0.3
-    wanted[0] = False
-    made, part_grid = warp.blocks_m(wanted)
-    top = round((warp.target.north - part_grid.north) / 40.0)
-    left = round((part_grid.west - warp.target.west) / 40.0)
-    assert top == 64 * np.nonzero(wanted)[0].min()
-    for row, col in np.argwhere(wanted):
-        rows, cols = 64 * row - top, 64 * col - left
-        np.testing.assert_array_equal(
-            made[rows : rows + 65, cols : cols + 65], whole[within[row], within[col]]
-        )

@@ -1,23 +1,17 @@
 """Representations of terrain, stores and results in a REPL and in a notebook."""
 
-import base64
-import io
 import re
 
 import numpy as np
-from PIL import Image
 from scenes import candidate_at, field_from
 
 from skyline import MatchResult, QuerySkyline, open_store
 
 
-def test_terrain_is_one_line_and_a_table_with_relief():
+def test_terrain_is_one_line_and_a_table():
     field = field_from(lambda east, north: 0.5 * east + 0.0 * north, 301, 20.0)
     assert repr(field).startswith("HeightField(301 x 301 samples, 20 x 20 m apart, local ")
-    html = field._repr_html_()
-    assert "-1500 to 1500 m" in html
-    picture = base64.b64decode(re.search(r"data:image/png;base64,([^\"]+)", html)[1])
-    assert max(Image.open(io.BytesIO(picture)).size) <= 240
+    assert "-1500 to 1500 m" in field._repr_html_()
 
 
 def test_a_store_says_what_it_holds(store):

@@ -178,7 +178,11 @@ class Page:
 
     def solved(self):
         """Return how often the skyline was solved again."""
-        return self.script("return performance.getEntriesByName('stroke').length")
+        return self.measured("stroke")
+
+    def measured(self, name):
+        """Return how often the page has measured the time of a thing."""
+        return self.script("return performance.getEntriesByName(arguments[0]).length", name)
 
     def rows(self):
         """Return the rows of the photo's skyline, None where there is none."""

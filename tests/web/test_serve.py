@@ -91,10 +91,9 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
             assert server.ask("POST", f"{of_photo}/save/{kind}", b"{}")[0] == 200, kind
 
 
-NEAR = {"lon": 10.3301234, "lat": 46.7491234, "km": 1.7}
 KNOWN = {
-    "fov": 58.37, "near": NEAR, "heading": {"deg": 141.37, "slack": 25}, "eyeHeight": 2,
-    "elevation": {"low": -50, "high": 900},
+    "fov": 58.37, "near": [10.3301234, 46.7491234, 1.7], "heading": [141.37, 25], "eyeHeight": 2,
+    "elevation": [-50, 900],
 }  # fmt: skip
 LIST = (
     "path,fov_deg,lon,lat,radius_km,heading_deg,heading_slack_deg,eye_height_m,lowest_m,highest_m\n"

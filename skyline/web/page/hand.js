@@ -14,7 +14,6 @@ const SLIDERS = [
   ["eyeHeight", "Eye height m", 0, 300, 0.5],
 ];
 const PLACES = [["lat", "Latitude, degrees", -90, 90], ["lon", "Longitude, degrees", -180, 180]];
-export const live = { shown: 0, latency: [] };
 let flying = null, next = null, number = 0;
 
 export function moveTo(part, stillMoving = false) {
@@ -114,9 +113,7 @@ function answered(seen) {
     if (!seen.summits && state.sight?.summits) seen.summits = null;
     state.sight = seen;
     $("gap").textContent = seen.gap === null ? "nothing to compare" : `skylines ${seen.gap.toFixed(2)}° apart in the median column`;
-    live.shown++;
-    live.latency.push(performance.now() - asked);
-    if (live.latency.length > 1000) live.latency.shift();
+    performance.measure("look", { start: asked });
   }
   $("gap").hidden = false;
   emit("sight");
@@ -143,7 +140,7 @@ async function fit() {
 function placeAt(place) {
   if (!state.photo) return alertUser("add a photo first");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
-  const heading = asked.heading?.deg ?? state.photo.heading ?? 0;
+  const heading = asked.heading?.[0] ?? state.photo.heading ?? 0;
   setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
   emit("chosen");
 }

@@ -21,9 +21,9 @@ export function known() {
   const fov = isKnown("fov") ? value("fov") : null;
   return {
     ...(fov === (state.photo?.fov ?? null) ? {} : { fov }),
-    heading: isKnown("heading") ? { deg: value("heading"), slack: value("slack") } : null,
-    near: isKnown("near") ? { ...circled(), km: km() } : null,
-    elevation: isKnown("elevation") ? { low: value("low"), high: value("high") } : null,
+    heading: isKnown("heading") ? [value("heading"), value("slack")] : null,
+    near: isKnown("near") ? [...circled(), km()] : null,
+    elevation: isKnown("elevation") ? [value("low"), value("high")] : null,
     eyeHeight: $("eye").value === "" ? null : value("eye"),
   };
 }
@@ -74,14 +74,14 @@ function fromPhoto(photo) {
   $("fov-known").checked = fov !== null;
   for (const name of ["heading", "near", "elevation"]) $(`${name}-known`).checked = asked[name] !== null;
   if (fov ?? photo.fov) set("fov", fov ?? photo.fov);
-  const heading = asked.heading?.deg ?? photo.heading ?? null;
+  const heading = asked.heading?.[0] ?? photo.heading ?? null;
   if (heading !== null) set("heading", heading);
-  if (asked.heading) set("slack", asked.heading.slack);
-  if (asked.near) set("radius", Math.log(asked.near.km / LEAST_KM) / Math.log(MOST_KM / LEAST_KM));
-  for (const [id, at] of asked.elevation ? Object.entries(asked.elevation) : []) set(id, at);
+  if (asked.heading) set("slack", asked.heading[1]);
+  if (asked.near) set("radius", Math.log(asked.near[2] / LEAST_KM) / Math.log(MOST_KM / LEAST_KM));
+  asked.elevation?.forEach((at, k) => set(["low", "high"][k], at));
   $("eye").value = "";
   if (asked.eyeHeight !== null) set("eye", asked.eyeHeight);
-  const { lon, lat } = asked.near ?? { lon: photo.lonlat?.[0], lat: photo.lonlat?.[1] };
+  const [lon, lat] = asked.near ?? photo.lonlat ?? [];
   circle(lon === undefined ? null : { lat, lng: lon });
 }
 

@@ -4,8 +4,8 @@ const FOUND = "#ffd23f", OTHER = "#ff8a3d", RENDERED = "#35d0ff", DARK = "rgba(8
 const MOST_GAP_DEG = 1;
 
 // A view maps photo pixels to the canvas: x = column * scale + left.
-const x = (view, column) => (column + 0.5) * view.scale + view.left;
-const y = (view, row) => (row + 0.5) * view.scale + view.top;
+export const x = (view, column) => (column + 0.5) * view.scale + view.left;
+export const y = (view, row) => (row + 0.5) * view.scale + view.top;
 
 function stroke(ctx, path, colour, width, dash = []) {
   ctx.setLineDash([]);

@@ -133,11 +133,10 @@ function makeCamera() {
   keys(handle, ([across]) => moveTo({ heading: (state.pose.heading + across / 2 + 360) % 360 }));
 }
 
-// The circle that limits the search, or null.
+// The middle of the circle that limits the search: longitude and latitude.
 export function circled() {
-  if (!circle || !map.hasLayer(circle)) return null;
   const at = offMap(circle.getLatLng());
-  return { lon: at.lng, lat: at.lat };
+  return [at.lng, at.lat];
 }
 
 export function showCircle(km, place = null) {

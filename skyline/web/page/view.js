@@ -19,12 +19,9 @@ export function show(bitmap) {
 
 export const inPhoto = (event) => {
   const box = canvas.getBoundingClientRect();
-  return toPhoto(event.clientX - box.left, event.clientY - box.top);
+  const at = (place, start) => (place - start) / view.scale - 0.5;
+  return [at(event.clientX - box.left, view.left), at(event.clientY - box.top, view.top)];
 };
-const toPhoto = (across, down) => [
-  (across - view.left) / view.scale - 0.5,
-  (down - view.top) / view.scale - 0.5,
-];
 
 export function fit() {
   fitted = true;
@@ -45,10 +42,7 @@ export function zoom(times, about = null) {
   draw();
 }
 
-const onScreen = ([column, row]) => [
-  (column + 0.5) * view.scale + view.left,
-  (row + 0.5) * view.scale + view.top,
-];
+const onScreen = ([column, row]) => [layers.x(view, column), layers.y(view, row)];
 
 export function pan(across, down) {
   view.left += across;
