@@ -25,6 +25,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
+from skyline.cli.photo import check_outputs
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import Curvature
@@ -96,6 +97,7 @@ def horizon(
     """Give the horizon around places: elevation angle and distance by azimuth from true north."""
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
+    check_outputs([output], filter(None, [points]))
     if output not in {None, Path(STANDARD)}:
         suffix_of(output, KINDS)
     places = [parse_place(text) for text in at or ()]

@@ -168,16 +168,19 @@ def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path
     assert json.loads(geojson.read_text())["features"]
 
 
-def test_what_is_read_is_not_written_over(run, store, photo):
-    before = photo.read_bytes(), store.read_bytes()
+def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):
+    peaks = csv_of(tmp_path / "peaks.csv", ["Top,601900,5177000"], "name,easting,northing")
+    before = photo.read_bytes(), store.read_bytes(), peaks.read_bytes()
     for command in (
         ("extract", photo, "-o", photo),
         ("extract", photo, "-o", photo.with_suffix(".csv"), "--overlay", photo),
         ("match", store, photo, "--fov-deg", "60", "--export", store),
         ("match", store, photo, "--fov-deg", "60", "--export", photo),
+        ("match", store, photo, "--report", tmp_path / "r", "--peaks", peaks, "--export", peaks),
+        ("horizon", store, "--points", peaks, "-o", peaks),
     ):
         assert_refused(run(*command), "choose another name")
-    assert (photo.read_bytes(), store.read_bytes()) == before
+    assert (photo.read_bytes(), store.read_bytes(), peaks.read_bytes()) == before
 
 
 def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tmp_path):
