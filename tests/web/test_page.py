@@ -39,10 +39,15 @@ def off_m(dem, pose):
 
 
 def saved(page, downloads, kind, suffix):
-    """Save one kind of file, and return its path."""
+    """Save one kind of file, and return its path; Chromium makes an empty file first."""
     before = set(downloads.iterdir())
     page.click(f"#save-{kind}")
-    return page.until(lambda: list(set(downloads.glob(f"*{suffix}")) - before))[0]
+
+    def whole():
+        new = set(downloads.glob(f"*{suffix}")) - before
+        return [one for one in new if one.stat().st_size]
+
+    return page.until(whole)[0]
 
 
 def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, dem, downloads):
