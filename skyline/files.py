@@ -10,6 +10,7 @@ import fcntl
 import io
 import math
 import os
+import stat
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -67,17 +68,19 @@ def write_whole(path: Path, content: bytes | str) -> None:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
         return
-    target = Path(os.path.realpath(path))
-    partial = target.with_name(target.name + ".partial")
+    partial: Path | None = None
     try:
-        if target.is_char_device() or target.is_fifo():
-            target.write_bytes(content)
+        if path.is_char_device() or path.is_fifo():
+            path.write_bytes(content)
         else:
+            target = Path(os.path.realpath(path))
+            partial = target.with_name(target.name + ".partial")
             partial.write_bytes(content)
             partial.replace(target)
     except OSError as error:
-        if partial.is_file():
-            partial.unlink()
+        if partial is not None:
+            with suppress(OSError):
+                partial.unlink()
         raise InputError(
             f"{path} cannot be written ({error.strerror}); name a file in a folder that exists and "
             "has room"
@@ -123,12 +126,15 @@ def is_file(path: str | Path) -> bool:
 def version_of(path: str | Path) -> tuple[int, int, int] | None:
     """Return a file's size and the times at which it was written and put here; None without a file.
 
-    A copy or an unpacked file may keep the first time, but not the second, both nanoseconds.
+    Times are in nanoseconds. A copy or an unpacked file may keep the first time, but not the
+    second, which other rights and another name change, too.
     """
-    if not is_file(path):
+    try:
+        known = Path(path).stat()
+    except (OSError, ValueError):
         return None
-    known = os.stat(path)  # noqa: PTH116  (as in `is_file`)
-    return known.st_size, known.st_mtime_ns, known.st_ctime_ns
+    is_file = stat.S_ISREG(known.st_mode)
+    return (known.st_size, known.st_mtime_ns, known.st_ctime_ns) if is_file else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,9 +165,9 @@ def _rated_kind(
     right: BoolArray,
     turn_deg: Float64Array,
 ) -> Row:
-    """Return how well probabilities hold for a kind, and the worst heading that is answered."""
+    """Return how well probabilities hold for a kind, and the worst heading answered."""
     row = rated(model, terrain, sure, right)
-    answered = turn_deg[sure >= MatchConfig().min_confidence]
+    answered = turn_deg[(sure >= MatchConfig().min_confidence) & np.isfinite(turn_deg)]
     return {**row, "kind": kind, "worst_turn_deg": float(answered.max()) if len(answered) else None}
 
 

@@ -318,7 +318,8 @@ def _match_together(
 def _search_of(stores: Sequence[Path], matcher: str, common: Query, surfaces: Iterable[str]) -> str:
     """Return a digest of the stores and the options, which differs between searches."""
     names = [one.name for one in stores]
-    settings = repr((names, [*map(version_of, stores)], matcher, MatchConfig(), common, *surfaces))
+    written = [(version_of(one) or ())[:2] for one in stores]  # A store may move.
+    settings = repr((names, written, matcher, MatchConfig(), common, *surfaces))
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 

@@ -6,6 +6,7 @@ A source has one address for each degree of latitude and longitude.
 import json
 import logging
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -45,6 +46,8 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
+
+_WIDTH = re.compile(r"(\d{1,2}d)?")
 
 _log = logging.getLogger(__name__)
 
@@ -140,12 +143,13 @@ def address(template: str, lat: int, lon: int) -> str:
 
 def _check_template(template: str) -> None:
     try:
-        parts = urlsplit(address(template, 0, 0))
-        usable = parts.scheme in ("http", "https") and bool(parts.hostname)
+        fields = [part[1:] for part in Formatter().parse(template) if part[1] is not None]
+        usable = {"lat", "lon"} <= {name for name, *_ in fields} <= {"lat", "lon", "ns", "ew"}
+        usable &= all(_WIDTH.fullmatch(width or "") and not how for _, width, how in fields)
+        parts = urlsplit(address(template, 0, 0) if usable else "")
+        usable &= parts.scheme in ("http", "https") and bool(parts.hostname)
         usable &= not set(parts.geturl()) & {"{", "}"}
-        fields = {name for _, name, *_ in Formatter().parse(template) if name is not None}
-        usable &= {"lat", "lon"} <= fields <= {"lat", "lon", "ns", "ew"}
-    except (ValueError, LookupError, AttributeError):
+    except ValueError:
         usable = False
     if not usable:
         raise InputError(

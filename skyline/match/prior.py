@@ -205,7 +205,7 @@ class Narrowing:
     def __post_init__(self) -> None:
         for name, expected in _NUMBERS.items():
             if (given := getattr(self, name)) is not None:
-                error = f"{name} is {given!r}; expected the numbers {', '.join(expected)}"
+                error = f"{name} is {given!r:.60}; expected the numbers {', '.join(expected)}"
                 object.__setattr__(self, name, numbers_of(given, len(expected), error))
         if self.bounds_deg is not None:
             check_bounds(self.bounds_deg)
@@ -232,9 +232,9 @@ class Narrowing:
                     f"elevations are {low:g} to {high:g} m; expected two that increase"
                 )
         if self.eye_height_m is not None:
-            error = f"the eye is {self.eye_height_m} m above the ground; expected 0 or more"
+            error = f"the eye is {self.eye_height_m!s:.40} m above the ground; expected 0 to 100000"
             (height_m,) = numbers_of([self.eye_height_m], 1, error)
-            if not 0.0 <= height_m < np.inf:
+            if not 0.0 <= height_m <= 1e5:
                 raise InputError(error)
             object.__setattr__(self, "eye_height_m", height_m)
 

@@ -236,7 +236,8 @@ def _matched(matcher: Matcher, query: Query, screened: Alike | None = None) -> M
 
 def _read(query: Query) -> QuerySkyline:
     """Read a query once for all the parts of the store that this worker screens."""
-    return _read_as_of(version_of(query.path), query)
+    version = version_of(query.path)
+    return query.read() if version is None else _read_as_of(version, query)
 
 
 @lru_cache(maxsize=4)

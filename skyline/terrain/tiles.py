@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import Float32Array
+from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.terrain.conventions import ELLIPSOID, GEOID, Vertical, merged
 
@@ -128,6 +128,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
+        borders = _free_borders(heights, row, col, tile.grid)
         disagreement_m = 0.0
         for rows, fresh in tile.read():
             old = place[rows]
@@ -142,7 +143,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
                 tile.source,
                 disagreement_m,
             )
-        step_m = _border_step_m(heights, row, col, tile.grid)
+        step_m = max(map(_step_m, borders), key=abs, default=0.0)
         if step_m:
             _log.warning(
                 "%s stands %.1f m %s the tiles beside it, and the border is a wall; check that all "
@@ -161,34 +162,46 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
     )
 
 
-def _border_step_m(heights: Float32Array, row: int, col: int, grid: Grid) -> float:
-    """Return how far a tile stands above the heights beside it, by its worst side; 0 if it joins.
+def _free_borders(
+    heights: Float32Array, row: int, col: int, grid: Grid
+) -> list[tuple[Float32Array, BoolArray]]:
+    """Return the four borders of a tile that is yet to be read, as far as ``heights`` reach.
 
-    ``row`` and ``col`` are of the tile's north-west sample in ``heights``. The slopes on both sides
-    of a border explain their share of a step across it.
+    ``row`` and ``col`` are of the tile's north-west sample. A border is a view of four lines of
+    samples (4, n), two inside the tile and two outside, and a mask (n,) of those whose sample at
+    the edge no other tile has given.
     """
-    steps_m = []
-    for across, first, along, rows in (
+    borders = []
+    for across, first, along, count in (
         (heights, row, slice(col, col + grid.cols), grid.rows),
         (heights.T, col, slice(row, row + grid.rows), grid.cols),
     ):
-        for inner, outward in ((first, -1), (first + rows - 1, 1)):
-            lines = [inner - outward, inner, inner + outward, inner + 2 * outward]
-            if not (min(lines) >= 0 and max(lines) < len(across)) or rows < 2:
-                continue
-            inside, edge, beside, beyond = (
-                across[line, along].astype(np.float64) for line in lines
-            )
-            with np.errstate(invalid="ignore"):  # Uncovered samples are infinite.
-                step_m = edge - beside - 0.5 * ((inside - edge) + (beside - beyond))
-            step_m = step_m[np.isfinite(step_m)]
-            if len(step_m) < _BORDER_SAMPLES:
-                continue
-            median_m = float(np.median(step_m))
-            error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
-            least_m = AGREEMENT_M + _STANDARD_ERRORS * error_m
-            steps_m.append(median_m if abs(median_m) > least_m else 0.0)
-    return max(steps_m, key=abs, default=0.0)
+        for inner, outward in ((first, -1), (first + count - 1, 1)):
+            begin, end = sorted((inner - outward, inner + 2 * outward))
+            if begin >= 0 and end < len(across) and count > 1:
+                lines = across[begin : end + 1, along][::outward]
+                borders.append((lines, ~np.isfinite(lines[1])))
+    return borders
+
+
+def _step_m(border: tuple[Float32Array, BoolArray]) -> float:
+    """Return how far a tile stands above the heights beyond a border of it; 0 if it joins them.
+
+    The slopes on both sides explain their share of a step.
+    """
+    lines, is_free = border
+    inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
+        step_m = edge - beside - 0.5 * ((inside - edge) + (beside - beyond))
+    is_known = np.isfinite(step_m)
+    if np.count_nonzero(is_known) < _BORDER_SAMPLES:
+        return 0.0
+    step_m, sides = step_m[is_known], (edge[is_known], beside[is_known])
+    if any(np.mean(side == np.median(side)) > 0.5 for side in sides):
+        return 0.0  # A sea, or a void that is not declared
+    median_m = float(np.median(step_m))
+    error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
+    return median_m if abs(median_m) > AGREEMENT_M + _STANDARD_ERRORS * error_m else 0.0
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:

@@ -1,4 +1,4 @@
-"""Requests of the page, checked and converted: every number is finite and within its range."""
+"""Requests of the page, checked and converted; `Narrowing` checks its own numbers."""
 
 from collections.abc import Mapping
 from dataclasses import replace

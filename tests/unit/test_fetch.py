@@ -160,7 +160,18 @@ def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "template",
-    ["file:///etc/{lat}.tif", "coprenicus", "http://host/{lat.__class__}.tif", "http://host/a.tif"],
+    [
+        "file:///etc/{lat}.tif",
+        "coprenicus",
+        "http://host/{lat.__class__}.tif",
+        "http://host/a.tif",
+        "http://h/{lat[0]}/{lon}",
+        "http://h/{lat:{lon}}{lon}",
+        "http://h/{lat:9999999999d}{lon}",
+        "http://h/{lat!r}{lon}",
+        "http://h/{lat}{lon}{",
+        "",
+    ],
 )
 def test_templates_that_are_refused(template, tmp_path):
     with pytest.raises(InputError, match="expected copernicus, or an http or https address"):

@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+from pathlib import Path
 from threading import Thread
 
 import pytest
@@ -70,4 +71,9 @@ def test_links_stay_and_pipes_are_written(tmp_path):
     write_whole(tmp_path / "pipe", "two")
     reader.join(timeout=10.0)
     assert (read, (tmp_path / "pipe").is_fifo()) == (["two"], True)
+    out, into = os.pipe()
+    write_whole(Path(f"/dev/fd/{into}"), "three")
+    assert os.read(out, 9) == b"three"
+    for pipe in (out, into):
+        os.close(pipe)
     assert {one.name for one in tmp_path.iterdir()} == {"first.csv", "latest.csv", "pipe"}

@@ -113,6 +113,7 @@ function answered(seen) {
     if (!seen.summits && state.sight?.summits) seen.summits = null;
     state.sight = seen;
     $("gap").textContent = seen.gap === null ? "nothing to compare" : `skylines ${seen.gap.toFixed(2)}° apart in the median column`;
+    if (seen.seq % 1000 === 0) performance.clearMeasures("look");  // They would fill the memory.
     performance.measure("look", { start: asked });
   }
   $("gap").hidden = false;
