@@ -1,5 +1,6 @@
 """``skyline locate``: photos in, places out, without a store at hand."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -13,8 +14,8 @@ from skyline.cli.console import (
     progress_bar,
 )
 from skyline.cli.match import match, narrowing_of
-from skyline.cli.photo import FieldOfView
-from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.cli.photo import FieldOfView, usable_queries
+from skyline.errors import InputError, MissingFileError
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.match.areas import cached_files, prepare_area
 from skyline.match.locate import NOTED_KM, area_of
@@ -74,7 +75,7 @@ def locate(
         raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
     # These checks come before minutes of work.
     queries = list(listed(photos, Query("", fov_deg)))
-    usable = _usable(queries)
+    usable = usable_queries(queries)
     if peaks is not None and not peaks.is_file():
         raise MissingFileError(f"{peaks} does not exist; expected peaks to name")
     if output.exists() and not output.is_dir():
@@ -102,7 +103,10 @@ def locate(
 
 def _in_numbers(near: str | None, gazetteer: Path | None) -> str | None:
     """Return ``--near`` with the place of its name, if it has one, as numbers."""
-    if near is None or not any(letter.isalpha() for letter in near):
+    if near is None:
+        return None
+    with suppress(ValueError):
+        list(map(float, near.split(",")))
         return near
     name, _, km = near.rpartition(",")
     if not name or not km.strip().replace(".", "", 1).isdigit():
@@ -114,17 +118,3 @@ def _in_numbers(near: str | None, gazetteer: Path | None) -> str | None:
         )
     lon, lat = find_place(gazetteer, name.strip())
     return f"{lon},{lat},{km}"
-
-
-def _usable(queries: list[Query]) -> list[Query]:
-    """Return the queries that can be read; raises the error of the first if there are none."""
-    usable, errors = [], []
-    for one in queries:
-        try:
-            one.check()
-            usable.append(one)
-        except SkylineError as error:
-            errors.append(error)
-    if not usable:
-        raise errors[0]
-    return usable

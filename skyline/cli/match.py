@@ -216,9 +216,9 @@ def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
     """Return the queries that a file of results lacks; print how many it has."""
     on_interrupt(
         f"{file.path} has the answers so far, and the same command continues with the others",
-        lambda: bool(file.queries),
+        lambda: bool(file.photos),
     )
-    left = [one for one in queries if printable(one.path) not in file.queries]
+    left = [one for one in queries if _photo_of(one) not in file.photos]
     if len(left) < len(queries):
         done = len(queries) - len(left)
         print_note(f"{file.path}: {done} of {len(queries)} are there already")
@@ -236,9 +236,14 @@ class _Output:
         self._as_json, self._file, self._goes_on = as_json, file, goes_on
         self.loading_s, self.exit_code = 0.0, 0
 
-    def result(self, result: MatchResult | JointResult) -> None:
-        if self._file is not None and isinstance(result, MatchResult):
-            self._file.add(result.to_row())
+    def result(self, query: Query, result: MatchResult) -> None:
+        """Print the result of a query, and write its row."""
+        if self._file is not None:
+            self._file.add(result.to_row(), _photo_of(query))
+        self.show(result)
+
+    def show(self, result: MatchResult | JointResult) -> None:
+        """Print a result."""
         self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
 
     def error(self, query: Query, error: SkylineError, is_tried: bool) -> None:
@@ -250,7 +255,8 @@ class _Output:
         if is_tried:
             print_error(str(error))
             if self._file is not None:
-                self._file.add(names | {"answered": 0, "reason": str(error)})
+                row = names | {"answered": 0, "reason": str(error)}
+                self._file.add(row, _photo_of(query))
         self._print(names | {"error": str(error)}, "")
 
     def line(self, text: str) -> None:
@@ -296,7 +302,7 @@ def _match_each(
             output.error(one, result, is_tried=one not in refused)
         else:
             found.append(result)
-            output.result(result)
+            output.result(one, result)
     return found
 
 
@@ -311,16 +317,28 @@ def _match_together(
         replace(result, name=query.path, id=query.label)
         for (query, _), result in zip(photos, joint.results, strict=True)
     ]
-    output.result(replace(joint, results=tuple(results)))
+    output.show(replace(joint, results=tuple(results)))
     return results
 
 
 def _search_of(stores: Sequence[Path], matcher: str, common: Query, surfaces: Iterable[str]) -> str:
     """Return a digest of the stores and the options, which differs between searches."""
-    names = [one.name for one in stores]
-    written = [(version_of(one) or ())[:2] for one in stores]  # A store may move.
-    settings = repr((names, written, matcher, MatchConfig(), common, *surfaces))
-    return hashlib.sha256(settings.encode()).hexdigest()[:12]
+    files = [(Path(one).name, *_written(one)) for one in (*map(str, stores), *surfaces)]
+    return _digest(files, matcher, MatchConfig(), common)
+
+
+def _photo_of(query: Query) -> str:
+    """Return a digest of a photo and its own settings, which a list may change."""
+    return _digest(query, _written(query.path))
+
+
+def _written(path: str | Path) -> tuple[int, ...]:
+    """Return a file's size and the time of its writing; files may move."""
+    return (version_of(path) or ())[:2]
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
 
 
 def narrowing_of(near: str | None, heading: str | None, use_gps: bool) -> Narrowing:

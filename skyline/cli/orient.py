@@ -26,7 +26,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs
+from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs, usable_queries
 from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate
@@ -95,8 +95,7 @@ def orient(
     place = camera_place(at)
     queries = list(listed(photo, Query("", fov_deg, None, projection)))
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
-    for one in queries:
-        one.check()
+    usable_queries(queries)
     terrain = read_terrain(dem, crs, reproject)
     found: list[dict[str, Any]] = []
     oriented, exit_code = 0, 0

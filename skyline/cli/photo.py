@@ -9,8 +9,9 @@ import numpy as np
 from typer import Argument, Option
 
 from skyline.cli.console import PEAKS, StoreDem, StoreFile, output_option, panel, print_written
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.files import is_file
+from skyline.match.queries import Query
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
@@ -113,3 +114,17 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> Non
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
+
+
+def usable_queries(queries: Sequence[Query]) -> list[Query]:
+    """Return the queries that can be read; raises the error of the first if there are none."""
+    usable, errors = [], []
+    for one in queries:
+        try:
+            one.check()
+            usable.append(one)
+        except SkylineError as error:
+            errors.append(error)
+    if not usable:
+        raise errors[0]
+    return usable

@@ -95,7 +95,7 @@ class FullMatcher:
         place.
         """
         found, poses = self.found(query, prior, screened)
-        if not len(found):
+        if not len(found) or (poses is not None and not len(poses)):
             return ()
         if poses is None:
             figures = confidence.retrieved_figures(found, query)

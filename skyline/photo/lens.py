@@ -65,6 +65,8 @@ relative deviation of its width."""
 _CROP_MEAN, _CROP_SD, _CROP_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 """Mean, deviation and greatest value of a crop's field of view, as a share of the greatest
 possible: it is taken to lie evenly between half and all of that."""
+_WIDEST_PX = 1e6
+"""The widest full turn of a panorama that is believed."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 """Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
 
@@ -209,7 +211,7 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
     if noted not in {one for one in Projection if one.is_panorama}:
         reason = f"XMP says that the photo's projection is {noted}, which is not known here"
         return Projection.PERSPECTIVE, Lens(reason=reason)
-    if width is None or turn is None or width > turn:
+    if width is None or turn is None or not width <= turn <= _WIDEST_PX:
         reason = "XMP says that the photo is a panorama, but not how wide"
         return Projection(noted), Lens(reason=reason)
     return Projection(noted), _panorama_lens(size_px, width, height, MAX_PANORAMA_DEG / turn)

@@ -323,9 +323,9 @@ def write_geopackage(store: Store, path: Path) -> int:
 class ResultsFile:
     """A file with the results of one search, made if there is none.
 
-    ``search`` identifies the store and the options. ``queries`` are the names of the queries in the
-    file. Raises `InputError` where the suffix is unknown, the file holds other data or the results
-    of another search, or it cannot be written.
+    ``search`` identifies the store and the options, and ``photos`` the photos of the rows, each
+    with its own settings. Raises `InputError` where the suffix is unknown, the file holds other
+    data or the results of another search, or it cannot be written.
     """
 
     def __init__(self, path: Path, search: str) -> None:
@@ -338,18 +338,18 @@ class ResultsFile:
         with self._input_errors():
             read, self._append = kind
             rows = read(path)
-        if any(of_search != search for _, of_search in rows):
+        if any(of_search != search for of_search, _ in rows):
             raise InputError(
                 f"--results {path} has results of another store or other options; name another file"
             )
-        self.queries = {query for query, _ in rows}
+        self.photos = {photo for _, photo in rows}
 
-    def add(self, row: Row) -> None:
-        """Write a row, of `MatchResult.to_row`; it is kept whatever happens afterwards."""
+    def add(self, row: Row, photo: str) -> None:
+        """Write a photo's row, of `MatchResult.to_row`; it is kept whatever happens afterwards."""
         with self._input_errors():
             values = {name: row.get(name) for name in _COLUMN_TYPES}
-            self._append(self.path, values | {"search": self._search})
-        self.queries.add(str(row["query"]))
+            self._append(self.path, values | {"search": f"{self._search}-{photo}"})
+        self.photos.add(photo)
 
     @contextmanager
     def _input_errors(self) -> Iterator[None]:
@@ -362,7 +362,7 @@ class ResultsFile:
 
 
 def _read_csv(path: Path) -> list[tuple[str, str]]:
-    """Return the query and the search of each row; cut off a row whose writing was interrupted."""
+    """Return the search and the photo of each row; cut off a row whose writing was interrupted."""
     held = path.read_bytes() if path.exists() else b""
     header = ",".join(_COLUMN_TYPES).encode() + b"\n"
     whole = held[: held.rfind(b"\n") + 1] or header
@@ -371,7 +371,7 @@ def _read_csv(path: Path) -> list[tuple[str, str]]:
         raise InputError(f"--results {path} is no file of results; name another one")
     if whole != held:
         path.write_bytes(whole)
-    return [(row["query"], row["search"]) for row in rows]
+    return [row["search"].partition("-")[::2] for row in rows]
 
 
 def _append_csv(path: Path, row: Row) -> None:
@@ -384,13 +384,14 @@ def _append_csv(path: Path, row: Row) -> None:
 
 
 def _read_points(path: Path) -> list[tuple[str, str]]:
-    """Return the query and the search of each row of a GeoPackage, made if there is none."""
+    """Return the search and the photo of each row of a GeoPackage, made if there is none."""
     if not path.exists():
         with closing(sqlite3.connect(":memory:")) as made:
             made.executescript(_GEOPACKAGE)
             write_whole(path, made.serialize())
     with closing(_connection(path)) as opened:
-        return opened.execute("SELECT query, search FROM photos").fetchall()
+        rows = opened.execute("SELECT search FROM photos")
+        return [search.partition("-")[::2] for (search,) in rows]
 
 
 def _append_point(path: Path, row: Row) -> None:

@@ -1,5 +1,6 @@
 """`skyline match` and `skyline extract`: places found, written down, refused."""
 
+import csv
 import json
 import math
 import re
@@ -152,6 +153,19 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
     wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
     assert wild.out.count("(unrefined)") == 5
+
+
+def test_rows_of_a_list_that_are_new_or_changed_are_matched(run, store, photo, tmp_path):
+    results = tmp_path / "results.csv"
+    for rows, wanted in (
+        (["one,60"], ["one"]),
+        (["one,60", "two,60"], ["one", "two"]),
+        (["one,55", "two,60"], ["one", "two", "one"]),
+    ):
+        listed = csv_of(tmp_path / "l.csv", [f"{photo},{row}" for row in rows], "path,id,fov_deg")
+        run("match", store, listed, "--matcher", "unrefined", "--results", results)
+        with results.open() as file:
+            assert [row["id"] for row in csv.DictReader(file)] == wanted
 
 
 def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path):

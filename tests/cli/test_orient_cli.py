@@ -30,9 +30,11 @@ def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
     Image.new("RGB", (96, 64), (200, 205, 210)).save(frames / "1.jpg")
     shutil.copy(photo, frames / "2.jpg")
     at = "{},{}".format(*lonlat_of(dem))
-    done = run("orient", frames, "--at", at, "--dem", dem, "--fov-deg", "60", "--csv", table)
-    assert (done.code, done.err.count("\n")) == (2, 1)
-    fog, clear = csv.DictReader(table.read_text().splitlines())
+    named = frames / "0.jpg", frames
+    done = run("orient", *named, "--at", at, "--dem", dem, "--fov-deg", "60", "--csv", table)
+    assert (done.code, done.err.count("\n")) == (2, 2)
+    absent, fog, clear = csv.DictReader(table.read_text().splitlines())
+    assert "does not exist" in absent["refusal"]
     assert list(fog)[:2] == ["query", "trusted"]
     assert (fog["trusted"], fog["heading_deg"], clear["trusted"]) == ("0", "", "1")
     assert "no skyline found" in fog["refusal"]

@@ -10,7 +10,7 @@ from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.query import Projection, QuerySkyline
+from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.report.viewer import pixels_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
@@ -64,6 +64,14 @@ def test_too_little_skyline_is_refused(store, terrain, queries):
     assert result.answer is None
     assert result.candidates == ()
     assert "degrees of skyline" in result.refusal
+
+
+def test_nothing_fits_a_skyline_of_almost_no_width(store, terrain, queries):
+    lens = Lens(1.0, 104.0, 360.0)
+    strip = replace(queries[0].skyline, fov_deg=1.0, lens=lens, projection=Projection.CYLINDRICAL)
+    with Matcher(store, terrain) as matcher:
+        result = matcher.match(strip)
+    assert (result.candidates, result.refusal) == ((), "no place fits")
 
 
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):

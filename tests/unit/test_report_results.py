@@ -33,26 +33,26 @@ def path(request, tmp_path):
 
 
 def write(path, *rows):
-    """Add rows to a file of results; return the queries that were there before."""
+    """Add rows to a file of results; return the photos that were there before."""
     kept = ResultsFile(path, "one")
-    before = set(kept.queries)
+    before = set(kept.photos)
     for row in rows:
-        kept.add(row)
+        kept.add(row, row["query"])
     return before
 
 
 def test_a_search_goes_on_where_it_was_stopped(path):
     assert write(path, FOUND, NOTHING, BROKEN) == set()
     kept = ResultsFile(path, "one")
-    assert kept.queries == {"a,b.jpg", "c.jpg", "d.jpg"}
-    kept.add(replace(RESULT, name="e\n\udce4.jpg").to_row())
-    assert ResultsFile(path, "one").queries == kept.queries | {r"e\n\xe4.jpg"}
+    assert kept.photos == {"a,b.jpg", "c.jpg", "d.jpg"}
+    kept.add(replace(RESULT, name="e\n\udce4.jpg").to_row(), "e")
+    assert ResultsFile(path, "one").photos == kept.photos == {"a,b.jpg", "c.jpg", "d.jpg", "e"}
 
 
 def test_results_of_another_search_are_not_mixed(path):
     kept = ResultsFile(path, "one")
     ResultsFile(path, "another")
-    kept.add(FOUND)
+    kept.add(FOUND, "a")
     with pytest.raises(InputError, match="another store or other options"):
         ResultsFile(path, "another")
 
@@ -72,7 +72,7 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
     path = tmp_path / "results.csv"
     write(path, FOUND, NOTHING)
     path.write_bytes(path.read_bytes()[:-cut])
-    assert ResultsFile(path, "one").queries == {"a,b.jpg"}
+    assert ResultsFile(path, "one").photos == {"a,b.jpg"}
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["query"] for row in rows] == ["a,b.jpg"]
@@ -90,9 +90,9 @@ def test_a_geopackage_in_a_folder_without_file_locks(tmp_path, monkeypatch):
     monkeypatch.setattr("fcntl.lockf", refuse)
     with closing(sqlite3.connect(path)) as other:
         other.execute("BEGIN EXCLUSIVE")  # a lock that SQLite would wait for
-        ResultsFile(path, "one").add(FOUND)
+        ResultsFile(path, "one").add(FOUND, "a")
         other.rollback()
-    assert ResultsFile(path, "one").queries == {"a,b.jpg"}
+    assert ResultsFile(path, "one").photos == {"a"}
     assert [file.name for file in tmp_path.iterdir()] == ["results.gpkg"]
 
 
