@@ -65,7 +65,7 @@ relative deviation of its width."""
 _CROP_MEAN, _CROP_SD, _CROP_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 """Mean, deviation and greatest value of a crop's field of view, as a share of the greatest
 possible: it is taken to lie evenly between half and all of that."""
-_WIDEST_PX = 1e6
+_WIDEST_PX = 1e8
 """The widest full turn of a panorama that is believed."""
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 """Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
