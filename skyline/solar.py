@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.camera import MAX_WIDTH
-from skyline.errors import InputError, entry_named, library
+from skyline.errors import InputError, entry_named, library, numbers_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
@@ -343,8 +343,9 @@ def sky_view_factor(
     digital elevation data, IEEE Transactions on Geoscience and Remote Sensing 28 (1990), equation
     7b: the mean over all azimuths a of cos S sin(H)^2 + sin S cos(a - A) (H - sin H cos H), where
     S and A are the surface's tilt and azimuth and H is the angle from the zenith down to the lower
-    end of the sky: the horizon, or the surface's own plane where that is higher. The sky is assumed
-    equally bright everywhere.
+    end of the sky: the horizon, or the surface's own plane where that is higher. A surface that
+    overhangs hides the sky above its plane: the same term, of the angle down to the plane, is
+    subtracted. The sky is assumed equally bright everywhere.
 
     Parameters
     ----------
@@ -353,22 +354,41 @@ def sky_view_factor(
     elevation_deg : (..., A) array_like
         Elevation of horizons; negative elevations count as 0.
     tilt_deg, facing_deg : float
-        Tilt of the surface from the horizontal and the azimuth that it faces. For a level surface,
-        the default, the factor is the mean of the squared cosine of the horizon's elevation.
+        Tilt of the surface from the horizontal, 0 to 180, and the azimuth that it faces. For a
+        level surface, the default, the factor is the mean of the squared cosine of the horizon's
+        elevation; beyond 90 the surface overhangs, and at 180 it faces the ground.
 
     Returns
     -------
     (...) float64
         0 to 1; NaN if the horizon is unknown at some azimuth.
+
+    Raises
+    ------
+    InputError
+        The tilt is not from 0 to 180, or the azimuth is not a number.
     """
+    error = (
+        f"tilt and azimuth are {tilt_deg!r} and {facing_deg!r}; expected degrees, a tilt from 0 "
+        "(level) to 180 (facing the ground)"
+    )
+    tilt_deg, facing_deg = numbers_of((tilt_deg, facing_deg), 2, error)
+    if not (0.0 <= tilt_deg <= 180.0 and math.isfinite(facing_deg)):
+        raise InputError(error)
     tilt = np.radians(tilt_deg)
     away = np.cos(np.radians(np.asarray(azimuth_deg, dtype=np.float64) - facing_deg))
     own_plane = np.arctan2(-np.sin(tilt) * away, np.cos(tilt))
     horizon = np.radians(np.asarray(elevation_deg, dtype=np.float64))
-    zenith = 0.5 * np.pi - np.maximum(np.maximum(horizon, own_plane), 0.0)
-    sine, cosine = np.sin(zenith), np.cos(zenith)
-    light = np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
-    return np.asarray(light.mean(axis=-1), dtype=np.float64)
+    # Angles from the zenith down to both ends of the sky.
+    low = 0.5 * np.pi - np.clip(np.maximum(horizon, own_plane), 0.0, 0.5 * np.pi)
+    high = np.clip(-0.5 * np.pi - own_plane, 0.0, low)
+
+    def light(zenith: Float64Array) -> Float64Array:
+        """Return the light of the sky from the zenith down to angles from it."""
+        sine, cosine = np.sin(zenith), np.cos(zenith)
+        return np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
+
+    return np.asarray((light(low) - light(high)).mean(axis=-1), dtype=np.float64)
 
 
 def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime) -> datetime:
