@@ -22,6 +22,11 @@ def refused(paths, options=DemOptions()):  # noqa: B008
     return message
 
 
+@pytest.mark.parametrize("given", [None, b"a.tif", np.ones((4, 4)), np.array(1.0), [None]])
+def test_what_is_no_path(given):
+    assert "HeightField itself an array" in refused(given)
+
+
 def test_missing_files_and_folders(tmp_path):
     with pytest.raises(MissingFileError, match=r"no\.tif"):
         read_dem(tmp_path / "no.tif")
