@@ -113,6 +113,10 @@ def test_bad_input_is_one_line(run, dem, places, arguments, expected):
     assert_refused(run("horizon", dem, *arguments), expected)
 
 
+def test_a_step_is_refused_before_the_dem_is_read(run):
+    assert_refused(run("horizon", "no.tif", "--at", "9,46", "--step-deg", "7"), "a divisor of 360")
+
+
 @pytest.fixture(scope="module")
 def mountain(tmp_path_factory):
     """Return a DEM of a mountain, and a place a third of a sample beside its summit."""
@@ -148,7 +152,8 @@ def test_the_sun_comes_and_goes(run, dem, places):
     assert rows
     assert all(row["from_utc"] < row["to_utc"] for row in rows)
     assert rows[0]["from_utc"].startswith("2026-06-21T")
-    assert_refused(run("sun", dem, "--at", places[0], "--date", "21.6."), "expected a day such as")
+    for day in ("21.6.", "0001-01-01"):
+        assert_refused(run("sun", dem, "--at", places[0], "--date", day), "expected a day such as")
 
 
 def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
