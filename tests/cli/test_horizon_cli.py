@@ -105,7 +105,6 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
         ((), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected one of .csv"),
-        (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
     ],
 )
 def test_bad_input_is_one_line(run, dem, places, arguments, expected):

@@ -56,23 +56,19 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
             np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
 
 
-MASKED = np.ma.masked_array([9.8], mask=[True])
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"lon": [], "lat": []}, "no place was given"),
         ({"lon": [9.8, 9.9], "lat": [46.7, 46.7, 46.8]}, "as many latitudes as longitudes"),
         ({"lon": ["east"], "lat": [46.7]}, "expected numbers"),
-        ({"lon": MASKED, "lat": [46.7]}, "is masked"),
+        ({"lon": np.ma.masked_array([9.8], [True]), "lat": [46.7]}, "is masked"),
         ({"lon": 9.8, "lat": 46.7, "step_deg": "10"}, "step is '10' degrees; expected a divisor"),
     ],
 )
 def test_places_that_cannot_be_are_refused_in_one_line(rough, given, message):
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(InputError, match=f"^.*{message}.*$"):
         horizon(rough, **given)
-    assert "\n" not in str(refused.value)
 
 
 def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
