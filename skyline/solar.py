@@ -390,16 +390,12 @@ def sky_view_factor(
     away = np.cos(np.radians(np.asarray(azimuth_deg, dtype=np.float64) - facing_deg))
     own_plane = np.arctan2(-np.sin(tilt) * away, np.cos(tilt))
     horizon = np.radians(np.asarray(elevation_deg, dtype=np.float64))
-    # Angles from the zenith down to both ends of the sky.
+    # Angles from the zenith down to the lower and the upper end of the sky.
     low = 0.5 * np.pi - np.clip(np.maximum(horizon, own_plane), 0.0, 0.5 * np.pi)
-    high = np.clip(-0.5 * np.pi - own_plane, 0.0, low)
-
-    def light(zenith: Float64Array) -> Any:
-        """Return the light of the sky from the zenith down to angles from it."""
-        sine, cosine = np.sin(zenith), np.cos(zenith)
-        return np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
-
-    return np.asarray((light(low) - light(high)).mean(axis=-1), dtype=np.float64)
+    zenith = np.stack([low, np.clip(-0.5 * np.pi - own_plane, 0.0, low)])
+    sine, cosine = np.sin(zenith), np.cos(zenith)
+    light = np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
+    return np.asarray((light[0] - light[1]).mean(axis=-1), dtype=np.float64)
 
 
 def day_of(given: date | str) -> date:

@@ -78,7 +78,7 @@ def open_tile(source: str, default_crs: CRS | None) -> Tile:
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an open rasterio dataset; `InputError` where it is not a usable DEM."""
-    if not isinstance(dataset, DatasetReaderBase):
+    if not isinstance(dataset, DatasetReaderBase) or dataset.closed:
         raise no_dem(dataset)
     source = str(dataset.name)
     # A warped or virtual dataset does not hold the heights of a file of its name.

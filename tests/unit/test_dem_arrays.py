@@ -54,6 +54,8 @@ def test_an_open_dataset_gives_what_its_file_gives(path):
         field = HeightField.from_rasterio(dataset)
         with pytest.raises(InputError, match="from_rasterio an open rasterio dataset"):
             read_dem(dataset)
+    with pytest.raises(InputError, match="from_rasterio an open rasterio dataset"):
+        HeightField.from_rasterio(dataset)
     with os.scandir(path.parent) as entries:
         assert_same(field, read_dem(next(entries)))
     assert field.provenance.files == (str(path),)
