@@ -8,8 +8,10 @@ import io
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.camera import MAX_WIDTH
-from skyline.errors import InputError, entry_named, library
+from skyline.errors import InputError, entry_named, library, numbers_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
@@ -34,6 +36,8 @@ _LEAST_STEPS = 8
 _SHOWN = 5
 """Places that a notebook shows."""
 
+_YEARS = 1583, 9998
+"""PyEphem takes earlier days for those of the Julian calendar; Python has no later ones."""
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
 _DISC = np.linspace(-1.0, 1.0, 9)
@@ -90,15 +94,17 @@ class LocalHorizons(Rows):
         """Return the sky view factors (N,) of a surface; see `sky_view_factor`."""
         return sky_view_factor(self.azimuth_deg[0], self.elevation_deg, tilt_deg, facing_deg)
 
-    def sun_above(self, day: date, place: int = 0) -> list[tuple[datetime, datetime]]:
+    def sun_above(self, day: date | str, place: int = 0) -> list[tuple[datetime, datetime]]:
         """Return the intervals during which part of the sun's disc is above one place's horizon.
 
         The day is the 24 hours around noon of the mean sun at the eye. Refraction is that of the
         standard atmosphere at the eye's elevation. An interval shorter than a minute may be missed.
         Times are in UTC, to a tenth of a second.
 
-        Raises `InputError` if PyEphem is not installed or the horizon is unknown at some azimuth.
+        Raises `InputError` if PyEphem is not installed, the horizon is unknown at some azimuth, or
+        as `day_of`.
         """
+        day = day_of(day)
         azimuth, elevation = self.azimuth_deg[place], self.elevation_deg[place].astype(np.float64)
         if not np.isfinite(elevation).all():
             raise InputError(
@@ -257,10 +263,12 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     OffMapError
         A place is off the map or on a hole, or an eye height is below 0.
     InputError
-        The step does not divide a full turn, or the surface does not cover the DEM.
+        No place is given, coordinates are no numbers or do not fit together, the step does not
+        divide a full turn, or the surface does not cover the DEM.
     ContextError
         No OpenGL context can be created.
     """
+    steps_a_turn(step_deg)
     terrain = read_dem(terrain)
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
@@ -279,7 +287,9 @@ def horizons_of(
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
     """Return the horizons of eyes, as `horizon`; the surface is a height field."""
-    steps = _steps_a_turn(step_deg)
+    steps = steps_a_turn(step_deg)
+    if not len(eyes):
+        raise InputError("no place was given; give the longitude and latitude of one or more")
     # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
     every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
@@ -320,13 +330,14 @@ def horizons_of(
     )
 
 
-def _steps_a_turn(step_deg: float) -> int:
-    most = MAX_WIDTH // 2
-    steps = round(360.0 / step_deg) if 0.0 < step_deg <= 360.0 else 0
+def steps_a_turn(step_deg: float) -> int:
+    """Return the number of steps in a turn; `InputError` for a step that does not divide it."""
+    most, is_number = MAX_WIDTH // 2, isinstance(step_deg, Real)
+    steps = round(360.0 / step_deg) if is_number and 0.0 < step_deg <= 360.0 else 0
     if not (_LEAST_STEPS <= steps <= most and math.isclose(steps * step_deg, 360.0, rel_tol=1e-6)):
         raise InputError(
-            f"step is {step_deg:g} degrees; expected a divisor of 360, from {360.0 / most:.3g} "
-            f"to {360.0 / _LEAST_STEPS:g}: 0.5, 1 or 7.5"
+            f"step is {step_deg!r} degrees; expected a divisor of 360, a number from "
+            f"{360.0 / most:.3g} to {360.0 / _LEAST_STEPS:g}: 0.5, 1 or 7.5"
         )
     return steps
 
@@ -343,8 +354,9 @@ def sky_view_factor(
     digital elevation data, IEEE Transactions on Geoscience and Remote Sensing 28 (1990), equation
     7b: the mean over all azimuths a of cos S sin(H)^2 + sin S cos(a - A) (H - sin H cos H), where
     S and A are the surface's tilt and azimuth and H is the angle from the zenith down to the lower
-    end of the sky: the horizon, or the surface's own plane where that is higher. The sky is assumed
-    equally bright everywhere.
+    end of the sky: the horizon, or the surface's own plane where that is higher. A surface that
+    overhangs hides the sky above its plane: the same term, of the angle down to the plane, is
+    subtracted. The sky is assumed equally bright everywhere.
 
     Parameters
     ----------
@@ -353,22 +365,49 @@ def sky_view_factor(
     elevation_deg : (..., A) array_like
         Elevation of horizons; negative elevations count as 0.
     tilt_deg, facing_deg : float
-        Tilt of the surface from the horizontal and the azimuth that it faces. For a level surface,
-        the default, the factor is the mean of the squared cosine of the horizon's elevation.
+        Tilt of the surface from the horizontal, 0 to 180, and the azimuth that it faces. For a
+        level surface, the default, the factor is the mean of the squared cosine of the horizon's
+        elevation; beyond 90 the surface overhangs, and at 180 it faces the ground.
 
     Returns
     -------
     (...) float64
         0 to 1; NaN if the horizon is unknown at some azimuth.
+
+    Raises
+    ------
+    InputError
+        The tilt is not from 0 to 180, or the azimuth is not a number.
     """
+    error = (
+        f"tilt and azimuth are {tilt_deg!r} and {facing_deg!r}; expected degrees, a tilt from 0 "
+        "(level) to 180 (facing the ground)"
+    )
+    tilt_deg, facing_deg = numbers_of((tilt_deg, facing_deg), 2, error)
+    if not (0.0 <= tilt_deg <= 180.0 and math.isfinite(facing_deg)):
+        raise InputError(error)
     tilt = np.radians(tilt_deg)
     away = np.cos(np.radians(np.asarray(azimuth_deg, dtype=np.float64) - facing_deg))
     own_plane = np.arctan2(-np.sin(tilt) * away, np.cos(tilt))
     horizon = np.radians(np.asarray(elevation_deg, dtype=np.float64))
-    zenith = 0.5 * np.pi - np.maximum(np.maximum(horizon, own_plane), 0.0)
+    # Angles from the zenith down to the lower and the upper end of the sky.
+    low = 0.5 * np.pi - np.clip(np.maximum(horizon, own_plane), 0.0, 0.5 * np.pi)
+    zenith = np.stack([low, np.clip(-0.5 * np.pi - own_plane, 0.0, low)])
     sine, cosine = np.sin(zenith), np.cos(zenith)
     light = np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
-    return np.asarray(light.mean(axis=-1), dtype=np.float64)
+    return np.asarray((light[0] - light[1]).mean(axis=-1), dtype=np.float64)
+
+
+def day_of(given: date | str) -> date:
+    """Return a date, or that of a text such as 2026-12-21; `InputError` unless 1583 to 9998."""
+    with suppress(ValueError):
+        day = given if isinstance(given, date) else date.fromisoformat(str(given))
+        if _YEARS[0] <= day.year <= _YEARS[1]:
+            return day
+    raise InputError(
+        f"the day is `{given}`; expected a day such as 2026-12-21, in the years "
+        f"{_YEARS[0]} to {_YEARS[1]}"
+    )
 
 
 def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime) -> datetime:

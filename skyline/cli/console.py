@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -31,7 +31,7 @@ from skyline.errors import (
     start_logging,
     swapped_in_words,
 )
-from skyline.files import STANDARD
+from skyline.files import STANDARD, is_file
 
 if TYPE_CHECKING:
     from skyline.arrays import Progress
@@ -349,3 +349,15 @@ def _flush_streams() -> None:
 def _fail(message: str, code: int) -> None:
     print_error(message)
     sys.exit(code)
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
+    """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
+    read = [path for path in inputs if is_file(path)]
+    named = [path for path in outputs if path is not None]
+    places = [path.resolve() for path in named]
+    for path in named:
+        if places.count(path.resolve()) > 1:
+            raise InputError(f"{path} is the name of two outputs; choose another name for one")
+        if path.exists() and any(path.samefile(one) for one in read):
+            raise InputError(f"{path} is an input; choose another name for the output")

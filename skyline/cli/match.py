@@ -19,6 +19,7 @@ from skyline.cli.console import (
     StoreFile,
     Surfaces,
     Workers,
+    check_outputs,
     note_if_slow,
     on_interrupt,
     panel,
@@ -26,7 +27,7 @@ from skyline.cli.console import (
     print_line,
     print_note,
 )
-from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs, split_stores
+from skyline.cli.photo import FieldOfView, PhotoProjection, split_stores
 from skyline.errors import InputError, SkylineError, entry_named, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, version_of
 from skyline.match.answer import JointResult, MatchResult

@@ -18,6 +18,7 @@ from skyline.cli.console import (
     Crs,
     Reproject,
     are_degrees,
+    check_outputs,
     note_if_slow,
     output_option,
     print_error,
@@ -26,7 +27,7 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, check_outputs, usable_queries
+from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, usable_queries
 from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
 from skyline.files import STANDARD, read_bytes, write_whole
 from skyline.match.candidate import Candidate

@@ -1,6 +1,6 @@
 """``skyline extract`` and ``skyline serve``: a photo's skyline, and the page in the browser."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
@@ -8,9 +8,16 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from skyline.cli.console import PEAKS, StoreDem, StoreFile, output_option, panel, print_written
+from skyline.cli.console import (
+    PEAKS,
+    StoreDem,
+    StoreFile,
+    check_outputs,
+    output_option,
+    panel,
+    print_written,
+)
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import is_file
 from skyline.match.queries import Query
 from skyline.photo.query import Projection
 from skyline.photo.read import extract_photo, write_overlay
@@ -102,18 +109,6 @@ def split_stores(store: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
     """Return the first store with the stores named after it, and the files named after those."""
     stores = (store, *takewhile(is_store, others))
     return stores, others[len(stores) - 1 :]
-
-
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
-    read = [path for path in inputs if is_file(path)]
-    named = [path for path in outputs if path is not None]
-    places = [path.resolve() for path in named]
-    for path in named:
-        if places.count(path.resolve()) > 1:
-            raise InputError(f"{path} is the name of two outputs; choose another name for one")
-        if path.exists() and any(path.samefile(one) for one in read):
-            raise InputError(f"{path} is an input; choose another name for the output")
 
 
 def usable_queries(queries: Sequence[Query]) -> list[Query]:

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +16,7 @@ from skyline.cli.console import (
     RefractionK,
     Reproject,
     Surfaces,
+    check_outputs,
     note_if_slow,
     output_option,
     parse_place,
@@ -25,7 +25,6 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.cli.photo import check_outputs
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import Curvature
@@ -36,8 +35,10 @@ from skyline.solar import (
     DEFAULT_STEP_DEG,
     KINDS,
     LocalHorizons,
+    day_of,
     horizon_csv,
     horizons_of,
+    steps_a_turn,
     write_horizons,
 )
 from skyline.terrain.dem import read_surface
@@ -100,6 +101,8 @@ def horizon(
     check_outputs([output], filter(None, [points]))
     if output not in {None, Path(STANDARD)}:
         suffix_of(output, KINDS)
+    steps_a_turn(step_deg)
+    curvature = Curvature(refraction_k=k)
     places = [parse_place(text) for text in at or ()]
     terrain = read_terrain(dem, crs, reproject)
     ids: tuple[str, ...] = ()
@@ -108,7 +111,6 @@ def horizon(
     else:
         eyes = _eyes(terrain, places, eye_height, summit_within)
     over = read_surface(surface, terrain) if surface else None
-    curvature = Curvature(refraction_k=k)
     with progress_bar("rendering") as progress:
         found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
     if output is None or str(output) == STANDARD:
@@ -128,10 +130,7 @@ def sun(
     reproject: Reproject = False,
 ) -> None:
     """Print when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
-    try:
-        asked = date.fromisoformat(day)
-    except ValueError as error:
-        raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
+    asked = day_of(day)
     places = [parse_place(text) for text in at or ()]
     terrain = read_terrain(dem, crs, reproject)
     eyes = _eyes(terrain, places, eye_height, summit_within)

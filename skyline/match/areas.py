@@ -34,7 +34,7 @@ from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.rasters import absolute_name, files_of, without_folders
+from skyline.terrain.rasters import Paths, absolute_name, files_of, without_folders
 
 _SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -134,7 +134,7 @@ def cache_folder() -> Path:
 
 def prepare_area(
     area: Area,
-    dem: Sequence[str | Path] = (),
+    dem: Paths = (),
     source: str | None = None,
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
@@ -302,7 +302,7 @@ def _fetch(
     return tuple(str(path) for path in done.files)
 
 
-def _check_terrain(terrain: HeightField, area: Area, dem: Sequence[str | Path]) -> None:
+def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
     """Raise `InputError` where terrain does not cover the middle of an area, or is all sea."""
     west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0

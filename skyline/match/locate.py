@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from skyline.match.areas import Area, prepare_area
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.photo.read import Picture, name_of, read_noted_place
+from skyline.terrain.rasters import Paths
 
 NOTED_KM, _NEEDED_KM = 10.0, 5.0
 """Radius of the area that is built round a photo's own position, and of the area that a cached
@@ -25,7 +25,7 @@ _TOGETHER_KM = 50.0
 def locate(
     photo: Picture,
     near: tuple[float, float, float] | Bounds | None = None,
-    dem: str | Path | Sequence[str | Path] | None = None,
+    dem: Paths | None = None,
     *,
     source: str | None = None,
     fov_deg: float | None = None,
@@ -69,8 +69,7 @@ def locate(
     is_box = near is not None and len(near) == 4
     narrowing = Narrowing(bounds_deg=near) if is_box else Narrowing(near)  # type: ignore[arg-type]
     area, narrowing = area_of([photo], narrowing)
-    files = [dem] if isinstance(dem, str | Path) else dem or ()
-    ready = prepare_area(area, files, source)
+    ready = prepare_area(area, () if dem is None else dem, source)
     with Matcher(ready.store, ready.terrain) as matcher:
         return matcher.match(photo, fov_deg, narrowing=narrowing)
 

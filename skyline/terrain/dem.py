@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from skyline.geodesy import (
 )
 from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.rasters import absolute_name, open_tile, without_folders
+from skyline.terrain.rasters import Paths, absolute_name, open_tile, without_folders
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
 
@@ -50,7 +50,7 @@ _CANOPY_MOST_M = 120.0
 _OFFSET_M = (-10.0, 60.0)
 """Lowest and highest plausible median of a surface above the ground."""
 
-Dem = str | Path | Sequence[str | Path] | HeightField
+Dem = Paths | HeightField
 """A model: its file, its tiles, or the height field read from them."""
 
 SUFFIX = ".terrain"
@@ -135,18 +135,18 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """
     if isinstance(paths, HeightField):
         return paths
-    files = [paths] if isinstance(paths, str | Path) else [*paths]
+    files = [*without_folders(paths)]
     if len(files) == 1 and Path(files[0]).suffix == SUFFIX:
         return _read_saved(Path(files[0]))
     return _height_field(read_files(files, options), options)
 
 
-def read_files(paths: Sequence[str | Path], options: DemOptions = DemOptions()) -> Mosaic:
+def read_files(paths: Paths, options: DemOptions = DemOptions()) -> Mosaic:
     """Read files onto their own common grid, not cleaned; otherwise as `read_dem`."""
-    if not paths:
-        raise InputError("no DEM file was given; name one or more")
     default_crs = options.default_crs
     names = [absolute_name(path) for path in without_folders(paths)]
+    if not names:
+        raise InputError("no DEM file was given; name one or more")
     # A file that is named twice, in its folder and by itself, is read once.
     once = {Path(name).parent.resolve() / Path(name).name: name for name in names}
     return read_mosaic([open_tile(name, default_crs) for name in once.values()])

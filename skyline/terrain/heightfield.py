@@ -159,8 +159,8 @@ class HeightField:
         Raises
         ------
         InputError
-            The dataset has not one band, no CRS that is understood, a rotated grid, or no height at
-            all.
+            It is no open dataset, or has not one band, no CRS that is understood, a rotated grid,
+            or no height at all.
         """
         from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 
@@ -191,8 +191,8 @@ class HeightField:
         Raises
         ------
         InputError
-            The dimensions are others, there are several bands, coordinates are missing or not even,
-            there is no CRS that is understood, or no height at all.
+            It is no DataArray, the dimensions are others, there are several bands, coordinates are
+            missing or not even, there is no CRS that is understood, or no height at all.
         """
         from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
 

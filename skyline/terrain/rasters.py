@@ -22,16 +22,20 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReaderBase
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.errors import FetchError, InputError, MissingFileError
+from skyline.errors import FetchError, InputError, MissingFileError, library
 from skyline.files import for_gdal, is_file
 from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, vertical_of
 from skyline.terrain.tiles import Grid, Tile
+
+Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""Elevation files, folders of them, addresses, or names of GDAL's: one or several."""
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
@@ -74,6 +78,8 @@ def open_tile(source: str, default_crs: CRS | None) -> Tile:
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an open rasterio dataset; `InputError` where it is not a usable DEM."""
+    if not isinstance(dataset, DatasetReaderBase) or dataset.closed:
+        raise no_dem(dataset)
     source = str(dataset.name)
     # A warped or virtual dataset does not hold the heights of a file of its name.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
@@ -87,6 +93,8 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     The geotransform and CRS that rioxarray notes are used, so that a file opened with it gives the
     same heights as the file itself. Raises `InputError` as `skyline.HeightField.from_xarray`.
     """
+    if not isinstance(array, library("xarray", "a DataArray").DataArray):
+        raise no_dem(array)
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
     y, x = _dims_of(source, array)
     # The coordinate that holds the CRS.
@@ -115,19 +123,34 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     return Tile(source, on_map, grid, north_up, vertical, conventions, read)
 
 
-def without_folders(paths: Iterable[str | Path]) -> Iterator[str | Path]:
-    """Yield paths, with the elevation files of a folder, by name, in place of the folder.
+def no_dem(given: object) -> InputError:
+    """Return the error for a value of a type that is not read."""
+    return InputError(
+        f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
+        "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
+        "HeightField itself an array of heights"
+    )
 
-    Hidden files and folders within the folder are left out. Raises `InputError` for a folder
-    without elevation files, or that cannot be read.
+
+def without_folders(paths: Paths) -> Iterator[str | Path]:
+    """Yield one path or several, with the elevation files of a folder in place of the folder.
+
+    They are ordered by name; hidden files and folders within the folder are left out. Raises
+    `InputError` for what is no path, and for a folder without elevation files, or that cannot be
+    read.
     """
-    for path in paths:
-        if not str(path):
+    is_one = isinstance(paths, str | bytes | os.PathLike | Mapping) or not np.iterable(paths)
+    several: Any = [paths] if is_one else paths
+    for given in several:
+        path = os.fspath(given) if isinstance(given, os.PathLike) else given
+        if not isinstance(path, str):
+            raise no_dem(given)
+        if not path:
             raise InputError(
                 "a DEM was given without a name; name its files, or the folder of them"
             )
         folder = Path(path)
-        if "://" in str(path) or not os.path.isdir(path):  # noqa: PTH112  (as in `is_file`)
+        if "://" in path or not os.path.isdir(path):  # noqa: PTH112  (as in `is_file`)
             yield path
             continue
         try:

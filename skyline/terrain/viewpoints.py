@@ -234,10 +234,17 @@ def is_inside(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -
 
 
 def _flat(*values: ArrayLike) -> list[Float64Array]:
-    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
+    try:
+        numbers = [np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values]
+        arrays = np.broadcast_arrays(*map(np.atleast_1d, numbers))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"coordinates and heights of places cannot be used ({' '.join(str(error).split())}); "
+            "expected numbers, as many latitudes as longitudes"
+        ) from error
     flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
     if not all(np.isfinite(array).all() for array in flat):
-        raise InputError("a viewpoint has a coordinate that is not a finite number")
+        raise InputError("a viewpoint has a coordinate that is masked or not a finite number")
     return flat
 
 

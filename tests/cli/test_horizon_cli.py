@@ -105,12 +105,15 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
         ((), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected one of .csv"),
-        (("--at", AT, "--step-deg", "7"), "expected a divisor of 360"),
     ],
 )
 def test_bad_input_is_one_line(run, dem, places, arguments, expected):
     arguments = [places[0] if word == AT else word for word in arguments]
     assert_refused(run("horizon", dem, *arguments), expected)
+
+
+def test_a_step_is_refused_before_the_dem_is_read(run):
+    assert_refused(run("horizon", "no.tif", "--at", "9,46", "--step-deg", "7"), "a divisor of 360")
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +151,8 @@ def test_the_sun_comes_and_goes(run, dem, places):
     assert rows
     assert all(row["from_utc"] < row["to_utc"] for row in rows)
     assert rows[0]["from_utc"].startswith("2026-06-21T")
-    assert_refused(run("sun", dem, "--at", places[0], "--date", "21.6."), "expected a day such as")
+    for day in ("21.6.", "0001-01-01"):
+        assert_refused(run("sun", dem, "--at", places[0], "--date", day), "expected a day such as")
 
 
 def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):

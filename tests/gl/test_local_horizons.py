@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scenes import at_deg, field_from, fractal, write_dem
 
-from skyline import Curvature, Frame, HeightField, horizon, read_dem, stand_on
+from skyline import Curvature, Frame, HeightField, InputError, horizon, read_dem, stand_on
 from skyline_bench.truth import oracle
 
 # Ten degrees east of its middle: north of the map is seven degrees from true north.
@@ -56,6 +56,20 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
             np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"lon": [], "lat": []}, "no place was given"),
+        ({"lon": [9.8, 9.9], "lat": [46.7, 46.7, 46.8]}, "as many latitudes as longitudes"),
+        ({"lon": np.ma.masked_array([9.8], [True]), "lat": [46.7]}, "is masked"),
+        ({"lon": 9.8, "lat": 46.7, "step_deg": "10"}, "step is '10' degrees; expected a divisor"),
+    ],
+)
+def test_places_that_cannot_be_are_refused_in_one_line(rough, given, message):
+    with pytest.raises(InputError, match=f"^.*{message}.*$"):
+        horizon(rough, **given)
+
+
 def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
     pvlib = pytest.importorskip("pvlib")
     ridge = field_from(
@@ -85,7 +99,11 @@ def test_the_sun_of_a_polar_summer_never_sets_and_of_a_polar_winter_never_rises(
     found = horizon(far_north, **at_deg(far_north.frame.to_lonlat(1500.0, -1500.0)))
     ((begin, end),) = found.sun_above(date(2026, 6, 21))
     assert end - begin == timedelta(days=1)
-    assert found.sun_above(date(2026, 12, 21)) == []
+    for day in (date(2026, 12, 21), "2026-12-21", np.datetime64("2026-12-21")):
+        assert found.sun_above(day) == []
+    for day in (date(1, 1, 1), "1582-12-31", date.max, np.datetime64("NaT"), "21.12.", None):
+        with pytest.raises(InputError, match="in the years 1583 to 9998"):
+            found.sun_above(day)
 
 
 MOUNTAIN = field_from(lambda east, north: 3000.0 - 0.8 * np.hypot(east, north), 101, 90.0)

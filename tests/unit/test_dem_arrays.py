@@ -1,5 +1,7 @@
 """A DEM held by rasterio or xarray gives the height field that its file gives."""
 
+import os
+
 import numpy as np
 import pytest
 import rasterio
@@ -50,7 +52,10 @@ def path(request, tmp_path):
 def test_an_open_dataset_gives_what_its_file_gives(path):
     with rasterio.open(path) as dataset:
         field = HeightField.from_rasterio(dataset)
-    assert_same(field, read_dem(path))
+    with pytest.raises(InputError, match="from_rasterio an open rasterio dataset"):
+        HeightField.from_rasterio(dataset)
+    with os.scandir(path.parent) as entries:
+        assert_same(field, read_dem(next(entries)))
     assert field.provenance.files == (str(path),)
 
 
@@ -107,6 +112,13 @@ REFUSED = {
         spatial_ref=xarray.DataArray(0, attrs={"grid_mapping_name": "unheard_of"})
     ),
 }
+
+
+@pytest.mark.parametrize("read", [HeightField.from_rasterio, HeightField.from_xarray, read_dem])
+@pytest.mark.parametrize("given", [b"dem.tif", plain().to_dataset()], ids=["bytes", "Dataset"])
+def test_other_types_are_refused_in_one_line(read, given):
+    with pytest.raises(InputError, match=f"is of type {type(given).__name__}; read_dem takes"):
+        read(given)
 
 
 @pytest.mark.parametrize("message", REFUSED)

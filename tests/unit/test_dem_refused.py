@@ -28,6 +28,8 @@ def test_missing_files_and_folders(tmp_path):
     assert "has no elevation files" in refused(tmp_path)
     assert "no DEM file" in refused([])
     assert "without a name" in refused("")
+    for given in (None, b"a.tif", np.ones((4, 4)), np.array(1.0), [None]):
+        assert "HeightField itself an array" in refused(given)
     with pytest.raises(MissingFileError, match="no file"):
         read_dem("x" * 300 + ".tif")
     with pytest.raises(MissingFileError, match="name its folder, or the files"):
