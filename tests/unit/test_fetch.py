@@ -145,7 +145,9 @@ def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
     assert not (tmp_path / "sea").exists()
 
 
-@pytest.mark.parametrize("trouble", [{"failures": 2}, {"truncate": 1}, {"truncate": 3}])
+@pytest.mark.parametrize(
+    "trouble", [{"failures": 2}, {"failing_get": 2}, {"truncate": 1}, {"truncate": 3}]
+)
 def test_failures_and_bodies_that_break_off_are_read_again(
     template, server, heights, tmp_path, trouble
 ):
@@ -160,6 +162,7 @@ def test_failures_and_bodies_that_break_off_are_read_again(
         ({"delay_s": 30.0}, r"no answer \(.*\), tried 2 times"),
         ({"failures": 10_000}, "answers HTTP 500, tried 2 times; give the same command again"),
         ({"status": {EAST: 403}}, "HTTP 403, not tried again; check that the source is open"),
+        ({"failing_get": 10_000}, "answers HTTP 503, tried 2 times; give the same command again"),
         ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
