@@ -23,14 +23,7 @@ from uuid import uuid4
 from skyline.arrays import Progress
 from skyline.build.cluster import Runner
 from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
-from skyline.errors import (
-    BuildError,
-    InputError,
-    MissingFileError,
-    SkylineError,
-    StoreError,
-    StoreMismatchError,
-)
+from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store.format import StoreHeader, attributes_digest, explained, refuse_mismatch
@@ -253,7 +246,7 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     whole = set()
     for part in sorted(folder.parent.glob("*/*-of-*.h5")):
         # The other build may end now, and remove its parts.
-        with suppress(StoreError, MissingFileError), open_store(part) as store:
+        with suppress(StoreError, FileNotFoundError), open_store(part) as store:
             refuse_mismatch(
                 store.header.anywhere,
                 header.anywhere,

@@ -46,7 +46,7 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
-# Tiles reach over their borders by some pixels: less than this share of one is not in its cell.
+# Tiles reach over their borders by some pixels; one with less than this share in a cell is not its.
 _LEAST_SHARE = 0.1
 
 _WIDTH = re.compile(r"(\d{1,2}d)?")
@@ -250,11 +250,11 @@ def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) ->
     lat, lon = corner
     off_deg = float(in_turn(middle - lon - 0.5)), top - 0.5 * file.height * step_north - lat - 0.5
     half_deg = 0.5 * file.width * step_east, 0.5 * file.height * step_north
-    shares = (
-        min(0.5, off + half) - max(-0.5, off - half) > _LEAST_SHARE * min(2.0 * half, 1.0)
+    outside = any(
+        0.5 + half - abs(off) < _LEAST_SHARE * min(2.0 * half, 1.0)
         for off, half in zip(off_deg, half_deg, strict=True)
     )
-    if first_col >= last_col or first_row >= last_row or not all(shares):
+    if outside or first_col >= last_col or first_row >= last_row:
         raise InputError(
             f"{without_secrets(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
             f"{left + file.width * step_east:.4f},{top:.4f}, no part of the bounds in the cell of "
