@@ -46,7 +46,7 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
-# Tiles reach over their borders by some pixels; one with less than this share in a cell is not its.
+# Tiles reach over their borders by some pixels. A smaller share in a cell is a neighbour's border.
 _LEAST_SHARE = 0.1
 
 _WIDTH = re.compile(r"(\d{1,2}d)?")
