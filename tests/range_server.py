@@ -20,6 +20,7 @@ class Behaviour:
     status: dict[str, int] = field(default_factory=dict)
     failures: int = 0  # Requests that are answered with a status before the first good answer
     failing: int = 500
+    failing_get: int = 0  # As failures, of requests of bodies alone
     delay_s: float = 0.0  # Before every answer
     truncate: int = 0  # Bodies that break off half way, though header and connection promise all
     drip_s: float = 0.0  # After every byte of a body
@@ -42,6 +43,9 @@ class _Handler(BaseHTTPRequestHandler):
         if behaviour.failures > 0:
             behaviour.failures -= 1
             self._refuse(behaviour.failing)
+        elif behaviour.failing_get > 0 and self.command == "GET":
+            behaviour.failing_get -= 1
+            self._refuse(503)
         elif path in behaviour.status:
             self._refuse(behaviour.status[path])
         elif path not in behaviour.files:

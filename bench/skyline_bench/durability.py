@@ -111,7 +111,7 @@ def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]
 
 def _parts(path: Path) -> dict[str, bytes]:
     """Return the parts of a store by name."""
-    return {part.name: part.read_bytes() for part in parts_folder(path).glob("*-of-*.h5")}
+    return {part.name: part.read_bytes() for part in parts_folder(path).rglob("*-of-*.h5")}
 
 
 def _damage(dem: Path, flips: int, cases: int, side_m: float, folder: Path) -> Iterator[Row]:

@@ -1,14 +1,16 @@
 """Building a store: its parts are rendered one by one, each a finished file, and merged.
 
-A part is a store of its own in the folder ``STORE.parts``. It is rendered in memory and then
-written under its name at once, so a build that is killed loses at most the part in hand, and the
-same command continues with the parts that are missing. Merging sorts the rows: the number of
+A part is a store of its own in the folder ``STORE.parts``, in the subfolder of its build: one box,
+DEM and settings. It is rendered in memory and then written under its name at once, so a build that
+is killed loses at most the part in hand, and the same command continues with the parts that are
+missing. Builds of other boxes leave each other's parts alone. Merging sorts the rows: the number of
 workers, the order of the parts, and how often a build was killed change no byte of the store.
 
 Every part is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
 import logging
+import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, suppress
@@ -24,9 +26,9 @@ from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
-from skyline.store.format import StoreHeader, explained, refuse_mismatch
+from skyline.store.format import StoreHeader, attributes_digest, explained, refuse_mismatch
 from skyline.store.read import open_store, part_name, parts_folder
-from skyline.store.write import check_folder, joint_config, merged_rows, whole_rows, write_store
+from skyline.store.write import check_folder, merged_rows, whole_rows, write_store
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -144,7 +146,9 @@ def build_store(
     work, header = plan.parts(terrain), plan.header(terrain)
     path = Path(path).resolve()
     check_folder(path)
-    folder = parts_folder(path)
+    # Parts may be continued by another release, on a DEM that has moved.
+    build = replace(header, dem_files=(), package_version="")
+    folder = parts_folder(path) / attributes_digest(build.attributes)[:12]
     if path.exists() and (finished := finished_store(path, header)):
         # A build that was killed at its very end leaves parts beside a finished store.
         _remove(folder)
@@ -169,15 +173,16 @@ def build_store(
                 rendered += rows_of_part
                 done += 1
                 show(done, len(parts))
-            rows = _merge_parts(parts, path, header)
+            rows = _merge_parts(parts, path)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists() or not (finished := finished_store(path, header)):
                 raise
             rows = finished.rows
         finally:
-            with suppress(OSError):  # It is empty if its first part could not be written.
+            with suppress(OSError):  # Both are empty if the first part could not be written.
                 folder.rmdir()
+                folder.parent.rmdir()
     _remove(folder)
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"
@@ -188,25 +193,22 @@ def build_store(
     return BuildResult(rows, rendered, time.perf_counter() - started)
 
 
-def _merge_parts(parts: list[Path], path: Path, header: StoreHeader) -> int:
+def _merge_parts(parts: list[Path], path: Path) -> int:
     """Merge parts into a store, and return its number of rows; 0 where the parts have none.
 
     A store of other boxes at ``path`` is one more part of the new store, which replaces it.
     """
-    folder, others, headers, held, was = parts[0].parent, list[Path](), [header], 0, _inode(path)
+    folder, others, held, was = parts[0].parent, list[Path](), 0, _inode(path)
     if path.exists():
         with open_store(path) as store:
             others, held = [path], len(store)
-            headers.append(store.header)
-    with merged_rows([*parts, *others], folder) as (joint, columns, order):
-        # Another build of this path may have written parts under the same names.
-        _refuse_other_parts(folder, joint, replace(header, config=joint_config(headers)))
-        if len(columns[joint.checksum]) == held:
+    with merged_rows([*parts, *others], folder) as (header, columns, order):
+        if len(columns[header.checksum]) == held:
             return 0
         # A name of its own, since another build of this path may merge now. A build that is killed
         # here leaves the file to `_remove`.
         merged = folder / f".{uuid4().hex[:12]}.partial"
-        write_store(merged, joint, columns, order)
+        write_store(merged, header, columns, order)
     if _inode(path) != was:
         raise StoreError(
             f"another build wrote {path} meanwhile; run the same command again to add this area"
@@ -218,15 +220,6 @@ def _merge_parts(parts: list[Path], path: Path, header: StoreHeader) -> int:
 def _inode(path: Path) -> int | None:
     """Return the number of the file at a path, which changes as the file is replaced."""
     return path.stat().st_ino if path.exists() else None
-
-
-def _refuse_other_parts(folder: Path, there: StoreHeader, here: StoreHeader) -> None:
-    refuse_mismatch(
-        there,
-        here,
-        f"{folder} has parts of a store that was built otherwise",
-        "repeat its settings, or remove the folder to build anew",
-    )
 
 
 def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
@@ -245,12 +238,22 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
 
 
 def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
-    """Return the parts that are whole; raises `StoreMismatchError` for one of another build."""
+    """Return the parts of a build that are whole.
+
+    Raises `StoreMismatchError` where another build of the same store has parts of other settings,
+    which could not be joined.
+    """
     whole = set()
-    for part in sorted(folder.glob("*-of-*.h5")):
-        with suppress(StoreError), open_store(part) as store:
-            _refuse_other_parts(folder, store.header, header)
-            if all(damage is None for *_, damage in whole_rows(store)):
+    for part in sorted(folder.parent.glob("*/*-of-*.h5")):
+        # The other build may end now, and remove its parts.
+        with suppress(StoreError, FileNotFoundError), open_store(part) as store:
+            refuse_mismatch(
+                store.header.anywhere,
+                header.anywhere,
+                f"{part.parent} has parts of a store that was built otherwise",
+                "repeat its settings, or remove the folder to build anew",
+            )
+            if part.parent == folder and all(damage is None for *_, damage in whole_rows(store)):
                 whole.add(part)
     return whole
 
@@ -280,7 +283,8 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
 def _render_part(path: Path, renderer: PartRenderer, work: Any) -> int:
     columns = renderer.columns(work)
     with explained(path, "it cannot be written", "check the folder's rights and space"):
-        path.parent.mkdir(exist_ok=True)
+        for folder in (path.parent.parent, path.parent):
+            folder.mkdir(exist_ok=True)
     return write_store(path, renderer.header, columns)
 
 
@@ -324,8 +328,7 @@ def _on_workers(
 
 
 def _remove(folder: Path) -> None:
-    """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
-    for file in (*folder.glob("*-of-*.h5"), *folder.glob(".*.partial")):
-        file.unlink(missing_ok=True)
+    """Remove the parts of a build, and the folder of all parts if no other build has any."""
+    shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
-        folder.rmdir()
+        folder.parent.rmdir()

@@ -276,7 +276,7 @@ def _advise_to_continue(store: Path) -> None:
     check_folder(store.resolve())
     on_interrupt(
         "what was built is kept, and the same command continues from there",
-        lambda: any(parts_folder(store.resolve()).glob("*.h5")),
+        lambda: any(parts_folder(store.resolve()).glob("*/*.h5")),
     )
 
 

@@ -61,7 +61,7 @@ def fetch(
         done = fetch_dem(bounds, source, folder, progress=progress)
     held = sum(path.stat().st_size for path in done.files)
     print_line(
-        f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
+        f"{folder}: {len(done.files)} tiles, {done.fetched} fetched now, {held / 1e6:.1f} MB"
     )
     if done.missing:
         print_line(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")

@@ -46,6 +46,8 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
 # Bounds this near to a pixel's edge lie on it, up to rounding.
 _SLACK = 1e-6
+# Tiles reach over their borders by some pixels. A smaller share in a cell is a neighbour's border.
+_LEAST_SHARE = 0.1
 
 _WIDTH = re.compile(r"(\d{1,2}d)?")
 
@@ -84,8 +86,9 @@ def fetch_dem(
 ) -> FetchResult:
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
 
-    A tile is written whole or not at all, and one that is there from the same source and bounds is
-    not fetched again, so that the same call continues a fetch that failed.
+    A tile is written whole or not at all, and one that is there from the same source and has the
+    bounds is not fetched again, so that the same call continues a fetch that failed. One of other
+    bounds grows to the box around both.
 
     ``source`` is a name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand
     for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
@@ -112,7 +115,7 @@ def fetch_dem(
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
         path = folder / f"{name}.tif"
         try:
-            cut = _plan(address(template, *corner), path, bounds_deg)
+            cut = _plan(address(template, *corner), path, corner, bounds_deg)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
@@ -179,25 +182,40 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
-def _plan(url: str, path: Path, bounds_deg: Bounds) -> _Cut | None:
+def _plan(url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds) -> _Cut | None:
     """Return the part of a remote tile to read; None where the file is there already."""
-    tag = json.dumps({"source": without_secrets(url), "bounds_deg": bounds_deg})
+    source = without_secrets(url)
     if path.exists():
-        held = None
-        with suppress(RasterioError), rasterio.open(path, driver="GTiff") as file:
-            held = file.tags().get(_TAG)
-        if held == tag:
-            return None
-        if held is None:
+        held: dict[str, Any] = {}
+        with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
+            held = json.loads(file.tags().get(_TAG, "{}"))
+        if held.get("source") != source:
             raise InputError(
-                f"{path} is there and was not fetched by skyline; name another folder, or move it"
+                f"{path} is there and was not fetched by skyline from {source}; name another "
+                "folder, or move it"
             )
+        held_deg = tuple(held["bounds_deg"])
+        bounds_deg = _around(held_deg, bounds_deg)
+        if bounds_deg == held_deg:
+            return None
+    tag = json.dumps({"source": source, "bounds_deg": bounds_deg})
 
     def look(file: Any) -> _Cut:
         _check_usable(url, file)
-        return _Cut(url, path, tag, _window(url, file, bounds_deg), file.dtypes[0])
+        return _Cut(url, path, tag, _window(url, file, corner, bounds_deg), file.dtypes[0])
 
     return with_remote(url, look)
+
+
+def _around(one: Bounds, other: Bounds) -> Bounds:
+    """Return the box around two boxes that have a part of one tile each."""
+
+    def start(box: Bounds) -> float:
+        return float(in_turn(box[0], one[0]))
+
+    west = min(one, other, key=start)[0]
+    east = max(one, other, key=lambda box: start(box) + width_deg(box))[2]
+    return west, min(one[1], other[1]), east, max(one[3], other[3])
 
 
 def _check_usable(url: str, file: Any) -> None:
@@ -217,8 +235,8 @@ def _check_usable(url: str, file: Any) -> None:
         )
 
 
-def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
-    """Return the pixels of a file that meet the bounds."""
+def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) -> Window:
+    """Return the pixels of a tile that meet the bounds; refuses a file of another tile."""
     west, south, _, north = bounds_deg
     east = west + width_deg(bounds_deg)
     step_east, step_north = file.transform.a, -file.transform.e
@@ -229,11 +247,19 @@ def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     last_col = min(math.ceil((east + turn - left) / step_east - _SLACK), file.width)
     first_row = max(math.floor((top - north) / step_north + _SLACK), 0)
     last_row = min(math.ceil((top - south) / step_north - _SLACK), file.height)
-    if first_col >= last_col or first_row >= last_row:
+    lat, lon = corner
+    off_deg = float(in_turn(middle - lon - 0.5)), top - 0.5 * file.height * step_north - lat - 0.5
+    half_deg = 0.5 * file.width * step_east, 0.5 * file.height * step_north
+    outside = any(
+        0.5 + half - abs(off) < _LEAST_SHARE * min(2.0 * half, 1.0)
+        for off, half in zip(off_deg, half_deg, strict=True)
+    )
+    if outside or first_col >= last_col or first_row >= last_row:
         raise InputError(
             f"{without_secrets(url)} covers {left:.4f},{top - file.height * step_north:.4f},"
-            f"{left + file.width * step_east:.4f},{top:.4f}, no part of the bounds; check the "
-            "source's template: {lat} and {lon} are a tile's south-west corner"
+            f"{left + file.width * step_east:.4f},{top:.4f}, no part of the bounds in the cell of "
+            f"one degree at {lon},{lat}; check the source's template: {{lat}} and {{lon}} are a "
+            "tile's south-west corner"
         )
     return Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
@@ -245,7 +271,7 @@ def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
 
     def read(file: Any) -> bytes:
         """Read a row of blocks at a time, and keep them when a connection fails."""
-        for folder in earlier:
+        for folder in (cut.path.parent, *earlier):
             _copy_held(folder / cut.path.name, cut, file.transform, samples, known)
         block_rows = int(file.block_shapes[0][0])
         start = top
@@ -270,8 +296,9 @@ def _copy_held(
     """Copy a cut's samples from a file that was fetched earlier from the same tile."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
-        fetched = tag.get("source"), file.dtypes[0]
-        if fetched != (without_secrets(cut.url), np.dtype(cut.dtype).name):
+        fetched = tag.get("source"), file.dtypes[0], file.transform.a, file.transform.e
+        kind = np.dtype(cut.dtype).name
+        if fetched != (without_secrets(cut.url), kind, transform.a, transform.e):
             return
         col = round((file.transform.c - transform.c) / transform.a)
         row = round((file.transform.f - transform.f) / transform.e)

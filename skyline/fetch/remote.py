@@ -23,6 +23,9 @@ PASSING = (429, 500, 502, 503, 504)
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
 """Words of curl for a server that cannot be found: without a network every attempt fails alike."""
 
+_FOREIGN = "not recognized as being in"
+"""GDAL's words for a file of another format, or one whose first bytes did not come."""
+
 _FIRST_DELAY_S = 1.0
 """Delay before the first repetition; it doubles before each further one."""
 
@@ -90,6 +93,9 @@ def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
             ):
                 return work(file)
         except RasterioError as error:
+            if _FOREIGN in str(error):
+                # GDAL hides the status of a refused GET that follows a good HEAD.
+                settings["CPL_VSIL_CURL_USE_HEAD"] = "NO"
             raise _failure(url, error) from error
 
     return repeated(url, read)
@@ -118,8 +124,8 @@ def _failure(url: str, error: RasterioError) -> Exception:
         return RequestError(
             f"no answer ({curl[1]})", advice, 2 if _UNREACHABLE.search(curl[1]) else RETRIES
         )
-    if "not recognized as being in" in text:
+    if _FOREIGN in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
-        return RequestError(reason, check, 0)
+        return RequestError(reason, check, 2)
     reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
     return RequestError(reason, again, RETRIES)

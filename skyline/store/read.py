@@ -463,7 +463,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 
 
 def parts_folder(path: Path) -> Path:
-    """Return the folder in which the parts of a store lie while it is built."""
+    """Return the folder in which the parts of a store lie while it is built, a folder a build."""
     return path.with_name(f"{path.name}.parts")
 
 
@@ -493,12 +493,12 @@ def _absence(path: Path) -> str:
     folder = parts_folder(path)
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"
-    names = [part.stem.split("-") for part in folder.glob("*-*-of-*.h5")]
+    parts = list(folder.glob("*/*-*-of-*.h5"))
     there, command = "no part of it is there yet", MADE_BY[PLACES]
-    if names:
-        holds, _, _, total = names[0]
-        command = MADE_BY.get(holds, command)
-        number, of = len(names), int(total) if total.isdecimal() else 0
+    if parts:
+        command = MADE_BY.get(parts[0].name.partition("-")[0], command)
+        totals = {part.parent: part.stem.rpartition("-")[2] for part in parts}
+        number, of = len(parts), sum(int(one) for one in totals.values() if one.isdecimal())
         there = f"{number} of {of} parts {'is' if number == 1 else 'are'} there"
     return (
         f"store {path} cannot be read: its build is not finished ({there}); give the same "

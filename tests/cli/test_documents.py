@@ -133,7 +133,7 @@ def world(refined_quickly, tmp_path_factory):
     with serve(Behaviour(files=dict(tiles()))) as address, pytest.MonkeyPatch.context() as patch:
         patch.setitem(SOURCES, "copernicus", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
         with chdir(folder):
-            assert "4 tiles, 4 of them new" in run_command(shown("dem fetch"))
+            assert "4 tiles, 4 fetched now" in run_command(shown("dem fetch"))
             make_queries()
             for block in to_run(README):
                 run_block(block)

@@ -47,8 +47,8 @@ KEPT = {
         "cache/areas/dem-1/9.00_46.00_9.50_46.50/tiles/a.tif",
         "what was fetched and built is kept, and the same command continues from there",
     ),
-    "build": ("out.h5.parts/places-1-of-2.h5", _CONTINUES),
-    "render": ("out.h5.parts/views-1-of-2.h5", _CONTINUES),
+    "build": ("out.h5.parts/0123/places-1-of-2.h5", _CONTINUES),
+    "render": ("out.h5.parts/0123/views-1-of-2.h5", _CONTINUES),
     "dem fetch": (
         "N46E009.tif",
         "the tiles that were fetched are kept, and the same command continues with the others",

@@ -10,7 +10,7 @@ from scenes import fractal, geotiff_of
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
 from skyline.fetch import remote
-from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, address, fetch_dem, tile_corners
+from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, _around, address, fetch_dem, tile_corners
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
@@ -90,6 +90,32 @@ def test_tiles_that_are_there_are_not_fetched_again(template, server, tmp_path):
     first.files[1].unlink()
     assert fetch(template, tmp_path).fetched == 1
     assert fetch(template, tmp_path, (9.8, 46.5, 10.1, 46.8)).fetched == 2
+    with pytest.raises(InputError, match="was not fetched by skyline from"):
+        fetch(template.replace("127.0.0.1", "localhost"), tmp_path)
+
+
+def test_a_tile_of_another_box_grows_to_both(template, server, heights, tmp_path):
+    for bounds in ((9.6, 46.6, 9.7, 46.8), (9.8, 46.5, 9.9, 46.7)):
+        done = fetch(template, tmp_path, bounds)
+        assert done.fetched == 1
+    expect_heights(done, heights)
+    with rasterio.open(done.files[0]) as file:
+        assert file.bounds[:2] == pytest.approx((9.6, 46.5), abs=1.01 / SAMPLES)
+        assert file.bounds[2:] == pytest.approx((9.9, 46.8), abs=1.01 / SAMPLES)
+    server.requests.clear()
+    assert fetch(template, tmp_path, (9.6, 46.6, 9.7, 46.8)).fetched == 0
+    assert not server.requests
+
+
+def test_a_clipped_tile_is_taken(template, server, heights, tmp_path):
+    server.files[EAST] = geotiff(heights[:, SAMPLES : SAMPLES + 40], west=10.0)
+    expect_heights(fetch(template, tmp_path), heights)
+
+
+def test_boxes_across_the_antimeridian_are_joined():
+    east, west = (-179.9, -1.0, -179.6, 0.5), (179.5, 0.0, -179.7, 1.0)
+    assert _around(east, west) == _around(west, east) == (179.5, -1.0, -179.6, 1.0)
+    assert _around((9.1, 0.0, 9.3, 1.0), (9.2, 0.2, 9.3, 0.4)) == (9.1, 0.0, 9.3, 1.0)
 
 
 def test_what_an_earlier_fetch_has_is_copied(template, server, heights, tmp_path):
@@ -119,7 +145,9 @@ def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
     assert not (tmp_path / "sea").exists()
 
 
-@pytest.mark.parametrize("trouble", [{"failures": 2}, {"truncate": 1}, {"truncate": 3}])
+@pytest.mark.parametrize(
+    "trouble", [{"failures": 2}, {"failing_get": 2}, {"truncate": 1}, {"truncate": 3}]
+)
 def test_failures_and_bodies_that_break_off_are_read_again(
     template, server, heights, tmp_path, trouble
 ):
@@ -134,6 +162,7 @@ def test_failures_and_bodies_that_break_off_are_read_again(
         ({"delay_s": 30.0}, r"no answer \(.*\), tried 2 times"),
         ({"failures": 10_000}, "answers HTTP 500, tried 2 times; give the same command again"),
         ({"status": {EAST: 403}}, "HTTP 403, not tried again; check that the source is open"),
+        ({"failing_get": 10_000}, "answers HTTP 503, tried 2 times; give the same command again"),
         ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
@@ -199,7 +228,11 @@ def test_too_much_is_refused_before_anything_is_asked(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"crs": "EPSG:32632"}, "expected degrees"), ({"west": 20.0}, "no part of the bounds")],
+    [
+        ({"crs": "EPSG:32632"}, "expected degrees"),
+        ({"west": 20.0}, "no part of the bounds"),
+        ({"west": 9.0}, "no part of the bounds in the cell of one degree at 10,46"),
+    ],
 )
 def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, options, message):
     server.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})

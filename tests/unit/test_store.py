@@ -438,8 +438,9 @@ class TestMerge:
 @KINDS
 def test_an_unfinished_build_is_reported(tmp_path, header):
     path = tmp_path / "s.h5"
-    folder = parts_folder(path)
-    folder.mkdir()
+    folder, other = (parts_folder(path) / build for build in ("0123", "4567"))
+    folder.mkdir(parents=True)
+    other.mkdir()
     for read in (open_store, check_store):
         with pytest.raises(MissingFileError, match="no part of it is there yet"):
             read(path)
@@ -450,4 +451,7 @@ def test_an_unfinished_build_is_reported(tmp_path, header):
         with pytest.raises(MissingFileError, match=rf"2 of 37 parts .* `{command}`") as caught:
             read(path)
         assert one_line(caught.value, path)
+    write_rows(other / part_name(header.holds, 1, 5), 0, 3, header)
+    with pytest.raises(MissingFileError, match="3 of 42 parts"):
+        open_store(path)
     assert is_store(path)
