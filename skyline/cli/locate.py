@@ -1,5 +1,6 @@
 """``skyline locate``: photos in, places out, without a store at hand."""
 
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -105,9 +106,9 @@ def _in_numbers(near: str | None, gazetteer: Path | None) -> str | None:
     """Return ``--near`` with the place of its name, if it has one, as numbers."""
     if near is None:
         return None
-    with suppress(ValueError):
-        list(map(float, near.split(",")))
-        return near
+    with suppress(ValueError):  # Nan is a town.
+        if all(math.isfinite(float(part)) for part in near.split(",")):
+            return near
     name, _, km = near.rpartition(",")
     if not name or not km.strip().replace(".", "", 1).isdigit():
         name, km = near, f"{NOTED_KM:g}"

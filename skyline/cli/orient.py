@@ -96,7 +96,7 @@ def orient(
     place = camera_place(at)
     queries = list(listed(photo, Query("", fov_deg, None, projection)))
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
-    usable_queries(queries)
+    usable_queries(queries)  # Refused before the DEM is read, if none is usable
     terrain = read_terrain(dem, crs, reproject)
     found: list[dict[str, Any]] = []
     oriented, exit_code = 0, 0

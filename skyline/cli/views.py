@@ -101,7 +101,7 @@ def horizon(
     check_outputs([output], filter(None, [points]))
     if output not in {None, Path(STANDARD)}:
         suffix_of(output, KINDS)
-    steps_a_turn(step_deg)
+    steps_a_turn(step_deg)  # Refused before the DEM is read
     curvature = Curvature(refraction_k=k)
     places = [parse_place(text) for text in at or ()]
     terrain = read_terrain(dem, crs, reproject)

@@ -25,8 +25,8 @@ AGREEMENT_M = 1.0
 """Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
 
 _BORDER_SAMPLES, _STANDARD_ERRORS = 64, 8.0
-"""Along shorter borders, ridges and valleys look like steps. None of 12,000 cuts of 128 samples
-through the DEMs of four ranges was a step of so many standard errors."""
+"""Along shorter borders, ridges and valleys look like steps. No cut of 128 samples through a whole
+DEM may be a step of so many standard errors; tests/unit/test_dem_tiles.py makes some thousands."""
 
 _log = logging.getLogger(__name__)
 

@@ -121,6 +121,8 @@ def test_the_area_is_that_of_the_photo_s_own_position(made, tmp_path):
         (("{photo}", "--near", NEAR, "--dem", "{sea}"), "nothing but sea or holes"),
         (("{photo}", "--near", "9.5,46.5,1", "--dem", "{empty}"), "no elevation files"),
         (("{photo}", "--near", "Davos"), "with --peaks FILE a name in that file"),
+        (("{photo}", "--near", "Nan,5"), "with --peaks FILE a name in that file"),
+        (("{photo}", "--near", "9.5,46.5,1e-9,1"), "bounds are 9.5,46.5,1e-09,1.0"),
         (("{photo}", "--near", "Davo,2", "--peaks", "{places}"), "no place named Davo: Davos?"),
         (("{photo}", "--near", "sella", "--peaks", "{places}"), "sella, at 9.4000,46.4000 and 9.6"),
     ],

@@ -8,7 +8,8 @@ from rasterio.transform import from_origin
 from scenes import UTM, at_m, write_dem
 
 from skyline.errors import InputError
-from skyline.terrain.dem import read_dem, read_files
+from skyline.terrain import tiles
+from skyline.terrain.dem import DemOptions, read_dem, read_files
 
 CALIFORNIA = [f"N{lat}W{lon}" for lat in (37, 36) for lon in (120, 119)]
 
@@ -76,6 +77,20 @@ def test_tiles_that_meet_at_a_wall_are_named(tmp_path, caplog, row, col, raised_
             assert "differs by up to 20.00 m" in said
     else:
         assert caplog.messages == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["davos/davos_srtm1_30m.tif", "everest/mt_everest_90m.tif", "rofental/dem_rofental_50.asc"],
+)
+def test_no_cut_through_real_terrain_is_a_wall(shared_data, name):
+    options = DemOptions(crs="EPSG:32632") if name.endswith("asc") else DemOptions()
+    heights, rng = read_files([shared_data / name], options).heights_m, np.random.default_rng(1)
+    for turn in range(1000):
+        whole = heights.T if turn % 2 else heights
+        row, col = rng.integers(0, np.array(whole.shape) - (128, 4))
+        lines = whole[row : row + 128, col : col + 4].T
+        assert tiles._step_m((lines, np.ones(128, dtype=bool))) == 0.0
 
 
 @pytest.mark.parametrize(
