@@ -69,7 +69,7 @@ COARSE_M = 100.0
 """Spacing of the coarse models of the same terrain."""
 _RAISED = replace(KINDS[0], eye_height_m=20.0)
 """Eyes on what a coarse model cuts off."""
-_PHOTO = replace(
+PHOTO = replace(
     _PLAIN, fov_deg=(35.0, 75.0), distortion_sd=0.02, occluded_share=(0.0, 0.3), width_px=900,
     height_px=600, azimuths=14_400,
 )  # fmt: skip
@@ -116,12 +116,18 @@ def _gathered_on(
     data: Path, queries: int, seed: int, places: int | None, name: str
 ) -> dict[str, list[Example]]:
     """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
+    terrain, strange = read_terrains(data, name)
+    with tempfile.TemporaryDirectory() as folder:
+        return _examples_on(terrain, strange, Path(folder), queries, seed, places)
+
+
+def read_terrains(data: Path, name: str) -> tuple[HeightField, HeightField]:
+    """Read a terrain, and the one whose photos are its strangers."""
     terrain, strange = (
         read_dem([data / path], options)
         for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
     )
-    with tempfile.TemporaryDirectory() as folder:
-        return _examples_on(terrain, strange, Path(folder), queries, seed, places)
+    return terrain, strange
 
 
 def _examples_on(
@@ -158,9 +164,9 @@ def _examples_on(
     in_coarse = {
         "coarse model": _without_prior(made(terrain, wide, 6, KINDS[0])),
         "coarse model, raised": _without_prior(made(terrain, wide, 7, _RAISED)),
-        "photographs": _without_prior(_photographed(terrain, made(terrain, wide, 8, _PHOTO), seed)),
+        "photographs": _without_prior(photographed(terrain, made(terrain, wide, 8, PHOTO), seed)),
     }
-    strangers = _without_prior(_strangers(strange, max(queries // STRANGERS_SHARE, 1), seed))
+    strangers = _without_prior(strangers_of(strange, queries, seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
         with _matcher(model, middle_of(model, side_m), folder, places) as matcher:
@@ -193,7 +199,7 @@ def _noted(
     return pairs
 
 
-def _photographed(
+def photographed(
     terrain: HeightField, queries: Iterable[SyntheticQuery], seed: int
 ) -> Iterator[SyntheticQuery]:
     """Yield queries with the skylines that are extracted from photographs of them.
@@ -277,13 +283,17 @@ def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) 
     return (*(middle - wider * half), *(middle + wider * half))
 
 
-def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
-    """Make queries of every kind, plain ones and photographs, in a terrain's middle."""
+def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
+    """Make queries of every kind, plain ones and photographs, in a terrain's middle.
+
+    There is a stranger of each kind for so many of ``queries``: `STRANGERS_SHARE`.
+    """
+    count, area = max(queries // STRANGERS_SHARE, 1), middle_of(terrain)
     made = {
-        kind: with_lenses(make_queries(terrain, middle_of(terrain), queries, number, kind), number)
-        for number, kind in enumerate((*KINDS, _PLAIN, _PHOTO), start=seed + 100)
+        kind: with_lenses(make_queries(terrain, area, count, number, kind), number)
+        for number, kind in enumerate((*KINDS, _PLAIN, PHOTO), start=seed + 100)
     }
-    made[_PHOTO] = list(_photographed(terrain, made[_PHOTO], seed + 100))
+    made[PHOTO] = list(photographed(terrain, made[PHOTO], seed + 100))
     return [query for some in made.values() for query in some]
 
 

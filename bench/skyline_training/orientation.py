@@ -1,17 +1,19 @@
 """Learning the confidence of a heading at a known place.
 
-Synthetic queries are oriented from places that are off by their stated error; strangers, photos of
-other terrain, from any place. The figures of a best pose
+Synthetic queries, and photographs drawn of the terrain, are oriented from places that are off by
+their stated error; strangers, photos of other terrain, from any place. Lenses are known in three
+ways, as in the examples of matches. The figures of a best pose
 (`skyline.match.confidence.oriented_figures`) and the error of its heading are an example.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from skyline import Orienter, read_dem
+from skyline import Orienter
 from skyline.arrays import Progress
 from skyline.errors import SkylineError
 from skyline.geodesy import in_turn
@@ -21,17 +23,22 @@ from skyline.match.orient import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
 from skyline_training.confidence import learn, probabilities, rated
 from skyline_training.examples import (
     COARSE_M,
     HELD_OUT,
     KINDS,
     LEARNED,
-    STRANGERS,
+    PHOTO,
     Example,
     middle_of,
+    photographed,
+    read_terrains,
+    strangers_of,
+    with_lenses,
 )
+from skyline_training.workers import over_processes
 
 WITHIN_M = (15.0, 50.0, 100.0)
 """Standard errors of the places, drawn in turn."""
@@ -40,35 +47,34 @@ WITHIN_M = (15.0, 50.0, 100.0)
 def gather_headings(
     data: Path, queries: int, seed: int, progress: Progress
 ) -> dict[str, list[Example]]:
-    """Orient queries of each kind on every terrain; return the examples by terrain."""
-    terrains = LEARNED | HELD_OUT
+    """Orient queries of each kind on every terrain, each in a process; return the examples."""
+    terrains = list(LEARNED | HELD_OUT)
     found: dict[str, list[Example]] = {}
-    for name in terrains:
-        terrain, strange = (
-            read_dem([data / path], options)
-            for path, options in (terrains[one] for one in (name, STRANGERS[name]))
-        )
-        found[name] = list(_examples_on(terrain, strange, queries, seed))
+    gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
+    for name, examples in zip(terrains, gathered, strict=True):
+        found[name] = examples
         progress(len(found), len(terrains))
     return found
 
 
-def _examples_on(
-    terrain: HeightField, strange: HeightField, queries: int, seed: int
-) -> Iterator[Example]:
-    """Orient queries of the terrain, of others like it, of a coarse model's, and strangers."""
+def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example]:
+    """Orient queries of one terrain, of others like it, of a coarse model's, and strangers."""
+    terrain, strange = read_terrains(data, name)
     area = middle_of(terrain)
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
     own = [(terrain, terrain, kind) for kind in KINDS] + [(terrain, other, kind) for kind in KINDS]
-    for number, (model, seen, kind) in enumerate([*own, (coarse, terrain, KINDS[0])]):
-        made = make_queries(seen, area, queries, seed + number, kind)
-        yield from _oriented(model, made, seed + number, is_strange=False)
-    strangers = make_queries(strange, middle_of(strange), queries, seed + 100, QueryConfig())
-    yield from _oriented(terrain, strangers, seed + 100, is_strange=True)
+    examples = list[Example]()
+    for number, (model, seen, kind) in enumerate([*own, (coarse, terrain, KINDS[0])], seed):
+        made = with_lenses(make_queries(seen, area, queries, number, kind), number)
+        examples += _oriented(model, made, number, is_strange=False)
+    taken = with_lenses(make_queries(terrain, area, queries, seed + 9, PHOTO), seed + 9)
+    examples += _oriented(terrain, photographed(terrain, taken, seed), seed + 9, is_strange=False)
+    strangers = strangers_of(strange, queries, seed)
+    return [*examples, *_oriented(terrain, strangers, seed + 100, is_strange=True)]
 
 
 def _oriented(
-    model: HeightField, queries: tuple[SyntheticQuery, ...], seed: int, *, is_strange: bool
+    model: HeightField, queries: Iterable[SyntheticQuery], seed: int, *, is_strange: bool
 ) -> Iterator[Example]:
     """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
     rng = np.random.default_rng([seed, 1])
