@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from PIL import Image
+from pyproj import Geod
 from typer import Argument, Option
 
 from skyline import (
@@ -53,6 +54,7 @@ _OFF_CENTRE = 0.27
 _ODD_DEG = 0.5
 """A found skyline this far from what the model shows at the true place is not the model's."""
 _M_PER_DEG = 111_320.0
+_GEOD = Geod(ellps="WGS84")
 
 
 @dataclass(slots=True)
@@ -78,8 +80,8 @@ def photos(
     side_km: Annotated[
         float, Option(help="Side of the square about a photograph that is searched.")
     ] = 22.0,
-    spacing: Annotated[
-        float | None, Option(metavar="M", help="Between places; planned by default.")
+    store: Annotated[
+        Path | None, Option(metavar="FILE", help="Search this store instead of squares.")
     ] = None,
     use_gps: Annotated[
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
@@ -95,7 +97,7 @@ def photos(
 
     docs/howto/comparing-grids.md has the columns of a manifest.
 
-    An area of 22 km takes minutes to build, a photograph 10 s, one that is lost a
+    An area of 22 km takes a minute to build, a photograph 10 s, one that is lost a
     minute.
 
     --quick searches areas of 4 km, and three photographs of each kind.
@@ -111,7 +113,7 @@ def photos(
     side_m = 1000.0 * side_km
     sections, found = list[str](), dict[Photograph, dict[str, Any]]()
     with options.store_folder(folder) as place, progress_bar("photographs") as progress:
-        for measured, viewer in measure(wanted, terrain, place, side_m, spacing, use_gps):
+        for measured, viewer in measure(wanted, terrain, place, side_m, store, use_gps):
             found[measured.photograph] = measured.figures
             if page_file is not None:
                 sections.append(_section(measured, viewer))
@@ -120,7 +122,8 @@ def photos(
     summary = summarize(rows)
     options.print_rows(rows, _COLUMNS)
     options.print_rows(summary)
-    about = {"manifest": manifest.stem, "side_m": side_m, "spacing_m": spacing, "use_gps": use_gps}
+    searched = {"side_m": side_m} if store is None else {"store": store.stem}
+    about = {"manifest": manifest.stem, **searched, "use_gps": use_gps}
     rows, summary = ([about | row for row in some] for some in (rows, summary))
     write_record(json_file, "photos", rows, {"photos": summary})
     if page_file is not None:
@@ -147,28 +150,31 @@ def measure(
     terrain: HeightField | None,
     folder: Path,
     side_m: float,
-    spacing_m: float | None = None,
+    store: Path | None = None,
     use_gps: bool = False,
 ) -> Iterator[tuple[Measured, Viewer | None]]:
     """Yield each photograph measured, and what renders its surroundings.
 
-    Squares of a side are searched about the photographs; the terrain is not needed where nothing is
-    located. Places are planned without a spacing; their stores are kept in a folder and found
-    again. ``use_gps`` lets the photographs' own positions draw the search. `InputError` is raised
-    where a place is not on the elevation model, or there is none.
+    Squares of a side are searched about the photographs, or one store; the terrain is not needed
+    where nothing is located. The squares' stores are kept in a folder and found again. ``use_gps``
+    lets the photographs' own positions draw the search. `InputError` is raised where a place is not
+    on the elevation model, or there is none.
     """
     for one in photographs:
         if one.kind == EXTRACT:
             yield _extracted(one), None
     located = [one for one in photographs if one.kind != EXTRACT]
-    for group in _groups(located, side_m * _SAME_AREA):
+    reach_m = side_m * _SAME_AREA if store is None else math.inf
+    for group in _groups(located, reach_m):
         if terrain is None:
             raise InputError("photographs are to be located; give the elevation model too")
-        place = folder / f"{group[0].name}-area"
-        place.mkdir(exist_ok=True)
-        area_deg = _area_deg(terrain, group[0], side_m)
-        store = StoreSpec(spacing_m=spacing_m).build(terrain, place, area_deg)
-        with Matcher(store.path, terrain) as matcher, Viewer(terrain) as viewer:
+        path = store
+        if path is None:
+            place = folder / f"{group[0].name}-area"
+            place.mkdir(exist_ok=True)
+            area_deg = _area_deg(terrain, group[0], side_m)
+            path = StoreSpec().build(terrain, place, area_deg).path
+        with Matcher(path, terrain) as matcher, Viewer(terrain) as viewer:
             for one in group:
                 yield _located(one, matcher, viewer, use_gps), viewer
 
@@ -343,15 +349,9 @@ def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[
     left = list(photographs)
     while left:
         first = left[0]
-        group = [one for one in left if _apart_m(first, one) <= apart_m]
+        group = [one for one in left if _GEOD.inv(*first.lonlat, *one.lonlat)[2] <= apart_m]
         yield group
         left = [one for one in left if one not in group]
-
-
-def _apart_m(one: Photograph, other: Photograph) -> float:
-    (lon, lat), (other_lon, other_lat) = one.lonlat, other.lonlat
-    east, north = (lon - other_lon) * math.cos(math.radians(lat)), lat - other_lat
-    return _M_PER_DEG * math.hypot(east, north)
 
 
 def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:

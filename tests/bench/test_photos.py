@@ -56,6 +56,10 @@ def test_photographs_are_measured(run_bench, manifest, dem, tmp_path):
     summary = json.loads(record.read_text())["summary"]["photos"]
     assert [row["kind"] for row in summary] == ["locate", "refuse", "extract"]
     assert summary[0]["within_200m"] == 0.5
+    (store,) = (tmp_path / "areas").rglob("*.h5")
+    run_bench("photos", manifest, dem, "--store", store, "--json", record).ok()
+    again = json.loads(record.read_text())["rows"][0]
+    assert (again["store"], again["error_m"]) == (store.stem, found["error_m"])
 
 
 def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
