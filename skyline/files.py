@@ -1,8 +1,9 @@
 """Files: reading them, writing them whole or not at all, CSV tables, locks, and names for GDAL.
 
 Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
-separated by the most frequent of comma, semicolon and tab in the header; with semicolons or tabs,
-numbers may have decimal commas. Lines before the header that begin with # are notes.
+separated by the most frequent of comma, semicolon and tab in the header. With semicolons or tabs,
+numbers may have decimal commas, and points between thousands beside them. Lines before the header
+that begin with # are notes.
 """
 
 import csv
@@ -10,6 +11,7 @@ import fcntl
 import io
 import math
 import os
+import re
 import stat
 import sys
 from collections.abc import Mapping
@@ -33,6 +35,8 @@ _OTHER_NAMES = {
     "northing_m": "northing",
     "fid": "id",
 }
+_DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
 _SHOWN = 80
 """Characters of a header that an error shows."""
 
@@ -153,6 +157,13 @@ class Row:
         """The row's ``id``, else its ``name``; empty if it has neither."""
         return self["id"] or self["name"]
 
+    def with_point(self, column: str) -> str:
+        """Return a cell with a decimal point, and no points between thousands."""
+        text = self[column]
+        if not self.has_decimal_commas:
+            return text
+        return (text.replace(".", "") if _THOUSANDS.match(text) else text).replace(",", ".")
+
     def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
         """Return a finite number within limits, which for ``lon`` and ``lat`` are those of degrees.
 
@@ -161,7 +172,7 @@ class Row:
         low, high = _LIMITS.get(column, (low, high))
         text = self[column]
         try:
-            value = float(text.replace(",", ".") if self.has_decimal_commas else text)
+            value = float(self.with_point(column))
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and low <= value <= high):
@@ -233,7 +244,7 @@ def read_table(
     separator = max(_SEPARATORS, key=heading.count)
     reader = csv.reader(lines[before:], delimiter=separator, skipinitialspace=True)
     header: tuple[str, ...] = ()
-    rows = []
+    found = []
     try:
         for record in reader:
             cells = [cell.strip() for cell in record]
@@ -248,14 +259,18 @@ def read_table(
                     f"{where} has {len(cells)} cells; expected {len(header)} for "
                     f"`{','.join(header)[:_SHOWN]}`: put text with a separator in quotes"
                 )
-            named = dict(zip(header, cells, strict=False))
-            rows.append(Row(where, named, separator != ","))
+            found.append((where, dict(zip(header, cells, strict=False))))
     except csv.Error as error:
         raise InputError(f"{path} cannot be read as CSV ({error}); {expected}") from None
     if not header:
         raise InputError(f"{path} is empty; {expected}")
     if twice := {name for name in header if name and header.count(name) > 1}:
         raise InputError(f"{path} has the column `{twice.pop()[:_SHOWN]}` twice; {expected}")
+    # Without a comma in any number, points are decimal.
+    has_commas = separator != "," and any(
+        _DECIMAL_COMMA.fullmatch(cell) for _, cells in found for cell in cells.values()
+    )
+    rows = [Row(where, cells, has_commas) for where, cells in found]
     return Table(path, header, rows, lines[:before])
 
 

@@ -189,8 +189,8 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
 
 
 def _row(row: Row, first: str, second: str) -> _Point:
-    height = row["height_m"].replace(",", ".") if row.has_decimal_commas else row["height_m"]
-    return " ".join(row["name"].split()), row.number(first), row.number(second), height or None
+    height = row.with_point("height_m") or None
+    return " ".join(row["name"].split()), row.number(first), row.number(second), height
 
 
 def _of_geojson(path: str | Path) -> list[_Point]:
