@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from skyline.cli.console import command_line, run_app
 from skyline_bench import durability, figures, orient, page, paper, photos, speed, summits
@@ -46,6 +47,5 @@ for subject, commands in COMMANDS.items():
         )(command)
 
 
-def main() -> None:
-    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(app)
+main = partial(run_app, app)
+"""Run the command line; see `skyline.cli.console.run_app`."""

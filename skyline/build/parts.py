@@ -167,7 +167,7 @@ def build_store(
         if runner is not None:
             written = _on_workers(runner, header, plan, left)
         elif opened is not None:
-            written = (_render_part(part, opened, some) for part, some in left.items())
+            written = map(partial(_render_part, opened), left.items())
         try:
             for rows_of_part in written:
                 rendered += rows_of_part
@@ -265,7 +265,6 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
     All calls in a process must come from one thread, which owns the OpenGL context. The store's
     header has the DEM's files, by paths that are the same on every machine.
     """
-    path, work = item
     if build not in _open_renderer:
         while _open_renderer:
             _open_renderer.popitem()[1].renderer.release()
@@ -277,10 +276,11 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
                 "libraries"
             ) from error
         _open_renderer[build] = plan.opened(terrain)
-    return _render_part(path, _open_renderer[build], work)
+    return _render_part(_open_renderer[build], item)
 
 
-def _render_part(path: Path, renderer: PartRenderer, work: Any) -> int:
+def _render_part(renderer: PartRenderer, item: tuple[Path, Any]) -> int:
+    path, work = item
     columns = renderer.columns(work)
     with explained(path, "it cannot be written", "check the folder's rights and space"):
         for folder in (path.parent.parent, path.parent):

@@ -1,5 +1,6 @@
 """The command line: ``skyline COMMAND``."""
 
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -80,6 +81,5 @@ for subject, commands in COMMANDS.items():
         app.command(path.partition(".")[2], help=about, rich_help_panel=subject)(lambda: None)
 
 
-def main() -> None:
-    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(app)
+main = partial(run_app, app)
+"""Run the command line; see `run_app`."""
