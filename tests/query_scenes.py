@@ -6,6 +6,7 @@ import numpy as np
 
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays
+from skyline.photo.query import Projection
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline_bench.queries.pinhole import Camera
 
@@ -41,11 +42,16 @@ def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
     return replace(query.with_fov(assumed_fov_deg or fov_deg), fov_range_deg=fov_range_deg)
 
 
-def swept(function, heading_deg, raised_deg, fov_deg, columns=2000):
+def swept(
+    function, heading_deg, raised_deg, fov_deg, projection=Projection.CYLINDRICAL, columns=2000
+):
     """Return the rays of a panorama of a made-up skyline, whose middle row is above the horizon."""
     u = np.radians(fov_deg * ((np.arange(columns) + 0.5) / columns - 0.5))
-    v = function(u + np.radians(heading_deg)) - np.tan(np.radians(raised_deg))
-    return QueryRays(u, v, np.ones_like(u), fov_deg, is_panorama=True)
+    y, raised = function(u + np.radians(heading_deg)), np.radians(raised_deg)
+    v = y - np.tan(raised)
+    if projection is Projection.EQUIRECTANGULAR:
+        v = np.tan(np.arctan(y) - raised)
+    return QueryRays(u, v, np.ones_like(u), fov_deg, projection=projection)
 
 
 def poses(count=1, **given):

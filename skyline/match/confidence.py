@@ -314,7 +314,7 @@ def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Fl
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
     """Return the figures of the width and of the relief of the query's skyline, and of its lens."""
-    azimuth, y = level(query.u, query.v, 0.0, 0.0, is_panorama=query.is_panorama)
+    azimuth, y = level(query.u, query.v, 0.0, 0.0, query.projection)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
     relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))

@@ -162,13 +162,11 @@ class CurveFit:
     def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
         pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
-        scale = np.exp(zoom)
-        u, v = (ray.astype(np.float32) * scale for ray in (self._rays.u, self._rays.v))
-        is_panorama = self._rays.is_panorama
-        if is_panorama:
+        u, v = self._rays.scaled(np.exp(zoom))
+        if self._rays.is_panorama:
             v = v + pose[:, _WANDER:] @ self._wander.T
-        right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
-        if is_panorama:
+        right, up, forward = level_axes(u, v, pitch, roll, self._rays.projection)
+        if self._rays.is_panorama:
             return np.arctan2(right, forward), up / np.hypot(right, forward)
         forward = np.maximum(forward, _MIN_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)

@@ -12,6 +12,7 @@ from skyline.photo.query import (
     MAX_PANORAMA_DEG,
     WANDER_DEGREES,
     Lens,
+    Projection,
     QuerySkyline,
     wander_of,
 )
@@ -61,7 +62,7 @@ class QueryRays:
     fov_sd_deg: float = math.inf
     """Standard deviation of the true field of view about `fov_deg`; infinite for a uniform
     distribution over the range."""
-    is_panorama: bool = False
+    projection: Projection = Projection.PERSPECTIVE
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
     distortion. A distortion k moves a ray outwards by k times its `reach`; see
@@ -84,7 +85,7 @@ class QueryRays:
                 *query.image_plane(),
                 weight,
                 fov_deg,
-                is_panorama=is_panorama,
+                projection=query.projection,
                 distortion_sd=0.0 if is_panorama else distortion_sd,
             )
             slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_slack
@@ -101,6 +102,11 @@ class QueryRays:
     def __post_init__(self) -> None:
         if not self.weight.any():
             raise InputError("all weights of the query are 0, so there is nothing to match")
+
+    @property
+    def is_panorama(self) -> bool:
+        """True if the photo was swept or stitched."""
+        return self.projection.is_panorama
 
     @property
     def fov_bounds_deg(self) -> tuple[float, float]:
@@ -166,8 +172,15 @@ class QueryRays:
 
     def with_fov(self, fov_deg: float) -> "QueryRays":
         """Return the same photo's rays for another field of view, degrees, within the range."""
-        scale = self._half_width(fov_deg) / self._half_width(self.fov_deg)
-        return replace(self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg)
+        u, v = self.scaled(self._half_width(fov_deg) / self._half_width(self.fov_deg))
+        return replace(self, u=u, v=v, fov_deg=fov_deg)
+
+    def scaled(self, scale: Any) -> tuple[Any, Any]:
+        """Return u and v for half widths that are ``scale`` times as large, of the same dtype."""
+        u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
+        if self.projection is Projection.EQUIRECTANGULAR:
+            return u * scale, np.tan(np.arctan(v) * scale)
+        return u * scale, v * scale
 
     def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
         """Return the rays with a normally distributed field of view.
@@ -189,8 +202,7 @@ def level(
     v: Float64Array,
     pitch_deg: float,
     roll_deg: float,
-    *,
-    is_panorama: bool = False,
+    projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
     """Return azimuths and elevation tangents of rays of a pitched and rolled camera.
 
@@ -200,27 +212,33 @@ def level(
     `QueryRays`.
     """
     attitude = np.radians(pitch_deg), np.radians(roll_deg)
-    right, up, forward = level_axes(u, v, *attitude, is_panorama=is_panorama)
+    right, up, forward = level_axes(u, v, *attitude, projection)
     return np.arctan2(right, forward), up / np.hypot(right, forward)
 
 
 def level_axes(
-    u: Any, v: Any, pitch: Any, roll: Any, *, is_panorama: bool = False
+    u: Any, v: Any, pitch: Any, roll: Any, projection: Projection = Projection.PERSPECTIVE
 ) -> tuple[Any, Any, Any]:
     """Return rays as right, up and forward components of a level camera; angles in radians.
 
-    A panorama's camera turns about an upright axis, so its pitch raises the horizon equally all the
-    way round.
+    A panorama's camera turns about an upright axis, so its pitch raises the rows equally all the
+    way round: tangents of a cylindrical photo, elevations of an equirectangular one.
     """
-    if is_panorama:
-        across, above = np.sin(u), v + np.tan(pitch)
+    if projection.is_panorama:
+        across, above = np.sin(u), _raised(v, np.tan(pitch), projection)
     else:
         across, above = u, v
     right = across * np.cos(roll) + above * np.sin(roll)
     up = above * np.cos(roll) - across * np.sin(roll)
-    if is_panorama:
+    if projection.is_panorama:
         return right, up, np.cos(u)
     return right, up * np.cos(pitch) + np.sin(pitch), np.cos(pitch) - up * np.sin(pitch)
+
+
+def _raised(v: Any, tangent: Any, projection: Projection) -> Any:
+    """Return v raised by a pitch of a tangent; the sum of angles for an equirectangular photo."""
+    is_sphere = projection is Projection.EQUIRECTANGULAR
+    return (v + tangent) / (1.0 - v * tangent) if is_sphere else v + tangent
 
 
 def project(
@@ -228,8 +246,7 @@ def project(
     y: Float64Array,
     pitch_deg: float,
     roll_deg: float,
-    *,
-    is_panorama: bool = False,
+    projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
     """Return u and v of directions; the inverse of `level`.
 
@@ -237,10 +254,10 @@ def project(
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
-    if is_panorama:
+    if projection.is_panorama:
         across = right * np.cos(roll) - y * np.sin(roll)
-        above = right * np.sin(roll) + y * np.cos(roll)
-        return np.arctan2(across, ahead), above / np.hypot(across, ahead) - np.tan(pitch)
+        above = (right * np.sin(roll) + y * np.cos(roll)) / np.hypot(across, ahead)
+        return np.arctan2(across, ahead), _raised(above, -np.tan(pitch), projection)
     forward = ahead * np.cos(pitch) + y * np.sin(pitch)
     forward = np.where(forward > 0.0, forward, np.nan)
     up = y * np.cos(pitch) - ahead * np.sin(pitch)
@@ -264,19 +281,24 @@ def level_with_changes(
     `QueryRays.warp_sd`.
     """
     scale = np.exp(log_scale)[:, np.newaxis]
-    u, v, share = query.u * scale, query.v * scale, None
-    if query.is_panorama:
-        v = v + scale * (warp @ query.wander.T)
-    elif warp.shape[1]:
-        stretch = 1.0 + warp * query.reach
-        u, v, share = u * stretch, v * stretch, (query.reach / stretch)[..., np.newaxis]
+    u, v = query.scaled(scale)
     attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
-    (right, up, forward), changes = _axes_with_changes(u, v, *attitude, query.is_panorama)
     if query.is_panorama:
-        # Rows that wander move rays up the image, as a pitch does.
-        raised = (scale * np.square(np.cos(attitude[0])))[..., np.newaxis] * query.wander
-        changes = [np.concatenate([one, one[..., :1] * raised], axis=-1) for one in changes]
-    elif share is not None:
+        wander = scale[..., np.newaxis] * query.wander
+        grown = v
+        if query.projection is Projection.EQUIRECTANGULAR:
+            grown = np.arctan(query.v) * scale * (1.0 + np.square(v))
+        wandered = (wander @ warp[..., np.newaxis])[..., 0]
+        (right, up, forward), changes = _panorama_with_changes(
+            u, v + wandered, grown + wandered, wander, *attitude, query.projection
+        )
+    else:
+        stretch: Any = 1.0
+        share = np.zeros((*u.shape, 0))
+        if warp.shape[1]:
+            stretch = 1.0 + warp * query.reach
+            share = (query.reach / stretch)[..., np.newaxis]
+        (right, up, forward), changes = _axes_with_changes(u * stretch, v * stretch, *attitude)
         # Distortion moves rays outwards like the scale, but the more the farther out they are.
         changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
     right_change, up_change, forward_change = changes
@@ -292,30 +314,53 @@ def level_with_changes(
 
 
 def _axes_with_changes(
-    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array, is_panorama: bool
+    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes`, and its derivatives (M, R, 3) by pitch, roll and logarithm of scale."""
-    cos_roll, sin_roll = np.cos(roll), np.sin(roll)
+    """Return `level_axes` of a lens, and its derivatives (M, R, 3) by pitch, roll and log scale."""
+    right, up, forward = axes = level_axes(u, v, pitch, roll)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
-    if is_panorama:
-        # Its pitch raises the image by the tangent.
-        axes = level_axes(u, v + sin_pitch / cos_pitch, 0.0, roll, is_panorama=True)
-        right, up, forward = axes
-        raised, turned, none = np.ones_like(u) / cos_pitch**2, u * forward, np.zeros_like(u)
-        changes = [
-            [raised * sin_roll, up, turned * cos_roll + v * sin_roll],
-            [raised * cos_roll, -right, v * cos_roll - turned * sin_roll],
-            [none, none, -u * np.sin(u)],
-        ]
-    else:
-        right, up, forward = axes = level_axes(u, v, pitch, roll)
-        above = v * cos_roll - u * sin_roll
-        changes = [
-            [np.zeros_like(up), above, right],
-            [forward, -right * cos_pitch, above * cos_pitch],
-            [-up, right * sin_pitch, -above * sin_pitch],
-        ]
+    above = v * np.cos(roll) - u * np.sin(roll)
+    changes = [
+        [np.zeros_like(up), above, right],
+        [forward, -right * cos_pitch, above * cos_pitch],
+        [-up, right * sin_pitch, -above * sin_pitch],
+    ]
     return axes, [np.stack(change, axis=-1) for change in changes]
+
+
+def _panorama_with_changes(
+    u: Float64Array,
+    v: Float64Array,
+    v_change: Float64Array,
+    wander: Float64Array,
+    pitch: Float64Array,
+    roll: Float64Array,
+    projection: Projection,
+) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
+    """Return `level_axes` of a panorama, and its derivatives (M, R, 3 + K).
+
+    They are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
+    the derivatives of v by the last two.
+    """
+    above = _raised(v, np.tan(pitch), projection)
+    if projection is Projection.EQUIRECTANGULAR:
+        by_pitch = 1.0 + np.square(above)
+        by_v = by_pitch / (1.0 + np.square(v))
+    else:
+        by_pitch, by_v = np.ones_like(v) / np.square(np.cos(pitch)), np.ones_like(v)
+    # Pitch, scale and warps move a ray up the image; scale moves it across, too.
+    changes = [by_pitch, np.zeros_like(v), by_v * v_change]
+    lifted = np.concatenate([np.stack(changes, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
+    right, up, forward = axes = level_axes(u, above, 0.0, roll, projection)
+    right_change, up_change = (
+        lifted * turned[..., np.newaxis] for turned in (np.sin(roll), np.cos(roll))
+    )
+    forward_change = np.zeros_like(lifted)
+    right_change[..., 1], up_change[..., 1] = up, -right
+    right_change[..., 2] += u * forward * np.cos(roll)
+    up_change[..., 2] -= u * forward * np.sin(roll)
+    forward_change[..., 2] = -u * np.sin(u)
+    return axes, [right_change, up_change, forward_change]
 
 
 def thinned(query: QueryRays, bins: int) -> QueryRays:
@@ -370,7 +415,7 @@ def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
     slope. Values at bin centres are interpolated linearly between these averages.
     """
-    azimuth, y = level(query.u, query.v, pitch_deg, 0.0, is_panorama=query.is_panorama)
+    azimuth, y = level(query.u, query.v, pitch_deg, 0.0, query.projection)
     position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
     nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
     weight = np.bincount(nearest, query.weight, bins)

@@ -65,8 +65,7 @@ def pixels_of(
     """Return the columns and rows at which directions appear; NaN for those not in front."""
     turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
     y = np.asarray(elevation_tan, dtype=np.float64)
-    is_panorama = query.projection.is_panorama
-    u, v = project(turn, y, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
+    u, v = project(turn, y, pose.pitch_deg, pose.roll_deg, query.projection)
     if pose.wander:
         v = v - wandered(u / np.radians(pose.fov_deg / 2.0), pose.wander)
     across, above = query.projection.places(u, v, pose.fov_deg)
@@ -87,8 +86,7 @@ def directions_of(
     u, v = query.projection.rays(*undistorted(across, above, pose.distortion), pose.fov_deg)
     if pose.wander:
         v = v + wandered(across, pose.wander)
-    is_panorama = query.projection.is_panorama
-    turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, is_panorama=is_panorama)
+    turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, query.projection)
     return np.degrees(turn) + pose.grid_heading_deg, y
 
 

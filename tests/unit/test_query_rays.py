@@ -42,7 +42,9 @@ def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():
     u = np.radians([-110.0, 110.0])
-    around = QueryRays(u, np.array([0.1, 0.2]), np.ones(2), 220.0, is_panorama=True)
+    around = QueryRays(
+        u, np.array([0.1, 0.2]), np.ones(2), 220.0, projection=Projection.CYLINDRICAL
+    )
     wider = around.with_fov(242.0)
     np.testing.assert_allclose(wider.u, 1.1 * u)
     np.testing.assert_allclose(wider.v, [0.11, 0.22])
@@ -51,13 +53,14 @@ def test_a_panorama_s_scale_is_its_field_of_view_s():
     assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
 
 
-@pytest.mark.parametrize(("is_panorama", "wide"), [(False, 1.5), (True, 3.1)])
+@pytest.mark.parametrize("projection", Projection)
 @given(share=st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)))
-def test_levelled_rays_project_back(is_panorama, wide, share):
+def test_levelled_rays_project_back(projection, share):
+    wide, most_deg = (3.1, 20.0) if projection.is_panorama else (1.5, (60.0, 180.0))
     u, v = np.meshgrid(np.linspace(-wide, wide, 9), np.linspace(-0.3, 0.3, 5))
-    turned_deg = np.multiply(share, 20.0 if is_panorama else (60.0, 180.0))
-    levelled = level(u, v, *turned_deg, is_panorama=is_panorama)
-    back = project(*levelled, *turned_deg, is_panorama=is_panorama)
+    turned_deg = np.multiply(share, most_deg)
+    levelled = level(u, v, *turned_deg, projection)
+    back = project(*levelled, *turned_deg, projection)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
 
 

@@ -10,7 +10,7 @@ from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.query_rays import QueryRays, level, level_with_changes
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
-from skyline.photo.query import distorted, wander_of
+from skyline.photo.query import Projection, distorted, wander_of
 from skyline.terrain.sightlines import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
@@ -39,15 +39,15 @@ def settled(hypotheses, panoramas, query, edge=None):
     return solver.hypotheses(curves, fit)
 
 
-@pytest.mark.parametrize("is_panorama", [False, True])
-def test_levelled_rays_are_those_of_every_matcher(is_panorama):
+@pytest.mark.parametrize("projection", Projection)
+def test_levelled_rays_are_those_of_every_matcher(projection):
     u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
-    query = QueryRays(u, v, np.ones(9), 60.0, is_panorama=is_panorama)
+    query = QueryRays(u, v, np.ones(9), 60.0, projection=projection)
     state = np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)])
     level_image = np.zeros((1, len(query.warp_sd)))
     found_azimuth, found_y, *_ = level_with_changes(query, *state, level_image)
     angles_deg = np.degrees(0.1), np.degrees(-0.2)
-    azimuth, y = level(1.2 * u, 1.2 * v, *angles_deg, is_panorama=is_panorama)
+    azimuth, y = level(*query.scaled(np.array(1.2)), *angles_deg, projection)
     np.testing.assert_allclose(found_azimuth[0], azimuth, atol=1e-12)
     np.testing.assert_allclose(found_y[0], y, atol=1e-12)
 
@@ -55,7 +55,15 @@ def test_levelled_rays_are_those_of_every_matcher(is_panorama):
 LENS = rays_of(*seen(hills, **TRUTH), 60.0)
 
 
-@pytest.mark.parametrize("query", [LENS, replace(LENS, distortion_sd=0.05), swept(hills, *SWEPT)])
+@pytest.mark.parametrize(
+    "query",
+    [
+        LENS,
+        replace(LENS, distortion_sd=0.05),
+        swept(hills, *SWEPT),
+        swept(hills, *SWEPT, Projection.EQUIRECTANGULAR),
+    ],
+)
 def test_derivatives_agree_with_differences(query):
     solver = Solver(query, FINE, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
@@ -102,6 +110,20 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
     assert np.degrees(fit.state[0, PITCH]) == pytest.approx(SWEPT[1], abs=0.1)
     np.testing.assert_allclose(solver.wander(fit)[0], wander, atol=np.radians(0.1))
     assert solver.hypotheses(curves, fit).distortion[0] == 0.0
+
+
+@pytest.mark.parametrize("raised_deg", [-25.0, 25.0])
+def test_a_sphere_cropped_far_from_the_horizon_is_levelled_exactly(raised_deg):
+    query = swept(hills, 200.0, raised_deg, 230.0, Projection.EQUIRECTANGULAR)
+    query = query.with_fov(228.0).about(2.0)
+    found = settled(
+        poses(heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0),
+        panorama_of(hills),
+        query,
+    )
+    assert found.heading_deg[0] == pytest.approx(200.0, abs=0.02)
+    assert found.pitch_deg[0] == pytest.approx(raised_deg, abs=0.1)
+    assert found.fov_deg[0] == pytest.approx(230.0, abs=0.05)
 
 
 def test_attitude_and_field_of_view_are_recovered():
