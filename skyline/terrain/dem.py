@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
 from skyline.geodesy import (
@@ -47,6 +47,10 @@ UNKNOWN_M = 40.0
 
 _CANOPY_MOST_M = 120.0
 """The greatest height in a canopy model; a surface model of high ground has greater ones."""
+_LEAST_FOLLOW_SHARE = 0.5
+"""A model that rises by less than this share of the ground's rise is a canopy model."""
+_FLAT_M = 1.0
+"""Standard deviation of ground that is too flat to tell by."""
 _OFFSET_M = (-10.0, 60.0)
 """Lowest and highest plausible median of a surface above the ground."""
 
@@ -272,8 +276,9 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
 
     The heights of a surface model have the terrain's datum, those of a canopy model are above the
-    ground: a model that lies far below the ground is taken for a canopy model. Its grid and CRS may
-    be others; files that name none have the CRS that was given for the terrain's.
+    ground: a model that lies far below the ground, or does not rise and fall with it, is taken for
+    a canopy model. Its grid and CRS may be others; files that name none have the CRS that was given
+    for the terrain's.
 
     The field returned is on the terrain's samples, nowhere lower: the ground, plus the model's
     greatest height above it within a sample's distance, or plus `UNKNOWN_M` where the model has no
@@ -330,7 +335,10 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
             f"{name} has no height over the DEM; give a surface model of the same area"
         )
     offset_m = float(np.median(above_m[known]))
-    if offset_m < _OFFSET_M[0] and model.height_range_m[1] <= _CANOPY_MOST_M:
+    is_far_below = offset_m < _OFFSET_M[0]
+    if model.height_range_m[1] <= _CANOPY_MOST_M and (
+        is_far_below or _follow_share(model.heights_m[known], above_m[known]) < _LEAST_FOLLOW_SHARE
+    ):
         return np.where(known, model.heights_m, np.nan)
     if not _OFFSET_M[0] <= offset_m <= _OFFSET_M[1]:
         raise InputError(
@@ -339,6 +347,19 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
             "model in metres above ground"
         )
     return above_m
+
+
+def _follow_share(heights_m: FloatArray, above_m: Float64Array) -> float:
+    """Return by how much heights (N,) rise in the mean where the ground rises by a metre.
+
+    1 for a surface model, 0 for a canopy model; 1 where the ground is flat.
+    """
+    ground_m = heights_m - above_m
+    rise_m = ground_m - ground_m.mean()
+    squared = float(rise_m @ rise_m)
+    if squared <= _FLAT_M**2 * len(rise_m):
+        return 1.0
+    return float(rise_m @ heights_m) / squared
 
 
 def _samples(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:

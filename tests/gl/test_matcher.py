@@ -128,7 +128,7 @@ def test_a_sphere_that_is_cropped_far_above_its_horizon_is_found(store, terrain)
     assert np.hypot(best.easting_m - east, best.northing_m - north) < 5.0
     assert best.pitch_deg == pytest.approx(raised_deg, abs=0.1)
     assert best.residual_deg < 0.02
-    azimuth_deg, y = directions_of(best, query, np.arange(width), row_px - 60.0)
+    _, y = directions_of(best, query, np.arange(width), row_px - 60.0)
     expected_deg = elevation_deg + 60.0 * fov_deg / width
     assert np.abs(np.degrees(np.arctan(y)) - expected_deg).max() < 0.3
 

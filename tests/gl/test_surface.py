@@ -42,6 +42,14 @@ def test_a_surface_and_a_canopy_model_give_the_same_heights(bare, canopy, forest
         np.testing.assert_allclose(over.heights_m - bare.heights_m, canopy.heights_m, atol=1e-3)
 
 
+def test_a_canopy_model_is_recognized_where_most_of_the_ground_is_low(bare, canopy):
+    fjord = field_of(np.maximum(bare.heights_m - np.quantile(bare.heights_m, 0.6), 0.0))
+    trees = np.where(fjord.heights_m > 0.0, canopy.heights_m, 0.0)
+    for model in (trees, fjord.heights_m + trees):
+        over = read_surface(field_of(model), fjord)
+        np.testing.assert_allclose(over.heights_m - fjord.heights_m, trees, atol=1e-3)
+
+
 def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(bare):
     trees = np.zeros((300, 300))
     trees[151, 149] = 30.0
