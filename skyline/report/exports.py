@@ -276,10 +276,7 @@ EXPORTS: Mapping[
 
 
 def export_matches(
-    path: str | Path,
-    results: Sequence[MatchResult],
-    frame: Frame,
-    photos: Photos | None = None,
+    path: str | Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None = None
 ) -> None:
     """Write the candidates of results by the suffix: GeoJSON, KML, KMZ or GPX.
 
