@@ -1,8 +1,7 @@
 """Errors and log lines: one line each, with what was found, what was expected and what to do.
 
 Every error is also the builtin error a Python caller would expect, and carries the exit
-code of the command line: 2 for bad input, 1 for a failure. First comes the text of a line, then
-the errors, messages that several files share, and the logging of a process.
+code of the command line: 2 for bad input, 1 for a failure.
 """
 
 import io

@@ -1,4 +1,4 @@
-"""Map frames: places in metres and degrees, the direction of north, the drop of the Earth.
+"""Map frames: places in metres and degrees, the direction of north, and the Earth's curvature.
 
 Inside the program a location is (easting, northing) in one metric frame and azimuths are from
 grid north. People read degrees of WGS 84, and azimuths from true north.

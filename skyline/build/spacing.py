@@ -8,8 +8,8 @@ process that plans a block nor on the order.
 
 Between places a view's skyline differs from theirs by an angle of about the spacing over the
 skyline's distance. The odds that a whole search, refinement included, then fails grow with a power
-of that ratio. The power and the ratio of even odds were fitted to searches for synthetic
-views, 60 degrees wide; docs/method.md has the terrain, and the fit on other terrain.
+of that ratio. The power, and the ratio at which a search fails as often as not, were fitted to
+searches for synthetic views, 60 degrees wide; docs/method.md has the terrain.
 """
 
 import math

@@ -16,7 +16,7 @@ COMMANDS = {
         "match.match": "Find where photos were taken and in which direction the camera looked.",
         "orient.orient": "Find how cameras were held at a known place: heading, pitch, roll and "
         "field of view.",
-        "orient.label": "Write the names and distances of the summits that a photo shows on it.",
+        "orient.label": "Write the names and distances of the summits in a photo on a copy of it.",
         "orient.pixels": "Give the place on the terrain that each pixel of a photo shows.",
         "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",

@@ -81,10 +81,7 @@ def build(
     if spacing is not None and places is not None:
         raise InputError("give one of --spacing (a uniform grid) and --places (planned places)")
     plan = PlacePlan(
-        spacing,
-        None if bounds is None else parse_bounds(bounds),
-        places,
-        Curvature(refraction_k=k),
+        spacing, None if bounds is None else parse_bounds(bounds), places, Curvature(refraction_k=k)
     )
     terrain = read_terrain(dem, crs, reproject)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
@@ -171,7 +168,7 @@ def render(
             help="Pixels by which a skyline may lie too low; 0 is exact.",
         ),
     ] = _DEFAULTS.tolerance_px,
-    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:

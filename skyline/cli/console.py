@@ -90,8 +90,8 @@ Surfaces = Annotated[
     of_terrain(
         "--surface",
         metavar="FILE",
-        help="A surface or canopy model, a file or a folder of them: how far trees and houses may "
-        "rise above the bare skyline; may be repeated.",
+        help="A surface or canopy model, up to which trees and houses may hide the bare ground: a "
+        "file, or a folder of them; may be repeated.",
     ),
 ]
 RefractionK = Annotated[
@@ -109,8 +109,7 @@ Crs = Annotated[
 Reproject = Annotated[
     bool,
     of_terrain(
-        "--reproject",
-        help="Warp a DEM whose CRS is not conformal, so that its map keeps angles.",
+        "--reproject", help="Warp a DEM whose CRS is not conformal, so that its map keeps angles."
     ),
 ]
 PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")

@@ -9,14 +9,7 @@ import numpy as np
 from typer import Argument, Option
 
 from skyline.camera import pixel_size
-from skyline.cli.console import (
-    AsJson,
-    Crs,
-    Dems,
-    Reproject,
-    print_line,
-    read_terrain,
-)
+from skyline.cli.console import AsJson, Crs, Dems, Reproject, print_line, read_terrain
 from skyline.errors import InputError, numbers_of, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context

@@ -7,13 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from skyline.cli.console import (
-    AsJson,
-    on_interrupt,
-    output_option,
-    print_note,
-    progress_bar,
-)
+from skyline.cli.console import AsJson, on_interrupt, output_option, print_note, progress_bar
 from skyline.cli.match import match, narrowing_of
 from skyline.cli.photo import FieldOfView, usable_queries
 from skyline.errors import InputError, MissingFileError

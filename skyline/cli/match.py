@@ -56,8 +56,8 @@ def match(
         list[Path],
         Argument(
             metavar="QUERY...",
-            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. Stores "
-            "named before them are searched together with STORE; all must be of one DEM.",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. Before "
+            "them may come more stores of the same DEM, which are searched as one.",
         ),
     ],
     fov_deg: FieldOfView = None,
@@ -79,12 +79,10 @@ def match(
     ] = None,
     projection: PhotoProjection = None,
     same_place: Annotated[
-        bool,
-        _known("--same-place", help="All photos were taken at one place; find that place."),
+        bool, _known("--same-place", help="All photos were taken at one place; find that place.")
     ] = False,
     use_gps: Annotated[
-        bool,
-        _known("--use-gps", help="Prefer places near each photo's own GPS position."),
+        bool, _known("--use-gps", help="Prefer places near each photo's own GPS position.")
     ] = False,
     matcher: Annotated[
         str,
@@ -97,8 +95,7 @@ def match(
     export: Annotated[
         list[Path] | None,
         _files(
-            metavar="FILE",
-            help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated.",
+            metavar="FILE", help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated."
         ),
     ] = None,
     peaks: Annotated[
@@ -176,16 +173,9 @@ def match(
         _match_each(output, queries, refused, iter(()))
         raise typer.Exit(output.exit_code)
     # Workers may have another working directory.
-    tiles = tuple(map(absolute_name, without_folders(dem or ())))
+    tiles = tuple(map(absolute_name, without_folders(dem or ()))) or None
     name = FULL if matcher == _UNREFINED else matcher
-    asked = (
-        stores,
-        tiles or None,
-        name,
-        MatchConfig(refine=matcher != _UNREFINED),
-        None,
-        surfaces or None,
-    )
+    asked = stores, tiles, name, MatchConfig(refine=matcher != _UNREFINED), None, surfaces or None
     opened = time.perf_counter()
     with note_if_slow(f"opening {', '.join(map(str, stores))} and its elevation model"):
         matching = Matcher(*asked)

@@ -168,7 +168,7 @@ def label(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Write the names and distances of the summits that a photo shows on it.
+    """Write the names and distances of the summits in a photo on a copy of it.
 
     The camera is oriented by the skyline at its place, unless its pose is given.
     Summits that terrain hides are left out; if none is in view, the photo is written without names.

@@ -68,8 +68,8 @@ def serve(
         list[Path] | None,
         Argument(
             metavar="[PHOTO...]",
-            help="Photos that are open on the page at first. Stores named before them are searched "
-            "together with STORE; all must be of one DEM.",
+            help="Photos that are open on the page at first. Before them may come more stores of "
+            "the same DEM, which are searched as one.",
         ),
     ] = None,
     dem: StoreDem = None,

@@ -27,7 +27,7 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
-from skyline.geodesy import Curvature
+from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.report.peaks import read_peaks
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
@@ -43,14 +43,8 @@ from skyline.solar import (
 )
 from skyline.terrain.dem import read_surface
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import (
-    DEFAULT_EYE_HEIGHT_M,
-    Viewpoints,
-    read_viewpoints,
-    stand_at,
-)
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at
 
-_CURVATURE = Curvature()
 _PANORAMA = PanoramaConfig()
 _log = logging.getLogger(__name__)
 
@@ -91,7 +85,7 @@ def horizon(
         ),
     ] = None,
     surface: Surfaces = None,
-    k: RefractionK = _CURVATURE.refraction_k,
+    k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:

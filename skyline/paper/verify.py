@@ -1,4 +1,4 @@
-"""Verification by rendering that the locations of a plan are covered as it predicts.
+"""Verification of a plan: covered locations are rendered and compared with its prediction.
 
 A stored skyline is compared with the one rendered at another eye, after the best affine warp. The
 paper's matcher allows for such a warp, and reprojection errors predict the distance after it.

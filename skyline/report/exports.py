@@ -119,26 +119,23 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in candidate.to_dict().items()
     }
-    of_pose: Json = {"rank": candidate.rank, "origin": candidate.origin}
+    of_pose: Json = {"query": query, "rank": candidate.rank, "origin": candidate.origin}
+
+    def feature(shape: str, geometry: Json, about: Json) -> Json:
+        properties = of_pose | {"shape": shape} | about
+        return {"type": "Feature", "geometry": geometry, "properties": properties}
+
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
-    point: Json = {"type": "Point", "coordinates": place}
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
-    shapes: list[tuple[str, Json, Json]] = [
-        ("candidate", point, record),
-        ("view", wedge, {"reach_m": VIEW_REACH_M}),
+    shapes = [
+        feature("candidate", {"type": "Point", "coordinates": place}, record),
+        feature("view", wedge, {"reach_m": VIEW_REACH_M}),
     ]
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
         axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
-        shapes.append(("ellipse95", _polygon(ellipse.outline_m, frame), axes))
-    return [
-        {
-            "type": "Feature",
-            "geometry": geometry,
-            "properties": {"query": query, **of_pose, "shape": shape, **about},
-        }
-        for shape, geometry, about in shapes
-    ]
+        shapes.append(feature("ellipse95", _polygon(ellipse.outline_m, frame), axes))
+    return shapes
 
 
 def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
@@ -276,10 +273,7 @@ EXPORTS: Mapping[
 
 
 def export_matches(
-    path: str | Path,
-    results: Sequence[MatchResult],
-    frame: Frame,
-    photos: Photos | None = None,
+    path: str | Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None = None
 ) -> None:
     """Write the candidates of results by the suffix: GeoJSON, KML, KMZ or GPX.
 

@@ -15,13 +15,7 @@ from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
 from skyline.report.figures import encode_figure, extent_px, place_labels, unnamed_in_words
-from skyline.report.landscape import (
-    COLUMNS,
-    PanoramaConfig,
-    PanoramaView,
-    panorama_view,
-    row_count,
-)
+from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count
 from skyline.report.peaks import Peaks
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField

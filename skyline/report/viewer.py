@@ -29,13 +29,7 @@ from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig
-from skyline.report.peaks import (
-    Peaks,
-    Sighting,
-    check_on_map,
-    most_prominent_first,
-    visible_peaks,
-)
+from skyline.report.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.skylines import Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
@@ -329,11 +323,7 @@ class Viewer(Releasable):
         return sight_of(pose, query, self._views(self._standing(pose), pose))
 
     def places(
-        self,
-        pose: Candidate,
-        query: QuerySkyline,
-        step: int = 1,
-        progress: Progress | None = None,
+        self, pose: Candidate, query: QuerySkyline, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
         """Return the places on the terrain that are seen in the pixels of a photo.
 

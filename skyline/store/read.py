@@ -1,7 +1,7 @@
 """Reading a store: its header, its rows, and a map of its places in the file.
 
 A file is a store if its header has the digest that was written with it, and if its datasets have
-the layout that follows from the header, with their bytes in this very file.
+the layout that follows from the header and keep no bytes in other files.
 """
 
 import io

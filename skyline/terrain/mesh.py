@@ -2,9 +2,9 @@
 
 The tree bounds the terrain from above for rays that march over it. Seen along one axis, the field
 is cut across into strips (rows of cells) and these into slabs of 2, 16, 128, 1024 strips. A ray
-drifts sideways by its slope, in cells per strip, so it meets only part of a slab. For each range
-(bin) of slopes and each block of columns in which a ray crosses the first line of a band of eight
-slabs, the tree holds the greatest height that such a ray can come near in each of the eight.
+drifts sideways by its slope, in cells per strip, so it meets only part of a slab. The tree groups
+rays by bins of slope, and by the block of columns in which they enter a band of eight slabs. For
+each group it holds, for each of the eight slabs, the greatest height near any ray of the group.
 """
 
 import itertools

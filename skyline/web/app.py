@@ -20,14 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from skyline import InputError, SkylineError, read_trace
 from skyline.web.engine import Engine, shown_name
-from skyline.web.requests import (
-    chosen_of,
-    narrowing_of,
-    number,
-    pose_of,
-    query_of,
-    strokes_of,
-)
+from skyline.web.requests import chosen_of, narrowing_of, number, pose_of, query_of, strokes_of
 from skyline.web.session import (
     KINDS,
     MAX_SESSION_BYTES,

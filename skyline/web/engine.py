@@ -61,10 +61,7 @@ class Engine:
                 curvature = self.matcher.header.curvature
                 self.relief = ReliefTiles(self.matcher.terrain)
                 self._viewer = Viewer(
-                    self.matcher.terrain,
-                    self.peaks,
-                    curvature=curvature,
-                    render_thread=self.thread,
+                    self.matcher.terrain, self.peaks, curvature=curvature, render_thread=self.thread
                 )
         except SkylineError:
             self.thread.close()

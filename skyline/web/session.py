@@ -170,11 +170,7 @@ class Match:
     """One match of one photo, run in a thread; ``asked`` is the page's request."""
 
     def __init__(
-        self,
-        photo: PagePhoto,
-        query: QuerySkyline,
-        narrowing: Narrowing,
-        asked: Mapping[str, Any],
+        self, photo: PagePhoto, query: QuerySkyline, narrowing: Narrowing, asked: Mapping[str, Any]
     ) -> None:
         self.photo = photo
         self._query, self._narrowing = query, narrowing
@@ -248,11 +244,7 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
 
 
 def saved(
-    kind: str,
-    engine: Engine,
-    photo: PagePhoto,
-    candidates: Sequence[Candidate],
-    folder: Path,
+    kind: str, engine: Engine, photo: PagePhoto, candidates: Sequence[Candidate], folder: Path
 ) -> bytes:
     """Return the content of a file of one of `KINDS`; it is written in a folder and read back.
 

@@ -235,7 +235,7 @@ SEARCHES: Mapping[str, Search] = {
         in_middle=False,
     ),
     "scale": Search(
-        """Size: synthetic queries found in squares of one store that grow.
+        """Size: synthetic queries found in ever larger squares of one store.
 
         A query's place lies anywhere in its squares. A query over 200 m off is lost by the search
         where its true pose, refined, fits better than the best candidate, and to likeness where

@@ -181,7 +181,7 @@ HARD_CASES: tuple[HardCase, ...] = (
 
 
 def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
-    """Return the row of a hard case, along a path that promises something for it.
+    """Return the row of a hard case, by a renderer that has a bound for it.
 
     ``error_px`` is the greatest error and ``bound_px`` what is allowed in that column; where a
     column is over its bound, they are those of the column that is furthest over. ``quick`` takes
@@ -204,7 +204,7 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
 
 
 def stability(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
-    """Every hard case along every path that promises something there; exit code 1 if one fails."""
+    """Each hard case by all renderers that have a bound for it; exit code 1 if one fails."""
     rows: list[Row] = []
     asked = [
         (path, case) for path in (HORIZON, DEPTH) for case in HARD_CASES if path.name in case.paths
