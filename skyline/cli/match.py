@@ -148,12 +148,7 @@ def match(
             raise InputError(error)
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(photos, common))
-    check_outputs(
-        [*exports, results],
-        [*stores, *photos, *(Path(one.path) for one in queries), *filter(None, [peaks])],
-    )
-    for path in exports:
-        suffix_of(path, EXPORTS)
+    _check_files(queries, [*stores, *photos, *filter(None, [peaks])], exports, results, report)
     surfaces = tuple(map(absolute_name, without_folders(surface or ())))
     file = None
     if results is not None:
@@ -180,6 +175,7 @@ def match(
     with note_if_slow(f"opening {', '.join(map(str, stores))} and its elevation model"):
         matching = Matcher(*asked)
     output.loading_s = time.perf_counter() - opened
+    _check_refined(file, matching, matcher)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     done = f"{matching.rows} {matching.holds} were searched."
     if same_place:
@@ -201,6 +197,33 @@ def match(
         (print_note if as_json else output.line)(f"report: {page}")
     if output.exit_code:
         raise typer.Exit(output.exit_code)
+
+
+def _check_files(
+    queries: Sequence[Query],
+    inputs: Sequence[Path],
+    exports: Sequence[Path],
+    results: Path | None,
+    report: Path | None,
+) -> None:
+    """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
+    named = [Path(one.path) for one in queries]
+    check_outputs([*exports, results], [*inputs, *named])
+    if report is not None and report.resolve() in {one.resolve().parent for one in named}:
+        raise InputError(
+            f"--report {report} is a folder of photos to match; name another one for the report"
+        )
+    for path in exports:
+        suffix_of(path, EXPORTS)
+
+
+def _check_refined(file: ResultsFile | None, matching: Matcher, matcher: str) -> None:
+    """Raise `InputError` if a file of results would keep answers that lack refinement."""
+    if file is not None and matcher == FULL and matching.terrain is None:
+        raise InputError(
+            "--results keeps answers for good, and these would be unrefined; name the store's DEM "
+            f"with --dem, or accept that with --matcher {_UNREFINED}"
+        )
 
 
 def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
@@ -238,14 +261,17 @@ class _Output:
         self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
 
     def error(self, query: Query, error: SkylineError, is_tried: bool) -> None:
-        """Print and write that a query failed; one that was not tried is tried again next time."""
+        """Print that a query failed.
+
+        A photo that was tried and cannot be used gets a row; others are tried again next time.
+        """
         self.exit_code = error.exit_code
         names = {"query": printable(query.path)}
         if query.label:
             names["id"] = printable(query.label)
         if is_tried:
-            print_error(str(error))
-            if self._file is not None:
+            print_error(_of_photo(query, error))
+            if self._file is not None and isinstance(error, InputError):
                 row = names | {"answered": 0, "reason": str(error)}
                 self._file.add(row, _photo_of(query))
         self._print(names | {"error": str(error)}, "")
@@ -274,8 +300,14 @@ def _attempted(
             usable.append((one, attempt(one)))
         except SkylineError as error:
             refused[one] = error
-            print_error(str(error))
+            print_error(_of_photo(one, error))
     return usable, refused
+
+
+def _of_photo(query: Query, error: SkylineError) -> str:
+    """Return an error with the name of its photo."""
+    text, name = str(error), printable(query.path)
+    return text if name in text else f"{name}: {text}"
 
 
 def _match_each(

@@ -355,14 +355,16 @@ def refusal_of(
     refusal = unsure(candidates, config)
     if refusal is None:
         return at_bound(candidates[0], rays)
-    if not candidates or query.fov_deg is None:
-        return refusal
-    found_deg = candidates[0].fov_deg
-    if abs(found_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
-        return refusal
+    return refusal + fov_hint(candidates[0], query, rays) if candidates else refusal
+
+
+def fov_hint(pose: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
+    """Return a hint if a pose's field of view is far from the one expected; empty if it is not."""
+    if query.fov_deg is None or abs(pose.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
     return (
-        f"{refusal}; it has a field of view of {found_deg:.1f} degrees, and {query.fov_deg:.1f} "
-        "was expected: check that"
+        f"; it has a field of view of {pose.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
+        "expected: check that"
     )
 
 

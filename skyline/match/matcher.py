@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _DISAGREES = "the photo does not fit where the others were taken"
+_ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
 PROFILE_MATCHERS: Mapping[str, str] = {
     "paper": "skyline.paper.matcher:PaperMatcher",
@@ -256,12 +257,13 @@ class Matcher(Releasable):
         refusal = unsure(best, self._config)
         if len(found) < 2:
             refusal = "fewer than two photos agree on a place"
+        other = _DISAGREES if len(usable) > 1 else _ALONE
         within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
             MatchResult(query, found[number], seconds, refusal, within_m, name)
             if number in found
-            else MatchResult(query, (), seconds, refusals[number] or _DISAGREES, name=name)
+            else MatchResult(query, (), seconds, refusals[number] or other, name=name)
             for number, (name, query) in enumerate(photos)
         )
         return JointResult(results, seconds, refusal)

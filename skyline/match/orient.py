@@ -288,11 +288,13 @@ class Orienter(Releasable):
         refusal = at_bound(pose, rays)
         if moved_m[0] > _FAR_SD * self._within_m:
             refusal = (
-                f"the skyline fits best {moved_m[0]:.0f} m from the place, which is known to "
+                f"the best pose is {moved_m[0]:.0f} m from the place, which is known to "
                 f"{self._within_m:g} m; check the place"
             )
         if sure < LEAST_CONFIDENCE:
             refusal = self._doubt(poses, pose, sure)
+        if refusal:
+            refusal += confidence.fov_hint(pose, query, rays)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
         moved = float(moved_m[0])

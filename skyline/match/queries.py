@@ -192,7 +192,14 @@ def match_many(
     matched = runner(partial(_match, opening), left, names)
     for query, alike in zip(queries, screened, strict=True):
         result = alike if isinstance(alike, SkylineError) else next(matched)
-        yield replace(result, name=query.path) if isinstance(result, MatchResult) else result
+        yield _named_as(query.path, result)
+
+
+def _named_as(path: str, result: MatchResult | SkylineError) -> MatchResult | SkylineError:
+    """Return the result of a worker, which knows a photo by its absolute path, with a path."""
+    if isinstance(result, MatchResult):
+        return replace(result, name=path)
+    return type(result)(str(result).replace(str(Path(path).absolute()), path))
 
 
 def _parts(stores: Sequence[Path]) -> list[slice]:

@@ -5,6 +5,7 @@ import json
 import math
 import re
 import shutil
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
 
-from skyline.match.matcher import PROFILE_MATCHERS
+from skyline.errors import ContextError
+from skyline.match.matcher import PROFILE_MATCHERS, Matcher
 
 
 def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
@@ -180,6 +182,40 @@ def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path
     assert "text.jpg" in found[1]["error"]
     assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
     assert json.loads(geojson.read_text())["features"]
+
+
+def test_a_failure_that_is_not_the_photo_s_is_tried_again(run, store, photo, tmp_path, monkeypatch):
+    results = tmp_path / "results.csv"
+    command = ["match", store, photo, "--fov-deg", "60", "--matcher", "unrefined"]
+    with monkeypatch.context() as lost:
+        lost.setattr(Matcher, "match", Mock(side_effect=ContextError("the GPU was lost")))
+        done = run(*command, "--results", results)
+    assert (done.code, done.err) == (1, f"error: {photo}: the GPU was lost\n")
+    assert not results.exists() or "lost" not in results.read_text()
+    run(*command, "--results", results).ok()
+    assert "lost" not in results.read_text()
+
+
+def test_an_error_names_its_photo(run, store, photo, tmp_path):
+    listed = csv_of(tmp_path / "l.csv", [f"{photo},60", f"{photo},0.5"], "path,fov_deg")
+    done = run("match", store, listed, "--matcher", "unrefined")
+    assert re.fullmatch(r"error: .*photo\.jpg: horizontal field of view .*\n", done.err)
+
+
+def test_results_are_not_kept_unrefined_without_a_word(run, dem, photo, tmp_path):
+    copy, store = shutil.copy(dem, tmp_path / "dem.tif"), tmp_path / "s.h5"
+    run("build", copy, "-o", store, "--spacing", "300").ok()
+    copy.unlink()
+    results = "--results", tmp_path / "r.csv"
+    assert_refused(run("match", store, photo, "--fov-deg", "60", *results), "with --dem, or accept")
+    run("match", store, photo, "--fov-deg", "60", *results, "--matcher", "unrefined").ok()
+
+
+def test_a_report_is_not_written_among_the_photos(run, store, photo, tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    shutil.copy(photo, folder)
+    assert_refused(run("match", store, folder, "--report", folder), "a folder of photos to match")
 
 
 def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):

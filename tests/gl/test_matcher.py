@@ -158,6 +158,7 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terr
         assert getattr(one.answer, name) == pytest.approx(getattr(another.answer, name))
     assert (little.answer, little.places) == (None, ())
     assert "fewer than two photos" in little.refusal
+    assert "no other photo shows enough skyline" in little.results[0].refusal
 
 
 def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
