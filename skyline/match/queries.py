@@ -5,6 +5,7 @@ keeps many workers busy. The places of all parts are joined, and one worker fits
 best. The answers are those of one process, to the bit.
 """
 
+import re
 import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -122,7 +123,13 @@ def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
             continue
         if not some:
             raise InputError(f"{path} has no pictures; expected {', '.join(_PICTURES)}")
-        yield from sorted(some)
+        yield from sorted(some, key=_in_order)
+
+
+def _in_order(path: Path) -> list[str | int]:
+    """Return a key that sorts frame-2 before frame-10."""
+    parts = re.split("([0-9]+)", path.name)
+    return [int(part) if number % 2 else part for number, part in enumerate(parts)]
 
 
 def _query(table: Table, row: Row, common: Query) -> Query:

@@ -27,8 +27,8 @@ def test_a_camera_is_oriented_at_its_place(run, dem, photo, tmp_path):
 def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
     frames, table = tmp_path / "frames", tmp_path / "held.csv"
     frames.mkdir()
-    Image.new("RGB", (96, 64), (200, 205, 210)).save(frames / "1.jpg")
-    shutil.copy(photo, frames / "2.jpg")
+    Image.new("RGB", (96, 64), (200, 205, 210)).save(frames / "9.jpg")
+    shutil.copy(photo, frames / "10.jpg")
     at = "{},{}".format(*lonlat_of(dem))
     named = frames / "0.jpg", frames
     done = run("orient", *named, "--at", at, "--dem", dem, "--fov-deg", "60", "--csv", table)
