@@ -106,9 +106,15 @@ def test_ascii_grid_takes_its_crs_from_the_option(tmp_path):
 
 def test_a_text_of_points_row_by_row_is_a_grid(tmp_path):
     path = tmp_path / "points.xyz"
-    path.write_text(
-        "1005 2015 1\n1015 2015 2\n1025 2015 3\n1005 2005 4\n1015 2005 5\n1025 2005 6\n"
-    )
+    points = [
+        "1005 2015 1",
+        "1015 2015 2",
+        "1025 2015 3",
+        "1005 2005 4",
+        "1015 2005 5",
+        "1025 2005 6",
+    ]
+    path.write_text("\n".join(points))
     field = read_dem(path, DemOptions(crs="EPSG:21781"))
     np.testing.assert_array_equal(field.heights_m, [[1, 2, 3], [4, 5, 6]])
     assert field.bounds_m == (1005.0, 2005.0, 1025.0, 2015.0)
