@@ -1,4 +1,9 @@
-"""Skylines of many eyes, in 90 degree views and all the way round, and their keypoints."""
+"""Skylines of many eyes, in 90 degree views and all the way round, and their keypoints.
+
+A view is that of an ideal pin-hole camera, as in the paper's section 4.1. World axes are X = east,
+Y = up, Z = north; camera axes are x = right, y = up, z = forward. Both are left-handed, so every
+rotation here has determinant +1.
+"""
 
 from dataclasses import dataclass
 
@@ -6,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
-from skyline.camera import columns_u, elevation_deg, rotation
+from skyline.errors import InputError
+
+HEADINGS = (0, 1, 2, 3)
+"""Grid north, east, south, west: grid azimuths ``90 * heading``, degrees."""
+
+DEFAULT_WIDTH = 640
+MAX_WIDTH = 16384
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -21,6 +32,38 @@ NO_KEYPOINT = 65535
 """Value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
+
+
+def check_width(width: int) -> int:
+    """Return ``width`` if it is a usable number of columns, else raise `InputError`."""
+    if not 2 <= width <= MAX_WIDTH:
+        raise InputError(
+            f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"
+        )
+    return width
+
+
+def columns_u(width: int) -> Float64Array:
+    """Return the image-plane abscissa u of each column centre, shape (width,), in (-1, 1)."""
+    return (2.0 * np.arange(width) + 1.0) / width - 1.0
+
+
+def pixel_size(width: int) -> float:
+    """Return the size of one pixel in units of u or v: 1 px = 2 / width."""
+    return 2.0 / width
+
+
+def rotation(heading: int) -> Float64Array:
+    """Return R_heading (3, 3): world (east, up, north) to camera (right, up, forward)."""
+    # Quarter turns have exact sines; np.sin(pi) would leave 1e-16 behind.
+    sine = (0.0, 1.0, 0.0, -1.0)[heading]
+    cosine = (1.0, 0.0, -1.0, 0.0)[heading]
+    return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+
+
+def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
+    """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
+    return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,11 +32,17 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.match.candidate import Hypotheses
 from skyline.match.query_rays import QueryRays, at_pitches
 from skyline.match.scene import quadrant_bins, quadrants
-from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    FLAG_NO_DATA,
+    FLAG_OUT_OF_IMAGE,
+    NO_KEYPOINT,
+    Views,
+    pixel_size,
+)
 from skyline.store.format import KeypointColumns
 from skyline.store.read import Store
 from skyline.terrain.viewpoints import Viewpoints

@@ -7,11 +7,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
-from skyline.skylines import Horizons, Views, quadrant_azimuths_rad
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    HEADINGS,
+    Horizons,
+    Views,
+    check_width,
+    columns_u,
+    pixel_size,
+    quadrant_azimuths_rad,
+)
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 

@@ -19,7 +19,6 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
@@ -36,7 +35,7 @@ from skyline.report.peaks import (
     most_prominent_first,
     visible_peaks,
 )
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import (
