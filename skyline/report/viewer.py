@@ -24,10 +24,9 @@ from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
-from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
 from skyline.render.context import Releasable, RenderThread
-from skyline.render.horizon import RenderConfig
+from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.report.peaks import (
     Peaks,
     Sighting,
