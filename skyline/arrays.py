@@ -31,7 +31,11 @@ class Rows:
         return len(getattr(self, self._names()[0]))
 
     def __getitem__(self, index: Index) -> Self:
-        return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
+        return type(self)(**{name: column[index] for name, column in self.columns().items()})
+
+    def columns(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return {name: getattr(self, name) for name in self._names()}
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
@@ -41,7 +45,7 @@ class Rows:
 
     def replaced(self, chosen: BoolArray, other: Self) -> Self:
         """Return these rows, with another's where ``chosen`` (M,) is true."""
-        columns = {name: (getattr(other, name), getattr(self, name)) for name in self._names()}
+        columns = {name: (getattr(other, name), old) for name, old in self.columns().items()}
         return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
 
     @classmethod

@@ -1,12 +1,26 @@
-"""Skylines of many eyes, in 90 degree views and all the way round, and their keypoints."""
+"""Skylines of many eyes, in 90 degree views and all the way round, and their keypoints.
+
+A view is that of an ideal pin-hole camera, as in the paper's section 4.1. World axes are X = east,
+Y = up, Z = north; camera axes are x = right, y = up, z = forward. Both are left-handed, so every
+rotation here has determinant +1.
+"""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
-from skyline.camera import columns_u, elevation_deg, rotation
+from skyline.errors import InputError
+
+Float = TypeVar("Float", np.float32, np.float64)
+
+HEADINGS = (0, 1, 2, 3)
+"""Grid north, east, south, west: grid azimuths ``90 * heading``, degrees."""
+
+DEFAULT_WIDTH = 640
+MAX_WIDTH = 16384
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -21,6 +35,38 @@ NO_KEYPOINT = 65535
 """Value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
+
+
+def check_width(width: int) -> int:
+    """Return ``width`` if it is a usable number of columns, else raise `InputError`."""
+    if not 2 <= width <= MAX_WIDTH:
+        raise InputError(
+            f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"
+        )
+    return width
+
+
+def columns_u(width: int) -> Float64Array:
+    """Return the image-plane abscissa u of each column centre, shape (width,), in (-1, 1)."""
+    return (2.0 * np.arange(width) + 1.0) / width - 1.0
+
+
+def pixel_size(width: int) -> float:
+    """Return the size of one pixel in units of u or v: 1 px = 2 / width."""
+    return 2.0 / width
+
+
+def rotation(heading: int) -> Float64Array:
+    """Return R_heading (3, 3): world (east, up, north) to camera (right, up, forward)."""
+    # Quarter turns have exact sines; np.sin(pi) would leave 1e-16 behind.
+    sine = (0.0, 1.0, 0.0, -1.0)[heading]
+    cosine = (1.0, 0.0, -1.0, 0.0)[heading]
+    return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+
+
+def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
+    """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
+    return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +121,53 @@ class Views(Rows):
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
+
+
+def joined_views(
+    views: Views, row: IntArray, count: int, bins: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
+
+    ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
+    or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
+    bound. It is used as it is: farther terrain may rise above it in the query, as a tree may
+    anywhere.
+    """
+    y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)
+    distance = views.depth_m[:, nearest].astype(np.float64) / cosine
+    bin_ = quadrant_bins(views.heading, bins)
+    joined = np.full((2, count, bins), np.nan)
+    joined[0, row[:, np.newaxis], bin_] = y
+    joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
+    return joined[0], joined[1]
+
+
+def quadrants(
+    views: Views, bins: int, unusable: int, dtype: type[Float]
+) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
+    """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
+
+    Also return the nearest column of each bin and the cosine of its azimuth, (B / 4,) each.
+    Azimuths count from the heading and begin 45 degrees left of it. The left seam lies half a
+    column outside the columns' centres and is extrapolated by that; the right one belongs to the
+    next heading.
+    """
+    steps = np.arange(bins // 4) - bins // 8
+    azimuth = 2.0 * np.pi / bins * steps
+    position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
+    left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
+    share, cosine = (position - left).astype(dtype), np.cos(azimuth).astype(dtype)
+    v = np.where(views.flags & unusable, np.nan, views.elevation_tan).astype(dtype)
+    # v is linear between columns (exactly so along a straight edge); depth may jump.
+    y = (v[:, left] * (1 - share) + v[:, left + 1] * share) * cosine
+    return y, left + (share > 0.5), cosine
+
+
+def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
+    """Return the bins (N, B / 4) of the full turn that views along headings (N,) cover."""
+    quarter = bins // 4
+    first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
+    return (first + np.arange(quarter)) % bins
 
 
 def bin_azimuths_rad(bins: int) -> Float64Array:

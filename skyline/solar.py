@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
-from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError, entry_named, library, numbers_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
-from skyline.skylines import Horizons
+from skyline.skylines import MAX_WIDTH, Horizons
 from skyline.terrain.dem import Dem, read_dem, read_surface
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at

@@ -15,7 +15,7 @@ from skyline import build_places, build_uniform, cli, read_dem, stand_on
 from skyline.build import plans
 from skyline.build.cluster import local_cluster
 from skyline.cli import console
-from skyline.match import full, joint
+from skyline.match import full
 from skyline.render.context import acquire_context
 
 # How long an example takes says how busy the machine is, not what is wrong.
@@ -75,8 +75,7 @@ def no_gl_error():
 def refined_quickly():
     """Refine no query thoroughly: commands are to run here, other tests hold their answers."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (full, joint):
-            patch.setattr(module, "WHOLE", full.QUICK)
+        patch.setattr(full, "WHOLE", full.QUICK)
         patch.setattr(full, "_SURE_MARGIN", -math.inf)
         yield
 

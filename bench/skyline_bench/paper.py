@@ -16,12 +16,12 @@ from scipy.stats import spearmanr
 from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import DEFAULT_WIDTH, columns_u
 from skyline.errors import InputError
 from skyline.paper import reprojection
 from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, Strategy
 from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.skylines import DEFAULT_WIDTH, columns_u
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

@@ -30,10 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from skyline.camera import HEADINGS, columns_u
 from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
-from skyline.skylines import FLAG_NO_DATA, Views
+from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, columns_u
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints, in_four_views

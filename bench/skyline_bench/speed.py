@@ -15,7 +15,6 @@ from itertools import count
 import numpy as np
 
 from skyline.arrays import Float64Array, Progress
-from skyline.camera import DEFAULT_WIDTH, elevation_deg
 from skyline.cli.console import progress_bar
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
@@ -25,7 +24,7 @@ from skyline.render.horizon import (
     PanoramaRenderer,
     RenderConfig,
 )
-from skyline.skylines import Horizons, Views
+from skyline.skylines import DEFAULT_WIDTH, Horizons, Views, elevation_deg
 from skyline.solar import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem

@@ -256,9 +256,9 @@ def examples_from(
             yield "retrieved", _example(figures, found, query, kind)
         if poses is not None and len(poses):
             figures = confidence.refined_figures(poses, found, rays)
-            yield "refined", _example(figures, poses.hypotheses, query, kind)
+            yield "refined", _example(figures, poses, query, kind)
             figures = confidence.pose_figures(poses, rays)
-            yield confidence.FITTED, _example(figures, poses.hypotheses, query, kind)
+            yield confidence.FITTED, _example(figures, poses, query, kind)
 
 
 def _example(

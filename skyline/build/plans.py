@@ -9,7 +9,6 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.build.spacing import Prices, blocks_of, planned_places
-from skyline.camera import pixel_size
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
 from skyline.render.horizon import (
@@ -19,7 +18,7 @@ from skyline.render.horizon import (
     RenderConfig,
 )
 from skyline.render.march import ColumnRenderer
-from skyline.skylines import Views, polyline_vertices
+from skyline.skylines import Views, pixel_size, polyline_vertices
 from skyline.store.format import PLACES, Columns, StoreHeader, columns_of
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField

@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from skyline.camera import pixel_size
 from skyline.cli.console import AsJson, Crs, Dems, Reproject, print_line, read_terrain
 from skyline.errors import InputError, numbers_of, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context
 from skyline.render.horizon import RenderConfig, render_views
+from skyline.skylines import pixel_size
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.store.read import is_store, open_store
 from skyline.terrain.conventions import model_of

@@ -281,12 +281,12 @@ class Hypotheses(Rows):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RefinedPoses(Rows):
-    """M poses fitted by rendering, best first, with the figures a confidence is learned from."""
+class RefinedPoses(Hypotheses):
+    """M poses fitted by rendering, best first, with the figures a confidence is learned from.
 
-    hypotheses: Hypotheses
-    """The score is the negative log-likelihood; only differences within one query are
-    meaningful."""
+    Their score is the negative log-likelihood; only differences within one query are meaningful.
+    """
+
     covariance_m2: Float64Array
     """(M, 2, 2) float64. Covariance of easting and northing, square metres, including other optima
     of the same answer."""
@@ -321,7 +321,7 @@ def hypothesis_of(candidate: Candidate) -> Hypotheses:
 
 def candidates_of(
     frame: Frame,
-    poses: Hypotheses | RefinedPoses,
+    poses: Hypotheses,
     confidence: Float64Array | None = None,
     confidence_1km: Float64Array | None = None,
 ) -> tuple[Candidate, ...]:
@@ -329,17 +329,16 @@ def candidates_of(
 
     The confidences (M,) are the probabilities that each is right within 200 m, and within 1 km.
     """
-    standing = poses if isinstance(poses, Hypotheses) else poses.hypotheses
-    place = {"easting_m": standing.easting_m, "northing_m": standing.northing_m}
+    place = {"easting_m": poses.easting_m, "northing_m": poses.northing_m}
     lon, lat = frame.to_lonlat(**place)
     convergence_deg = frame.convergence_deg(**place)
-    heading_deg = (standing.heading_deg + convergence_deg) % 360.0
-    columns = {f.name: getattr(standing, f.name).tolist() for f in fields(Hypotheses)} | {
+    heading_deg = (poses.heading_deg + convergence_deg) % 360.0
+    columns = {f.name: getattr(poses, f.name).tolist() for f in fields(Hypotheses)} | {
         "lon": lon.tolist(),
         "lat": lat.tolist(),
         "heading_deg": heading_deg.tolist(),
         "convergence_deg": convergence_deg.tolist(),
-        "rank": range(1, len(standing) + 1),
+        "rank": range(1, len(poses) + 1),
     }
     if confidence is not None and confidence_1km is not None:
         columns["confidence"] = confidence.tolist()
@@ -349,7 +348,7 @@ def candidates_of(
             columns[name] = getattr(poses, name).tolist()
         covariance_m2 = poses.covariance_m2.tolist()
         columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
-        columns["refined"] = [True] * len(standing)
+        columns["refined"] = [True] * len(poses)
         columns["wander"] = [tuple(row) for row in poses.wander.tolist()]
     rows = zip(*columns.values(), strict=True)
     return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)

@@ -165,9 +165,9 @@ def refined_figures(
     widest_m = found.distances_m().max(initial=0.0)
     margin = log_odds = np.zeros(len(poses))
     if widest_m > ROUGHLY_WITHIN_M:
-        margin, log_odds = poses.far_margin, _log_odds(poses.hypotheses, ROUGHLY_WITHIN_M)
+        margin, log_odds = poses.far_margin, _log_odds(poses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
-        margin, log_odds = poses.margin, _log_odds(poses.hypotheses, RIGHT_WITHIN_M)
+        margin, log_odds = poses.margin, _log_odds(poses, RIGHT_WITHIN_M)
     if widest_m > RIGHT_WITHIN_M:
         log_odds = log_odds - 2.0 * np.log(max(1.0, _LEARNED_EXTENT_M / widest_m))
     return pose_figures(poses, query) | {
@@ -186,7 +186,7 @@ def oriented_figures(
     The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
     known place.
     """
-    margin = poses.hypotheses.rival_margin(0.0, 0.0)
+    margin = poses.rival_margin(0.0, 0.0)
     figures = pose_figures(poses, query)
     # The place is known, and the model has seen no unknown field of view.
     del figures["log_position_sd"], figures["log_lens_sd"]
@@ -201,7 +201,7 @@ def oriented_figures(
 def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
     """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
-    lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
+    lens_off = np.abs(query.log_scale(poses.fov_deg)) / query.log_scale_sd
     figures = {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.terrain_share,
@@ -209,7 +209,7 @@ def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
-        "roll_deg": np.abs(poses.hypotheses.roll_deg),
+        "roll_deg": np.abs(poses.roll_deg),
     }
     return figures | _warp_figure(poses, query) | _query_figures(query, len(poses))
 
@@ -222,7 +222,7 @@ def _warp_figure(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     """
     if not len(query.warp_sd):
         return {}
-    warp = poses.wander if query.is_panorama else poses.hypotheses.distortion[:, np.newaxis]
+    warp = poses.wander if query.is_panorama else poses.distortion[:, np.newaxis]
     rms = np.sqrt(np.mean((warp / query.warp_sd) ** 2, axis=1))
     return {"warp_deviations": np.minimum(rms, _MOST_LENS_DEVIATIONS)}
 

@@ -1,6 +1,9 @@
-"""The full matcher: retrieval among places, refinement by rendering, and a confidence."""
+"""The full matcher, of one query or of several of one eye.
 
-from collections.abc import Iterator
+Retrieval among places comes first, then refinement by rendering, then a confidence.
+"""
+
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -20,10 +23,10 @@ from skyline.match.candidate import (
 )
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.refine import QUICK, WHOLE, Refinement
+from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.scene import RenderedScene
 from skyline.match.screening import Alike
+from skyline.render.horizon import RenderedScene
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
@@ -31,7 +34,7 @@ from skyline.terrain.viewpoints import Viewpoints
 _SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
 """Poses that retrieval returns for each place of the store, and their least and greatest number:
 the more places there are, the more are alike."""
-SEPARATION_M = 100.0
+_SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
@@ -99,14 +102,13 @@ class FullMatcher:
             return ()
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
-            chosen = found.suppress_non_maxima(top, SEPARATION_M)
+            chosen = found.suppress_non_maxima(top, _SEPARATION_M)
             near, roughly = confidence.probabilities(self.models, "retrieved", figures)
             return candidates_of(self.frame, found[chosen], near[chosen], roughly[chosen])
         figures = confidence.refined_figures(poses, found, query)
         # A pose that has moved out of the narrowing is no candidate.
-        standing = poses.hypotheses
-        allowed = replace(standing, score=np.where(prior.allows(standing), standing.score, np.inf))
-        chosen = allowed.suppress_non_maxima(top, SEPARATION_M)
+        allowed = replace(poses, score=np.where(prior.allows(poses), poses.score, np.inf))
+        chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
             return ()
         near, roughly = confidence.shared_probabilities(self.models, allowed, figures)
@@ -139,7 +141,7 @@ class FullMatcher:
         `confidence.FITTED`. Raises `InputError` without a scene, and for a pose off the map or on a
         hole.
         """
-        scene, pose = self.needed_scene(), hypothesis_of(start)
+        scene, pose = self._needed_scene(), hypothesis_of(start)
         above_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
@@ -152,7 +154,53 @@ class FullMatcher:
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
         return candidates_of(self.frame, poses, near, roughly)[0]
 
-    def needed_scene(self) -> RenderedScene:
+    @one_blas_thread()
+    def rank_together(
+        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
+    ) -> list[tuple[Candidate, ...]]:
+        """Return up to ``top`` places of queries of one eye, as each query's candidates there.
+
+        A query that was likely taken at another place has none. A place lies within the narrowings
+        of all queries that agree. Raises as `rank`, and `InputError` without a scene.
+
+        Each query is first matched by itself: its least cost shows whether it was taken there.
+        """
+        scene = self._needed_scene()
+        queries = _with_one_noted_place(queries)
+        found = [self.found(query, prior) for query, prior in queries]
+        alone = [places[:0] if poses is None else poses[:1] for places, poses in found]
+        refinements = [Refinement(query, scene, WHOLE, prior) for query, prior in queries]
+        places = self.retriever.shortlist_together(queries, WHOLE.particles)
+        joint, agreeing = JointRefinement(refinements).run(places, alone)
+        cost = joint[0].score
+        for poses, (_, prior), agrees in zip(joint, queries, agreeing, strict=True):
+            cost = np.where(prior.allows(poses) | ~agrees, cost, np.inf)
+        standing = replace(joint[0], score=cost)
+        chosen = standing.suppress_non_maxima(top, _SEPARATION_M)
+        agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
+        # As margins, odds are those of one query in the mean.
+        cost_of_one = cost / max(agrees.sum(), 1)
+        figures = [
+            confidence.refined_figures(replace(poses, score=cost_of_one), retrieved, query)
+            for poses, (query, _), (retrieved, _), belongs in zip(
+                joint, queries, found, agrees, strict=True
+            )
+            if belongs and len(retrieved)
+        ]
+        near = roughly = np.zeros(len(cost))
+        if figures:
+            # Queries of one place share the errors of the terrain model there, to an unknown
+            # degree: together they count as one query with the mean figures.
+            mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
+            near, roughly = confidence.shared_probabilities(self.models, standing, mean)
+        return [
+            candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
+            if belongs
+            else ()
+            for poses, belongs in zip(joint, agrees.tolist(), strict=True)
+        ]
+
+    def _needed_scene(self) -> RenderedScene:
         """Return the scene; raises `InputError` without one."""
         if self._scene is None:
             raise InputError(BY_RENDERING)
@@ -174,3 +222,18 @@ class FullMatcher:
             return found
         raised = near.score - near.score.min() + found.score.min()
         return Hypotheses.concatenate([found, replace(near, score=raised)])
+
+
+def _with_one_noted_place(
+    queries: Sequence[tuple[QueryRays, Prior]],
+) -> list[tuple[QueryRays, Prior]]:
+    """Return queries with the most precise noted place alone.
+
+    The positions of photos from one phone share their error, so they are not independent.
+    """
+    noted = [prior.noted for _, prior in queries if prior.noted is not None]
+    best = min(noted, key=lambda place: place.sd_m, default=None)
+    return [
+        (query, prior if prior.noted is best else replace(prior, noted=None))
+        for query, prior in queries
+    ]

@@ -1,5 +1,6 @@
 """`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
 
+import logging
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.errors import InputError, entry_named, numbers_of
+from skyline.errors import InputError, SkylineError, entry_named, numbers_of
+from skyline.files import is_file
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
 from skyline.match.candidate import Candidate, candidates_of
@@ -24,23 +26,27 @@ from skyline.match.confidence import (
     unsure,
 )
 from skyline.match.full import BY_RENDERING, FullMatcher, one_blas_thread
-from skyline.match.joint import rank_together
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.scene import VIEW_WIDTH, RenderedScene, terrain_at_hand
+from skyline.match.refine import VIEW_WIDTH
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import Releasable, RenderThread
-from skyline.render.horizon import RenderConfig
+from skyline.render.horizon import RenderConfig, RenderedScene
+from skyline.store.format import StoreHeader
 from skyline.store.write import open_joined
 from skyline.terrain.dem import Dem, read_surface
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     from skyline.match.profiles import ProfileMatcher
 
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
+
 _DISAGREES = "the photo does not fit where the others were taken"
 _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
@@ -251,7 +257,7 @@ class Matcher(Releasable):
         found: dict[int, tuple[Candidate, ...]] = {}
         if len(usable) > 1:
             with reporting_progress(report_progress):
-                together = rank_together(self._full(), list(usable.values()), top)
+                together = self._full().rank_together(list(usable.values()), top)
             found = {number: some for number, some in zip(usable, together, strict=True) if some}
         best = next(iter(found.values()), ())
         refusal = unsure(best, self._config)
@@ -333,6 +339,26 @@ class Matcher(Releasable):
             narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
         noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
         return rays, Prior.of(narrowing, self.frame, noted)
+
+
+def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
+    """Return the terrain a store was rendered from, read from its DEM files.
+
+    If they cannot be read, a warning names the consequence ``otherwise``, and None is returned.
+    Only plain files are read: a store from a stranger must not make the reader open anything else.
+    """
+    if not header.dem_files:
+        why = "the store was built from heights that came from no file; give the DEM (--dem)"
+    elif not all(map(is_file, header.dem_files)):
+        files = ", ".join(header.dem_files)
+        why = f"the store's DEM is not at hand (no file here is {files}); name its files with --dem"
+    else:
+        try:
+            return header.read_dem()
+        except SkylineError as error:
+            why = f"the store's DEM cannot be used: {error}"
+    _log.warning("%s: %s", otherwise, why)
+    return None
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:

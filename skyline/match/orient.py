@@ -30,13 +30,12 @@ from skyline.match.full import one_blas_thread
 from skyline.match.matcher import named_skyline
 from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.refine import Effort, Particles, Refinement
+from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.scene import VIEW_WIDTH, RenderedScene
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture
 from skyline.render.context import Releasable
-from skyline.render.horizon import PanoramaRenderer, RenderConfig
+from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
@@ -304,15 +303,15 @@ class Orienter(Releasable):
 
     def _moved_m(self, poses: RefinedPoses) -> Float64Array:
         """Return how far poses (M,) lie from the known place."""
-        place_m = poses.hypotheses.easting_m + 1j * poses.hypotheses.northing_m
+        place_m = poses.easting_m + 1j * poses.northing_m
         return np.abs(place_m - complex(self._east, self._north))
 
     def _doubt(self, poses: RefinedPoses, pose: Candidate, sure: float) -> str:
         """Return the refusal of a pose of too little confidence, with what speaks against it."""
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
-        score = poses.hypotheses.score
+        score = poses.score
         if len(poses) > 1 and score[1] - score[0] < _CLOSE:
-            other_deg = (poses.hypotheses.heading_deg[1] + pose.convergence_deg) % 360.0
+            other_deg = (poses.heading_deg[1] + pose.convergence_deg) % 360.0
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
 

@@ -32,11 +32,18 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.match.candidate import Hypotheses
-from skyline.match.query_rays import QueryRays, at_pitches
-from skyline.match.scene import quadrant_bins, quadrants
-from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, NO_KEYPOINT, Views
+from skyline.match.query_rays import QueryRays, on_bins
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    FLAG_NO_DATA,
+    FLAG_OUT_OF_IMAGE,
+    NO_KEYPOINT,
+    Views,
+    pixel_size,
+    quadrant_bins,
+    quadrants,
+)
 from skyline.store.format import KeypointColumns
 from skyline.store.read import Store
 from skyline.terrain.viewpoints import Viewpoints
@@ -47,6 +54,8 @@ _BINS = 2048
 TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
 """Scores are in px of a view of the paper's width, whatever the width of the store."""
 
+_PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
+"""Pitches of `at_pitches`; the camera is taken not to roll."""
 _VIEWS_AT_ONCE = 1024
 _CHUNK = 8
 """Locations at a time; keeps the arrays of the transforms in the cache."""
@@ -145,6 +154,11 @@ class Profiles:
         return cls(standing, joined, key % bins, start)
 
 
+def at_pitches(query: QueryRays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
+    """Return each pitch that matchers of renderings assume, with y and weight as of `on_bins`."""
+    return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
+
+
 class ProfileMatcher(ABC):
     """Base class of matchers of renderings, which fit one pose at every location.
 
@@ -177,8 +191,8 @@ class ProfileMatcher(ABC):
     def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
-        `skyline.match.query_rays.at_pitches` levels the query at the assumed pitches and puts it
-        on the profiles' bins. The score is infinite at a location where nothing fits.
+        `at_pitches` levels the query at the assumed pitches and puts it on the profiles' bins. The
+        score is infinite at a location where nothing fits.
         """
 
 

@@ -24,8 +24,6 @@ FOV_RANGE_DEG = (25.0, 100.0)
 USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
-_PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
-"""Pitches of `at_pitches`; the camera is taken not to roll."""
 _DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
 """Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
 6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
@@ -399,11 +397,6 @@ def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64A
     total = np.bincount(step, query.weight)[kept]
     u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
     return replace(query, u=u, v=v, weight=weight)
-
-
-def at_pitches(query: QueryRays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
-    """Return each pitch that matchers of renderings assume, with y and weight as of `on_bins`."""
-    return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
 
 
 def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:

@@ -1,4 +1,6 @@
-r"""Refinement: hypotheses move, by repeated rendering, to where the rendering fits the query.
+"""Refinement of one query, or of several of one eye, by repeated rendering.
+
+Hypotheses move to where the rendering fits the query.
 
 Each round renders all remaining hypotheses in one call. A rendering holds the distance of every
 skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
@@ -15,6 +17,7 @@ Where terrain is near, even the right place may look wrong until the eye has mov
 hypotheses by their scores move before they are compared with others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +34,6 @@ from skyline.match.candidate import (
 )
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.scene import RenderedScene, joined_views
 from skyline.match.screening import report_progress
 from skyline.match.solver import (
     EYE_HEIGHT,
@@ -46,9 +48,13 @@ from skyline.match.solver import (
     Fit,
     Solver,
 )
+from skyline.render.horizon import RenderedScene
+from skyline.skylines import joined_views
 from skyline.terrain.heightfield import ground_slope
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
+VIEW_WIDTH = 360
+"""Columns of the views that refinement renders."""
 _SEPARATION_M = 12.0
 """Poses nearer to each other, that look within `SAME_VIEW_DEG` of each other, are one."""
 _RIVALS = 3
@@ -56,7 +62,7 @@ _RIVALS = 3
 pose: their fits show how sure an answer is."""
 _LIKELIEST_ROUNDS = 4
 """Moves of the likeliest hypotheses before they are compared with others."""
-RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
+_RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
 """Renderings of each place on the rings from which the search restarts, and the rings' radii: a
 near slope is found from 10 to 20 m away, and a far one from farther."""
 _FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
@@ -67,10 +73,22 @@ _SETTLING = 3
 """Fits without a step after which the chosen errors no longer change."""
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered if the query comes this near to it."""
-GREATEST_LOG_ODDS = 50.0
+_GREATEST_LOG_ODDS = 50.0
 """Log odds beyond this count as this, so that their exponential exists."""
 _LEAST_NEARNESS = 1e-6
 """Least mean inverse distance of a skyline, 1 / m."""
+_STRANGER = 10.0
+"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
+about 10."""
+_JOINT_SHARE, _JOINT_LEAST = 0.5, 8
+"""Share of places kept from one joint round to the next, and their least number: several queries
+separate right places from wrong ones at once."""
+_HEADING_STEP_DEG = 6.0
+"""Step of the headings that are tried for a query of unknown heading."""
+_EYE = slice(EYE_HEIGHT + 1)
+"""Columns of a state that all queries of one eye share."""
+_LEAST_SHARE = 1e-6
+"""Least weight of a query, so that the mean of the steps exists where no query fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +174,7 @@ class Refinement:
             for mode in (SCOUT, ROUGH, FINE)
         )
         self._rendered = 0
-        self._expected = effort.rounds + RESTART_ROUNDS + effort.final_rounds
+        self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
         self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
 
@@ -238,7 +256,7 @@ class Refinement:
         standing = self.hypotheses(particles)
         best = standing.suppress_non_maxima(self.effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
         around = self.around(particles[best])
-        for _ in range(RESTART_ROUNDS - 1):
+        for _ in range(_RESTART_ROUNDS - 1):
             around = self._moved(self.rough, around.best(len(around)))
         return around
 
@@ -292,7 +310,7 @@ class Refinement:
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
         standing = self.hypotheses(particles)
-        return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
+        return particles[_best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
     def hypotheses(self, particles: Particles) -> Hypotheses:
         """Return the poses of particles; the scores are their costs."""
@@ -311,18 +329,18 @@ class Refinement:
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         hypotheses = self.hypotheses(particles)
         return RefinedPoses(
-            hypotheses,
-            spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
-            np.degrees(np.sqrt(squares / shown)),
-            shown / trust.sum(),
-            1.0 / np.maximum(nearness, _LEAST_NEARNESS),
-            found.effective_columns,
-            solver.heights_m[particles.fit.height],
-            np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            hypotheses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
-            hypotheses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
-            self._angle_sd_deg(particles, covariance),
-            solver.wander(particles.fit),
+            **hypotheses.columns(),
+            covariance_m2=_spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+            residual_deg=np.degrees(np.sqrt(squares / shown)),
+            terrain_share=shown / trust.sum(),
+            skyline_m=1.0 / np.maximum(nearness, _LEAST_NEARNESS),
+            effective_columns=found.effective_columns,
+            height_sd_m=solver.heights_m[particles.fit.height],
+            beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
+            margin=hypotheses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
+            far_margin=hypotheses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
+            angle_sd_deg=self._angle_sd_deg(particles, covariance),
+            wander=solver.wander(particles.fit),
         )
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
@@ -334,7 +352,154 @@ class Refinement:
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
 
-def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
+class JointRefinement:
+    r"""The joint refinement of N queries of one eye, each with its own `Refinement`.
+
+    Each query has its own attitude and field of view, and all share the eye. A round renders the
+    view of each query from each place, lets each query solve its own step, and moves the eye by the
+    mean of these steps, weighted by their precisions. That is the Gauss-Newton step of all unknowns
+    together. The cost of a place is
+
+    .. math::
+
+        -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
+
+    with c_q the cost of query q there, b_q the least cost of q anywhere, and T the factor between
+    costs and log odds. The second term is the possibility that q was taken somewhere else: a query
+    that does not belong to the others costs at most T L at any place.
+    """
+
+    def __init__(self, refinements: Sequence[Refinement]) -> None:
+        self._solos, self._effort = refinements, refinements[0].effort
+        self._solvers = [solo.rough for solo in refinements]
+        self._least = np.full(len(refinements), np.inf)
+
+    def run(
+        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
+    ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        """Return the M places where the N queries fit together, best first, and which agree there.
+
+        ``found`` holds each query's poses; all queries have the same places in the same order, best
+        first. ``alone`` holds the best pose from each query's own refinement, if there is one. The
+        returned poses of each query are at the same places; their scores are the costs of the
+        places. Margins and covariances are joint ones, with the information of one average query,
+        not the sum: queries of one place share the terrain model's errors. A query agrees, (N, M)
+        bool, where it was more likely taken than somewhere else.
+        """
+        effort = self._effort
+        particles = [
+            solo.started(solo.rough, places[: effort.particles])
+            for solo, places in zip(self._solos, found, strict=True)
+        ]
+        for _ in range(effort.rounds - 1):
+            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(particles[0])))
+            particles = self._moved(self._kept(particles, kept))
+        around = self._kept(particles, effort.restarts)
+        around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
+        for _ in range(_RESTART_ROUNDS - 1):
+            around = self._moved(around)
+        particles = self._kept(_joined(particles, around), effort.finalists)
+        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
+        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
+        particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
+        self._solvers = [solo.fine for solo in self._solos]
+        self._least = np.array([poses.score.min(initial=np.inf) for poses in alone])
+        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
+        for _ in range(effort.final_rounds):
+            particles = self._moved(particles)
+        return self._poses(self._kept(particles, effort.finalists))
+
+    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
+        """Return particles after one common step, where the renderings from there fit better."""
+        solved = [
+            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
+            for solver, own in zip(self._solvers, particles, strict=True)
+        ]
+        precision = self._precision(solved, _share(self._off(particles)))
+        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
+        step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
+        new = [
+            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
+            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
+        ]
+        before, after = np.split(_cost(self._off(_joined(particles, new))), 2)
+        return [old.kept(own, after < before) for old, own in zip(particles, new, strict=True)]
+
+    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
+        """Return the best distinct places, and rivals of the very best, best first."""
+        standing = self._solos[0].hypotheses(particles[0])
+        standing = replace(standing, score=_cost(self._off(particles)))
+        chosen = _best_and_rivals(standing, count)
+        return [own[chosen] for own in particles]
+
+    def _off(self, particles: Sequence[Particles]) -> Float64Array:
+        """Return the costs of queries (N, M) above the least cost of each anywhere."""
+        cost = np.stack([own.fit.cost for own in particles])
+        least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
+        return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
+
+    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
+        """Return the precisions (N, M, 3, 3) of the eye by each query, times its ``share``."""
+        covariance = np.stack(
+            [
+                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
+                for solver, own in zip(self._solvers, particles, strict=True)
+            ]
+        )
+        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
+        return np.asarray(np.linalg.inv(covariance) * share)
+
+    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        """Return the poses of each query at the places, and which queries agree; see `run`."""
+        off = self._off(particles)
+        cost, share = _cost(off), _share(off)
+        agrees = share >= 0.5
+        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
+        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
+        poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
+        standing = replace(poses[0], score=cost)
+        # Margins and covariances are those of one query in the mean, and so are these odds.
+        covariance_m2 = _spread(replace(standing, score=cost / len(poses)), covariance_m2)
+        margin, far_margin = (
+            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
+            for least_m in DISTANCES_M
+        )
+        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
+        return tuple(replace(own, score=cost, **joint) for own in poses), agrees
+
+
+def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
+    """Return the best particle of a query at each place, of all headings."""
+    turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
+    at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
+    none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
+    fov_deg = none + solo.scout.query.fov_deg
+    every = Hypotheses(at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none)
+    seen = solo.started(solo.scout, every)
+    cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
+    best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
+    return solo.started(solo.rough, solo.hypotheses(best))
+
+
+def _joined(*parts: Sequence[Particles]) -> list[Particles]:
+    """Return the particles of each query in all parts."""
+    return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
+
+
+def _cost(off: Float64Array) -> Float64Array:
+    """Return the costs of places (M,) by `JointRefinement._off`; infinite where no query fits."""
+    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
+    return np.where(np.isinf(off).all(axis=0), np.inf, cost)
+
+
+def _share(off: Float64Array) -> Float64Array:
+    """Return the probability (N, M) that each query was taken at each place."""
+    odds = _STRANGER - off / TEMPERATURE
+    return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
+
+
+def _spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
     """Return the place's covariance (M, 2, 2) about each pose, over all poses of the same answer.
 
     ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
@@ -343,13 +508,13 @@ def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
     apart = place[:, np.newaxis] - place
     near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
     better = hypotheses.score[:, np.newaxis] - hypotheses.score
-    odds = near * np.exp(np.minimum(better / TEMPERATURE, GREATEST_LOG_ODDS))
+    odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
     share = odds / odds.sum(axis=1, keepdims=True)
     squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
     return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -> IntArray:
+def _best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -> IntArray:
     """Return the indices of the best distinct poses and of the best one's rivals, best first."""
     chosen = standing.suppress_non_maxima(count, _SEPARATION_M, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]

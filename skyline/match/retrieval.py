@@ -1,8 +1,20 @@
-"""Retrieval: from a query's rays to a short list of poses among all places of a store.
+r"""Retrieval: from a query's rays to a short list of poses among all places of a store.
 
 Coarse to fine: screening compares every heading of every place by phases (`screening`). Then whole
 poses are fitted to the skylines of the best places, first roughly to many of them, then well to
-fewer (`curve_fit`). The short list holds the best poses that differ from one another.
+fewer (`CurveFit`). The short list holds the best poses that differ from one another.
+
+With the distance D, tangent y and slope y' of a place's skyline at azimuth a, and the ground rising
+by g, an eye moved by t (east, north) sees to first order
+
+.. math::
+
+    y(a; t) \approx y(a) + \frac{y' t_\perp + y t_\parallel - g \cdot t}{D}, \quad
+    t_\parallel = t_e \sin a + t_n \cos a, \quad t_\perp = t_e \cos a - t_n \sin a
+
+so heading, pitch, roll, field of view and a small move are fitted together, by damped Gauss-Newton
+with Cauchy weights whose scale shrinks from round to round. The first order neglects an error that
+grows with (t / D)^2, so near terrain is trusted less.
 """
 
 import math
@@ -14,12 +26,11 @@ from functools import cached_property
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Rows
 from skyline.errors import InputError
 from skyline.match.candidate import Hypotheses
-from skyline.match.curve_fit import GOOD_FIT, ROUGH_FIT, CurveFit
 from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs
+from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
 from skyline.match.screening import Alike, Screen, report_progress, screen_places
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
@@ -52,6 +63,33 @@ _LIKELY_DEVIATIONS = 2.5
 though fits may start there."""
 _UNLIKELY = 0.25
 """Penalty of a field of view in screening, over the square of its standard deviations."""
+
+_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH, _WANDER = range(7)
+"""Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
+`QueryRays.log_scale` of the field of view; metres east and north of the stored place. The columns
+from `_WANDER` on are those of a panorama's `QueryRays.wander`, and there are none for a lens."""
+_MOVE = slice(_EAST, _WANDER)
+_DAMPING = np.float32(1e-3)
+_LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
+"""Longest step of a round; moves in standard deviations of the place. Rows of a panorama wander at
+most as far as a pitch goes."""
+_MIN_FORWARD = np.float32(0.05)
+"""Rays nearer to a quarter turn from straight ahead are taken to lie there."""
+_QUERY_ERROR_DEG = 0.06
+"""Expected error of a mean of rays, at a field of view of 60 degrees."""
+_CURVATURE = 0.05
+"""Error of the tangent over (t / D)^2, for a query at t from its place and terrain at distance
+D."""
+_PITCH_SD_DEG, _ROLL_SD_DEG = 5.0, 4.0
+"""Prior standard deviations of the attitude."""
+_OUTLIER, _UNKNOWN = 8.0, 4.0
+"""Largest miss of a ray that counts, and the miss of a ray without a profile, in expected errors:
+in coarse elevation models rays of the right pose miss by several."""
+
+_ROUGH_FIT = 40, (0.5, 0.35, 0.25)
+_GOOD_FIT = 100, (0.5, 0.35, 0.25, 0.2, 0.2)
+"""The number of runs of the query's columns whose means are fitted, and the scales of the Cauchy
+weights, degrees, beside the expected error, from round to round."""
 
 
 class Retriever:
@@ -200,12 +238,12 @@ class Retriever:
     def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""
         rough = [
-            self._fits(query, start, *ROUGH_FIT)
+            self._fits(query, start, *_ROUGH_FIT)
             for query, start in zip(queries, starts, strict=True)
         ]
         best = np.sort(np.argsort(_total(rough), kind="stable")[:_FITTED])
         return [
-            self._fits(query, start[best], *GOOD_FIT)
+            self._fits(query, start[best], *_GOOD_FIT)
             for query, start in zip(queries, starts, strict=True)
         ]
 
@@ -271,3 +309,182 @@ def _zooms(query: QueryRays, low: float, high: float, step: float) -> Float64Arr
 def _start_zooms(query: QueryRays) -> Float64Array:
     """Return the zooms that fits start from."""
     return _zooms(query, *query.log_scale_bounds, _START_ZOOM_STEP)
+
+
+class CurveFit:
+    """Fits one pose of a query to each of M places.
+
+    Queries lie evenly within a place's tolerance, so their standard deviation from it is the
+    tolerance over the root of 3; no fit moves farther than twice that.
+
+    Parameters
+    ----------
+    places : Places
+    ground_slope : (M, 2) float32
+        Rise of the ground to the east and to the north.
+    rays : QueryRays
+        R means of runs of the query's rays; see `skyline.match.query_rays.in_runs`.
+    runs : int
+        Number of runs within 60 degrees.
+    """
+
+    def __init__(
+        self, places: Places, ground_slope: Float32Array, rays: QueryRays, runs: int
+    ) -> None:
+        self._places, self._ground_slope, self._rays, self._runs = places, ground_slope, rays, runs
+        self._y = places.elevation_tan()
+        nearness = 1.0 / places.distance_m()
+        self._nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
+        self._deviation_m = (places.tolerance_m / np.float32(np.sqrt(3.0)))[:, np.newaxis]
+        self._wander = rays.wander.astype(np.float32)
+        self._prior = self._inverse_variances()
+
+    def fit(
+        self, heading_rad: Float64Array, zoom: Float64Array, scales_deg: tuple[float, ...]
+    ) -> Hypotheses:
+        """Return the poses fitted from headings and zooms (M,).
+
+        A score is the mean over rays of the misses, in expected errors, and what the priors add.
+        ``scales_deg`` are the scales of the Cauchy weights from round to round.
+        """
+        pose = np.zeros(self._prior.shape, dtype=np.float32)
+        pose[:, _HEADING], pose[:, _ZOOM] = heading_rad, zoom
+        pose[:, _PITCH] = -np.median(self._misses(pose)[0], axis=1)
+        for scale_deg in scales_deg:
+            miss, change, nearness, known = self._misses(pose)
+            # The expected squared errors of the tangents.
+            bent = _CURVATURE * np.square(self._deviation_m * nearness)
+            variance = np.square(self._query_error(pose))[:, np.newaxis] + np.square(bent)
+            variance = variance.astype(np.float32)
+            weight = self._rays.weight.astype(np.float32) * known
+            weight = weight / (variance + np.square(miss) + np.radians(scale_deg) ** 2)
+            pose = self._bounded(pose, self._step(pose, miss, change, weight.astype(np.float32)))
+        miss, _, _, known = self._misses(pose)
+        score = self._score(pose, miss, known)
+        heading, pitch, roll, zoom = pose[:, :_EAST].T.astype(np.float64)
+        move = pose[:, _MOVE].astype(np.float64)
+        return Hypotheses(
+            self._places.easting_m + move[:, 0],
+            self._places.northing_m + move[:, 1],
+            self._places.eye_elevation_m + (self._ground_slope * move).sum(axis=1),
+            np.degrees(heading) % 360.0,
+            np.degrees(pitch),
+            np.degrees(roll),
+            self._rays.searched_fov_deg(zoom),
+            np.zeros(len(zoom)),
+            score.astype(np.float64),
+        )
+
+    def _misses(
+        self, pose: Float32Array
+    ) -> tuple[Float32Array, Float32Array, Float32Array, BoolArray]:
+        """Return the misses (M, R) of poses (M, P): rays' tangents minus those of the profiles.
+
+        Also return their derivatives (M, P, R) by the columns of a pose, the profiles' inverse
+        distances (M, R), 1 / m, and whether a profile is known (M, R). An unknown one has a miss
+        of 0.
+        """
+        y, nearness = self._y, self._nearness
+        azimuth, tangent = self._project(pose)
+        bins = y.shape[1]
+        toward = azimuth + pose[:, :1]
+        position = toward * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
+        left = np.floor(position)
+        share = position - left
+        row = (np.arange(len(y)) * bins)[:, np.newaxis]
+        begin = row + left.astype(np.intp) % bins
+        end = row + (left.astype(np.intp) + 1) % bins
+        profile = y.ravel()[begin]
+        rise = y.ravel()[end] - profile
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, np.float32(0.0))
+        profile = np.where(known, profile, np.float32(0.0)) + share * rise
+        slope = rise * np.float32(bins / (2.0 * np.pi))
+        coarse = nearness.shape[1]
+        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
+        near = nearness.ravel()[(np.arange(len(y)) * coarse)[:, np.newaxis] + run % coarse]
+        sine, cosine = np.sin(toward), np.cos(toward)
+        ground = self._ground_slope[:, :, np.newaxis]
+        east = (slope * cosine + profile * sine - ground[:, 0]) * near
+        north = (profile * cosine - slope * sine - ground[:, 1]) * near
+        miss = tangent - profile - east * pose[:, _EAST, np.newaxis]
+        miss -= north * pose[:, _NORTH, np.newaxis]
+        own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
+        if self._rays.is_panorama:
+            pitch, zoom = np.ones_like(tangent), tangent - slope * azimuth
+        else:
+            pitch = own_cosine
+            zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
+        change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
+        if self._rays.is_panorama:
+            wander = self._wander.T
+            change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
+        miss = np.where(known, miss, np.float32(0.0))
+        return miss, change, near, known
+
+    def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
+        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
+        u, v = self._rays.scaled(np.exp(zoom))
+        if self._rays.is_panorama:
+            v = v + pose[:, _WANDER:] @ self._wander.T
+        right, up, forward = level_axes(u, v, pitch, roll, self._rays.projection)
+        if self._rays.is_panorama:
+            return np.arctan2(right, forward), up / np.hypot(right, forward)
+        forward = np.maximum(forward, _MIN_FORWARD)
+        return np.arctan(right / forward), up / np.hypot(right, forward)
+
+    def _query_error(self, pose: Float32Array) -> FloatArray:
+        """Return the expected error (M,) of the query's tangents, as large as a pixel.
+
+        A camera measures pixels. If the error did not grow with the field of view, a small enough
+        one would make every miss small.
+        """
+        half_rad = np.radians([self._rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
+        size = 1.0 if self._rays.is_panorama else float(np.divide(*np.tan(half_rad)))
+        scale = np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
+        return np.asarray(np.radians(_QUERY_ERROR_DEG) * scale)
+
+    def _inverse_variances(self) -> Float32Array:
+        """Return the prior inverse variances (M, P) of the columns of a pose."""
+        columns = _WANDER + self._wander.shape[1]
+        prior = np.zeros((len(self._places), columns), dtype=np.float32)
+        prior[:, _PITCH] = np.radians(_PITCH_SD_DEG) ** -2.0
+        prior[:, _ROLL] = np.radians(_ROLL_SD_DEG) ** -2.0
+        prior[:, _ZOOM] = self._rays.log_scale_sd**-2.0
+        prior[:, _MOVE] = self._deviation_m**-2.0
+        if self._rays.is_panorama:
+            prior[:, _WANDER:] = self._rays.warp_sd**-2.0
+        return prior
+
+    def _step(
+        self, pose: Float32Array, miss: Float32Array, change: Float32Array, weight: Float32Array
+    ) -> Float32Array:
+        """Return the damped Gauss-Newton step (M, P) that is subtracted from poses."""
+        weighted = change * weight[:, np.newaxis]
+        normal = weighted @ change.transpose(0, 2, 1)
+        gradient = (weighted @ miss[:, :, np.newaxis])[:, :, 0] + self._prior * pose
+        diagonal = np.einsum("mkk->mk", normal)
+        diagonal += self._prior
+        diagonal += _DAMPING * (diagonal + 1.0)
+        return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
+
+    def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
+        """Return poses less a step, within the bounds of a step and of a pose."""
+        limit = np.tile(_LONGEST_STEP, (len(pose), 1))
+        limit[:, _MOVE] *= self._deviation_m
+        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)
+        limit = np.concatenate([limit, wander], axis=1)
+        pose = pose - np.clip(step, -limit, limit)
+        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self._rays.log_scale_bounds)
+        farthest = 2.0 * self._deviation_m
+        pose[:, _MOVE] = np.clip(pose[:, _MOVE], -farthest, farthest)
+        return pose
+
+    def _score(self, pose: Float32Array, miss: Float32Array, known: BoolArray) -> Float32Array:
+        error = self._query_error(pose)
+        cost = np.minimum(np.abs(miss) / error[:, np.newaxis], np.float32(_OUTLIER))
+        cost = np.where(known, cost, np.float32(_UNKNOWN))
+        unlikely = 0.5 * (np.square(pose) * self._prior).sum(axis=1) / self._runs
+        mean = (cost * self._rays.weight.astype(np.float32)).mean(axis=1)
+        return np.asarray(mean + unlikely, dtype=np.float32)

@@ -84,7 +84,7 @@ class QueryCurve:
 
     @classmethod
     def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
-        """Take the query at one of its pitches; see `skyline.match.query_rays.at_pitches`."""
+        """Take the query at one of its pitches; see `skyline.match.profiles.at_pitches`."""
         table = polyline_vertices(y[np.newaxis], _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
         y_px = y / TANGENT_PER_PX

@@ -32,8 +32,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.match.candidate import Hypotheses
-from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles
-from skyline.match.query_rays import QueryRays, at_pitches
+from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
+from skyline.match.query_rays import QueryRays
 from skyline.paper.curves import (
     MIN_OVERLAP,
     QueryCurve,

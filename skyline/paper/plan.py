@@ -16,7 +16,6 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, StoreMismatchError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import (
@@ -28,7 +27,7 @@ from skyline.paper.reprojection import (
 from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views
 from skyline.store.format import StoreHeader
 from skyline.store.write import check_folder, sorted_once, write_store
 from skyline.terrain.heightfield import HeightField, ground_of

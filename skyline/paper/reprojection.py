@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray
-from skyline.camera import HEADINGS, columns_u, pixel_size, rotation
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views, columns_u, pixel_size, rotation
 from skyline.terrain.heightfield import Ground
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
-from skyline.camera import HEADINGS, columns_u, pixel_size
 from skyline.paper.reprojection import (
     IDENTITY,
     affine_least_squares,
@@ -20,7 +19,7 @@ from skyline.paper.reprojection import (
     skyline_points_m,
 )
 from skyline.paper.strategies import Coverage
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views, columns_u, pixel_size
 
 if TYPE_CHECKING:
     from skyline.paper.plan import Plan, Render

@@ -13,11 +13,17 @@ from numpy.typing import NDArray
 from pyrr import matrix44
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
-from skyline.skylines import FLAG_OUT_OF_IMAGE, Views
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    FLAG_OUT_OF_IMAGE,
+    HEADINGS,
+    Views,
+    check_width,
+    rotation,
+)
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 

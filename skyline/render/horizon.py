@@ -1,22 +1,41 @@
-"""The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round."""
+"""The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round.
 
+`RenderedScene` renders views of one terrain piece by piece, on the thread that owns the context.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.render.context import RenderThread, acquire_context
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
-from skyline.skylines import Horizons, Views, quadrant_azimuths_rad
-from skyline.terrain.heightfield import HeightField
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    HEADINGS,
+    Horizons,
+    Views,
+    check_width,
+    columns_u,
+    pixel_size,
+    quadrant_azimuths_rad,
+)
+from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.sightlines import DataEdge
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 DEFAULT_TOLERANCE_DEG = 0.01
 
+_PIECE_COLUMNS = 12_000
+"""Columns of the views that a scene renders in one piece: a few milliseconds without a GPU."""
+
+T = TypeVar("T")
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
@@ -75,6 +94,70 @@ def render_views(
     config = config or RenderConfig()
     with HorizonRenderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
+
+
+class RenderedScene:
+    """Terrain that renders views of its skyline, and of a surface that may stand on it, if any.
+
+    With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
+    makes the scene may render.
+    """
+
+    def __init__(
+        self,
+        terrain: HeightField,
+        config: RenderConfig,
+        thread: RenderThread | None = None,
+        surface: HeightField | None = None,
+    ) -> None:
+        self.ground_m = ground_of(terrain)
+        self.height_sd_m = terrain.height_sd_m
+        """Expected standard deviation of the terrain model's heights."""
+        self._terrain, self._curvature = terrain, config.curvature
+        self._thread = thread
+        self._piece = max(1, _PIECE_COLUMNS // config.width)
+        fields = [terrain] if surface is None else [terrain, surface]
+        self._renderers = self._run(lambda: [HorizonRenderer(one, config) for one in fields])
+
+    @cached_property
+    def edge(self) -> DataEdge | None:
+        """Edge of the terrain's data; None if no terrain is taken to lie past it."""
+        return DataEdge.of(self._terrain, self._curvature)
+
+    def render(
+        self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False
+    ) -> list[Views]:
+        """Render one view an eye, each along its heading (N,): of the terrain, then of the surface.
+
+        Where a thread renders for all, ``urgent`` views are rendered before those that are not, and
+        the pieces leave room for them.
+
+        Raises `InputError` after a release, and `ContextError` in another thread than the maker's.
+        """
+        if not self._renderers:
+            raise InputError("the matcher or viewer has been released; make another one")
+        along = np.asarray(headings, dtype=np.uint8)
+        step = len(along) if self._thread is None else self._piece
+        starts = range(0, max(len(along), 1), max(step, 1))
+        parts = [slice(start, start + step) for start in starts]
+        return [
+            Views.concatenate(
+                [self._run(partial(one.render, viewpoints[p], along[p]), urgent) for p in parts]
+            )
+            for one in self._renderers
+        ]
+
+    def release(self) -> None:
+        """Free the GPU memory of the scene."""
+        for renderer in self._renderers:
+            self._run(renderer.release)
+        self._renderers.clear()
+
+    def _run(self, task: Callable[[], T], urgent: bool = False) -> T:
+        if self._thread is not None:
+            return self._thread.run(task, urgent)
+        acquire_context()
+        return task()
 
 
 class PanoramaRenderer(ColumnRenderer):

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from skyline.camera import HEADINGS, rotation
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
-from skyline.skylines import FLAG_NO_DATA, Views
+from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array
-from skyline.camera import HEADINGS
 from skyline.errors import ContextError
+from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import EMPTY, MAX_LEVELS, Triangles, level_count, slab_levels
 

@@ -11,8 +11,7 @@ from skyline.errors import InputError, OffMapError
 from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate, Ellipse
-from skyline.match.matcher import Matcher
-from skyline.match.scene import terrain_at_hand
+from skyline.match.matcher import Matcher, terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches

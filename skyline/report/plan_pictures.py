@@ -13,13 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.camera import HEADINGS
 from skyline.files import write_whole, write_with_folders
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.figures import encode_figure
 from skyline.report.maps import draw_bearings, draw_relief
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -19,18 +19,16 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
-from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
 from skyline.render.context import Releasable, RenderThread
-from skyline.render.horizon import RenderConfig
+from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.report.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
-from skyline.skylines import Views
+from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import (

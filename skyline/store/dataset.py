@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import columns_u
 from skyline.errors import library
 from skyline.geodesy import Frame
-from skyline.skylines import Views, bin_azimuths_rad
+from skyline.skylines import Views, bin_azimuths_rad, columns_u
 from skyline.store.places import BINS, DISTANCE_BINS, Places
 
 _METRES, _DEGREES = {"units": "m"}, {"units": "degrees"}

@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import UInt8Array
-from skyline.camera import check_width
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature, Frame
-from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views
+from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views, check_width
 from skyline.store.places import (
     ALIKE_DEG,
     BINS,

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError, swapped_in_words
 from skyline.files import read_table
 from skyline.geodesy import GROUND_M
+from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 

@@ -5,9 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import FRAME, field_from, field_of
 
-from skyline.camera import columns_u, rotation
 from skyline.geodesy import Curvature
-from skyline.skylines import FLAG_HOLE
+from skyline.skylines import FLAG_HOLE, columns_u, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation, stand_on
 from skyline_bench.truth import oracle

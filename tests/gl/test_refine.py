@@ -8,13 +8,12 @@ from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.match.candidate import Hypotheses
-from skyline.match.joint import JointRefinement
 from skyline.match.prior import Narrowing, Prior
-from skyline.match.refine import WHOLE, Refinement
-from skyline.match.scene import joined_views
+from skyline.match.refine import WHOLE, JointRefinement, Refinement
 from skyline.match.solver import Curves
 from skyline.photo.query import distorted
 from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.skylines import joined_views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation, stand_on
 
@@ -74,7 +73,7 @@ def _off_m(found: Hypotheses):
 def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
     found = Refinement(query, scene, SHORT).run(_around())
-    best = found.hypotheses
+    best = found
     assert _off_m(best)[0] < 3.0
     assert best.heading_deg[0] == pytest.approx(160.0, abs=0.05)
     assert best.pitch_deg[0] == pytest.approx(1.5, abs=0.05)
@@ -92,7 +91,7 @@ def test_the_distortion_of_a_usual_lens_is_found(scene, rays, distortion):
     half_width = np.tan(np.radians(30.0))
     bent = half_width * np.stack(distorted(*(np.stack(rays) / half_width), distortion))
     query = replace(rays_of(*bent, 60.0, 61.5, (57.0, 63.0)), distortion_sd=0.01)
-    best = Refinement(query, scene, SHORT).run(_around()).hypotheses
+    best = Refinement(query, scene, SHORT).run(_around())
     assert _off_m(best)[0] < 5.0
     assert best.distortion[0] == pytest.approx(distortion, abs=0.003)
 
@@ -101,7 +100,7 @@ def test_the_distortion_of_a_usual_lens_is_found(scene, rays, distortion):
 def test_the_eye_s_height_above_the_ground_is_found_or_held(scene, above_m, known):
     prior = Prior(Narrowing(eye_height_m=2.0 if known else None))
     refinement = Refinement(rays_of(*_seen(scene, above_m), 60.0), scene, SHORT, prior)
-    best = refinement.run(_around()).hypotheses
+    best = refinement.run(_around())
     height_m = best.eye_elevation_m - scene.ground_m(best.easting_m, best.northing_m)
     assert _off_m(best)[0] < 5.0
     assert height_m[0] == pytest.approx(above_m, abs=1e-9 if known else 2.5)
@@ -115,7 +114,7 @@ def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
     assert 0.3 < hidden.mean() < 0.4
     v = np.where(hidden, v + np.radians(3.0), v)
     found = Refinement(rays_of(u, v, 60.0), scene, SHORT).run(_around())
-    off = PLACE - [found.hypotheses.easting_m[0], found.hypotheses.northing_m[0]]
+    off = PLACE - [found.easting_m[0], found.northing_m[0]]
     assert np.hypot(*off) < 20.0
     assert found.terrain_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
     assert off @ np.linalg.solve(found.covariance_m2[0], off) < 16.0
@@ -130,9 +129,9 @@ def test_neither_order_nor_far_places_matter(scene, rays):
     some = Hypotheses.concatenate([_around(), far])
     order = np.random.default_rng(0).permutation(len(some))
     one, other = (Refinement(query, scene, SHORT).run(h) for h in (some, some[order]))
-    first_m, same_m = (found.hypotheses.easting_m[0] for found in (one, other))
+    first_m, same_m = (found.easting_m[0] for found in (one, other))
     np.testing.assert_allclose(first_m, same_m, atol=1e-3)
-    assert _off_m(one.hypotheses)[0] < 3.0
+    assert _off_m(one)[0] < 3.0
     assert one.margin[0] > 0.0
 
 
@@ -160,7 +159,7 @@ def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     query = rays_of(*rays, 60.0)
     assert len(Refinement(query, scene, SHORT).run(outside)) == 0
     both = Hypotheses.concatenate([outside, _around(2, 20.0)])
-    assert _off_m(Refinement(query, scene, SHORT).run(both).hypotheses)[0] < 5.0
+    assert _off_m(Refinement(query, scene, SHORT).run(both))[0] < 5.0
 
 
 def test_a_featureless_skyline_tells_no_place(scene):
@@ -180,7 +179,7 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     found = _around()
     alone = Refinement(query, scene, SHORT).run(found)
     each = Refinement(query, scene, SHORT)
-    joint, _ = JointRefinement([each, each]).run([found] * 2, [alone.hypotheses[:1]] * 2)
+    joint, _ = JointRefinement([each, each]).run([found] * 2, [alone[:1]] * 2)
     once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once
 
@@ -188,6 +187,6 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
 def test_no_pose_leaves_the_map(scene, rays):
     west, south, _, north = scene.field.bounds_m
     edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
-    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge).hypotheses
+    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge)
     assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
     assert np.isfinite(found.eye_elevation_m).all()

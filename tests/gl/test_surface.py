@@ -10,8 +10,7 @@ from scenes import at_m, field_of, fractal
 from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
 from skyline.match.refine import WHOLE, Refinement
-from skyline.match.scene import RenderedScene
-from skyline.render.horizon import RenderConfig
+from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.terrain.dem import UNKNOWN_M, read_surface
 
 SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
@@ -125,7 +124,7 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
         heading_deg = camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6)
         start = poses(6, **around, heading_deg=heading_deg)
         for name, scene in scenes.items():
-            best = Refinement(query, scene, SHORT).run(start).hypotheses
+            best = Refinement(query, scene, SHORT).run(start)
             off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))
     without_m, with_m = np.array(off_m["without"]), np.array(off_m["with"])
     for scene in scenes.values():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
-from skyline.camera import HEADINGS
 from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.report.viewer import sight_of
+from skyline.skylines import HEADINGS
 from skyline.terrain.viewpoints import stand_on
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0

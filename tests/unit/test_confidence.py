@@ -26,7 +26,8 @@ def fitted(residual_deg):
     figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *zero
     covariance_m2 = np.tile(100.0 * np.eye(2), (count, 1, 1))
     figures = *figures, np.ones((count, 4)), np.zeros((count, 0))
-    return RefinedPoses(retrieved([0.0] * count, [0.0] * count), covariance_m2, *figures)
+    poses = retrieved([0.0] * count, [0.0] * count).columns().values()
+    return RefinedPoses(*poses, covariance_m2, *figures)
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)

@@ -6,9 +6,7 @@ from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.build.plans import uniform_grid
-from skyline.match import query_rays
-from skyline.match.profiles import CorrelationMatcher, Profiles
-from skyline.match.query_rays import at_pitches
+from skyline.match.profiles import CorrelationMatcher, Profiles, at_pitches
 from skyline.paper import matcher
 from skyline.paper.curves import chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
@@ -115,7 +113,7 @@ def test_listed_poses_are_scored_as_without_a_shortlist(
     profiles, viewpoints, index, heading_deg, monkeypatch
 ):
     query = query_at(viewpoints, index, heading_deg)
-    monkeypatch.setattr(query_rays, "_PITCHES_DEG", (0.0,))
+    monkeypatch.setattr("skyline.match.profiles._PITCHES_DEG", (0.0,))
     monkeypatch.setattr(matcher, "_POSES", 100_000)
     every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)

@@ -6,10 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import field_from
 
-from skyline.camera import columns_u
 from skyline.paper import reprojection
 from skyline.paper.verify import true_errors_px
-from skyline.skylines import Views
+from skyline.skylines import Views, columns_u
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.camera import HEADINGS, rotation
 from skyline.render.depth import DepthRenderer
+from skyline.skylines import HEADINGS, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.pinhole import Camera

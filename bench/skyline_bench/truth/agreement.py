@@ -14,11 +14,20 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, rotation
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    FLAG_HOLE,
+    FLAG_NO_DATA,
+    FLAG_OUT_OF_IMAGE,
+    HEADINGS,
+    Views,
+    columns_u,
+    pixel_size,
+    rotation,
+)
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints

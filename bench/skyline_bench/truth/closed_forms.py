@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, columns_u, pixel_size
 from skyline.geodesy import Curvature, Frame, in_turn
+from skyline.skylines import HEADINGS, columns_u, pixel_size
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, at_elevation, stand_on

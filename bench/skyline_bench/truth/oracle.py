@@ -16,9 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, rotation
 from skyline.geodesy import Curvature
-from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
+from skyline.skylines import (
+    DEFAULT_WIDTH,
+    FLAG_HOLE,
+    FLAG_NO_DATA,
+    FLAG_TRUNCATED,
+    HEADINGS,
+    Views,
+    check_width,
+    columns_u,
+    rotation,
+)
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.mesh import Triangles
 from skyline.terrain.viewpoints import Viewpoints, in_four_views

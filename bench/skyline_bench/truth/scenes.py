@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import HEADINGS, columns_u
 from skyline.geodesy import Curvature
+from skyline.skylines import HEADINGS, columns_u
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms
 from skyline_bench.truth import oracle
