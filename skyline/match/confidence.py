@@ -94,8 +94,8 @@ class MatchConfig:
         The best place is the answer if it is right within 1 km with at least this probability, 0 to
         1. The answer is stated to 200 m if the probability of an error above 200 m is at
         most half of what is allowed for 1 km: with the default, if it is right with a probability
-        of 0.9. Of 199 answers to queries of the terrain that was held out from learning, 193 were
-        right; docs/accuracy.md says how hard those are.
+        of 0.9. Of 255 queries of the terrain that was held out from learning and had such a
+        probability, 245 were right; docs/accuracy.md says how hard those are.
     fov_slack : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
 
