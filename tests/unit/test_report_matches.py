@@ -104,7 +104,7 @@ def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
 
 def test_a_report_says_where_and_shows_it(tmp_path):
     place = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
-    peaks = Peaks(names=("<i>Top</i> $",), **place, height_m=np.array([np.nan]))
+    peaks = Peaks(names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place, height_m=np.array([np.nan]))
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
     html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
