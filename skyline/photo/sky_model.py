@@ -23,6 +23,9 @@ _NEARLY = 24
 _MIN_SHARE = 0.98
 """Least share of a mask's pixels that are nearly black or white; the rest is its border."""
 _SAMPLES = 500
+_MOST_CHANGES = 15.0
+"""Most changes between black and white down a column of a mask, in the mean of the columns: masks
+of photos have about 2, dithered photos 90 or more."""
 _MIDDLE = 127.5
 _FLAT_PX, _MOST_FLAT, _MOST_WHITE = 1.0, 0.9, 0.1
 """A border is taken for the frame of a mask with white ground if it lies within `_FLAT_PX` of its
@@ -129,16 +132,17 @@ def _line(error: Exception) -> str:
 
 
 def is_sky_mask(image: UInt8Array) -> bool:
-    """Return whether an RGB image (H, W, 3) uint8 is grey and nearly all black or white.
+    """Return whether an RGB image (H, W, 3) uint8 is grey, nearly all black or white, in few areas.
 
-    About five hundred rows and columns are sampled.
+    About five hundred rows and columns are sampled. A dithered photo is no mask.
     """
     step_down, step_across = (max(1, side // _SAMPLES) for side in image.shape[:2])
     sample = image[::step_down, ::step_across].astype(np.int16)
     grey = sample[:, :, 1]
     coloured = np.abs(sample - grey[:, :, np.newaxis]).max(axis=2) > _NEARLY
     extreme = (grey <= _NEARLY) | (grey >= 255 - _NEARLY)
-    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE
+    changes = np.count_nonzero(np.diff(grey >= _MIDDLE, axis=0)) / grey.shape[1]
+    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE and changes <= _MOST_CHANGES
 
 
 def skyline_of_mask(image: UInt8Array) -> QuerySkyline:

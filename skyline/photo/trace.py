@@ -15,7 +15,7 @@ _MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 _MAX_SIDE_PX = 100_000
 _COLUMNS = ("column_px", "row_px")
-_NOTE = re.compile(r"(\w+)\s*=\s*(\S+)")
+_NOTE = re.compile(r"(\w+)\s*=\s*(\S+?),*(?=\s|$)")
 _NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
@@ -68,9 +68,13 @@ def read_trace(
     if not {"width", "height"} <= notes.keys():
         start = (table.notes or [",".join(table.header)])[0].strip()
         raise InputError(f"{path} starts with {start[:60]!r}; {_FORM}")
-    width, height = (int(notes[side]) for side in ("width", "height"))
-    if not (1 <= width <= _MAX_SIDE_PX and 1 <= height <= _MAX_SIDE_PX):
-        raise InputError(f"{path} is {width} x {height} px; expected 1 to {_MAX_SIDE_PX} each")
+    sides = notes["width"], notes["height"]
+    if not all(side.is_integer() and 1 <= side <= _MAX_SIDE_PX for side in sides):
+        raise InputError(
+            f"{path} is {sides[0]:.12g} x {sides[1]:.12g} px; expected whole numbers from 1 to "
+            f"{_MAX_SIDE_PX}"
+        )
+    width, height = map(int, sides)
     column, row = _points(table, width, height)
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():

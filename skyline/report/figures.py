@@ -1,7 +1,9 @@
 """Matplotlib figures as files, and the placing of labels without overlaps."""
 
 import io
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +18,15 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 reduced colour resolution thin coloured lines fade."""
 
 
+@contextmanager
+def _boxes_for_letters() -> Iterator[None]:
+    """Draw letters that the font lacks as boxes, without Matplotlib's warning."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from")
+        yield
+
+
+@_boxes_for_letters()
 def encode_figure(figure: Figure, kind: str = "png") -> bytes:
     """Return a figure, at its own resolution, encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
@@ -43,6 +54,7 @@ class PlacedLabel:
         return low.left_px <= high.anchor_px <= low.right_px
 
 
+@_boxes_for_letters()
 def extent_px(figure: Figure, text: str, size_pt: float) -> tuple[float, float]:
     """Return the width and height in pixels of a text that a figure draws horizontally."""
     drawn = Text(0, 0, text, fontsize=size_pt, parse_math=False, figure=figure)

@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
@@ -37,6 +38,8 @@ _WEDGE_SHARE = 0.16
 _MOST_PEAKS = 12
 _NEAR_BORDER = 0.2
 """Share of the map's width near its sides in which a centred label would cross the border."""
+_DOT_SHARE, _DOT_POINTS = 0.35, (0.25, 2.25)
+"""Diameter of a viewpoint's dot as a share of the distance to the next, and its limits."""
 _WIDTH_IN, _DPI = 5.8, 150.0
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
 _MOST_PIXELS = 900
@@ -103,7 +106,7 @@ def draw_match_map(
     figure = Figure(size_in, _DPI, layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
-    shown = _draw_viewpoints(axis, viewpoints, area)
+    shown, total = _draw_viewpoints(axis, viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width, area.height)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
@@ -111,18 +114,24 @@ def draw_match_map(
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
-    title = f"{shown} viewpoints of the store (dots)"
+    title = f"{shown:,} of {total:,} viewpoints of the store (dots)"
     title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS))
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 
 
-def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
-    """Draw the locations of the store within an area; return their number."""
+def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> tuple[int, int]:
+    """Draw the locations of the store within an area; return their number and that of all.
+
+    A dot is smaller than the distance to its neighbour, so that the map shows between them.
+    """
     places = np.unique(np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1), axis=0)
     inside = places[((area.min <= places) & (places <= area.max)).all(axis=1)]
-    axis.plot(*inside.T, ".", color="black", markersize=2.5, alpha=0.7)
-    return len(inside)
+    distances_m, _ = cKDTree(places).query(inside, k=2)
+    point_m = area.width / (72.0 * _WIDTH_IN)
+    size = np.clip(_DOT_SHARE * np.asarray(distances_m)[:, 1] / point_m, *_DOT_POINTS)
+    axis.scatter(inside[:, 0], inside[:, 1], size**2, color="black", alpha=0.7, linewidths=0.0)
+    return len(inside), len(places)
 
 
 def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:

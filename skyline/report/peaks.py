@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
+from unicodedata import bidirectional
 
 import numpy as np
 from pyproj import CRS
@@ -51,6 +52,7 @@ _Point = tuple[str, float, float, object]
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
 S = TypeVar("S", bound="Sighting")
+_FROM_LEFT, _FROM_RIGHT = "\N{LEFT-TO-RIGHT MARK}", ("R", "AL")
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
@@ -271,8 +273,13 @@ class Sighting:
 
     @property
     def label(self) -> str:
-        """The name, with the height if the gazetteer has one."""
-        return self.name if math.isnan(self.height_m) else f"{self.name} {self.height_m:.0f} m"
+        """The name, with the height if the gazetteer has one.
+
+        A name with letters from right to left is between marks that keep numbers behind it.
+        """
+        is_turned = any(bidirectional(letter) in _FROM_RIGHT for letter in self.name)
+        name = f"{_FROM_LEFT}{self.name}{_FROM_LEFT}" if is_turned else self.name
+        return name if math.isnan(self.height_m) else f"{name} {self.height_m:.0f} m"
 
     @property
     def elevation_m(self) -> float:

@@ -4,7 +4,9 @@ import asyncio
 import contextlib
 import json
 import logging
+import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
+from functools import partial
 from importlib.metadata import PackageNotFoundError, distribution
 from math import isfinite
 from pathlib import Path
@@ -136,15 +138,9 @@ class PageApp:
 
     async def _upload(self, request: Request) -> Response:
         session, name = self._session(request), shown_name(request.query_params.get("name", ""))
-        path = session.path_for(name)
-        limit = min(MAX_UPLOAD_BYTES, MAX_SESSION_BYTES - session.bytes)
+        limit = min(MAX_UPLOAD_BYTES, max(0, MAX_SESSION_BYTES - session.bytes))
         body = await _body(request, limit, name, "save it smaller, or remove photos")
-        try:
-            await self._engine.work("photos", path.write_bytes, body)
-            return await self._opened(session, path, name)
-        except BaseException:
-            path.unlink(missing_ok=True)
-            raise
+        return await self._opened(session, name, lambda path: path.write_bytes(body))
 
     async def _given(self, request: Request) -> Response:
         session = self._session(request)
@@ -152,12 +148,21 @@ class PageApp:
         if index >= len(self._engine.photos):
             return Response(status_code=404)
         given = self._engine.photos[index]
-        return await self._opened(session, given, given.name)
+        return await self._opened(session, given.name, partial(_copy, given))
 
-    async def _opened(self, session: Session, path: Path, name: str) -> Response:
-        async with session.adding:
-            photo = await self._engine.work("photos", PagePhoto, path, name)
-            session.photos[photo.id] = photo
+    async def _opened(
+        self, session: Session, name: str, write: Callable[[Path], object]
+    ) -> Response:
+        """Add a photo to a session; ``write`` writes it to the session's own file."""
+        path = session.path_for(name)
+        try:
+            await self._engine.work("photos", write, path)
+            async with session.adding:
+                photo = await self._engine.work("photos", PagePhoto, path, name)
+                session.photos[photo.id] = photo
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
         return JSONResponse(photo.record())
 
     async def _remove(self, request: Request) -> Response:
@@ -345,6 +350,17 @@ def _gaps(gap_deg: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
 def _lines(photo: PagePhoto) -> Response:
     headers = {"ETag": f'"{version_of(photo.query)}"'}
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
+
+
+def _copy(given: Path, path: Path) -> None:
+    """Copy a photo of the user's, which may change while the page shows it."""
+    try:
+        shutil.copyfile(given, path)
+    except OSError as error:
+        raise InputError(
+            f"{given.name} cannot be copied for the page ({error.strerror}); see that it is there "
+            "and the disk has room"
+        ) from error
 
 
 def _load_trace(photo: PagePhoto, path: Path) -> None:

@@ -66,8 +66,8 @@ class GoneError(InputError):
 class PagePhoto:
     """A photo on the page, with its skyline, its strokes and its results.
 
-    Its file at ``path`` is never changed; ``name`` is the user's name of it. Raises `InputError`
-    if the file cannot be used.
+    Its file at ``path`` is the session's own, never changed; ``name`` is the user's name of it.
+    Raises `InputError` if the file cannot be used.
     """
 
     def __init__(self, path: Path, name: str) -> None:
@@ -301,7 +301,7 @@ def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
 
 
 class Session:
-    """The photos and matches of one user; the folder of the uploads is made here."""
+    """The photos and matches of one user; the folder of the photos is made here."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
@@ -330,11 +330,10 @@ class Session:
         return self.photos[photo_id]
 
     def remove(self, photo: PagePhoto) -> None:
-        """Remove a photo from the page, and delete its file if it was uploaded."""
+        """Remove a photo from the page, and delete its file."""
         self.photos.pop(photo.id, None)
         photo.cancel()
-        if photo.path.parent == self.folder:
-            photo.path.unlink(missing_ok=True)
+        photo.path.unlink(missing_ok=True)
 
     def page_closed(self) -> None:
         """Count a page that was closed."""

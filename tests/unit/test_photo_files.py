@@ -68,6 +68,12 @@ def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene,
             read_query(bad)
 
 
+def test_a_dithered_photo_is_no_mask(tmp_path, scene):
+    Image.fromarray(scene.image).convert("1").save(tmp_path / "dithered.png")
+    query = read_query(tmp_path / "dithered.png")
+    assert np.median(np.abs(query.row_px - scene.row_px)[query.trusted]) < 3.0
+
+
 def test_sky_cut_away_to_transparent_is_white(tmp_path):
     scene = make_scene("clear", 3, 720, 480)
     ground = np.arange(480)[:, np.newaxis] > scene.row_px

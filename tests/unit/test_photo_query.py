@@ -56,6 +56,12 @@ def test_sparse_and_fractional_points_are_joined_but_not_across_gaps(tmp_path):
     assert query.fov_deg == 60.0
 
 
+def test_commas_may_stand_between_the_notes_of_a_trace(tmp_path):
+    (tmp_path / "trace.csv").write_text("# width = 50, height = 40,\ncolumn_px,row_px\n1,2\n")
+    query = read_trace(tmp_path / "trace.csv")
+    assert (query.width_px, query.height_px) == (50, 40)
+
+
 HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
 
 
@@ -69,6 +75,7 @@ HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
         (HEAD.format("") + "100,1\n", "column_px is `100`; expected a number from -0.5 to 99.5"),
         (HEAD.format("") + "3,80\n", "row_px is `80`; expected a number from -0.5 to 79.5"),
         (HEAD.format("") + "3,nan\n", "draws no column"),
+        (HEAD.replace("=80", "=80.7").format("") + "3,10\n", "is 100 x 80.7 px; expected whole"),
         (HEAD.format(" fov=60"), "line 1 notes 'fov'; expected some of width, height, fov_deg"),
         (HEAD.format(" fov_deg=60 fov_slack=5") + "0,30\n9,31\n", "fov_slack is `5`"),
         (HEAD.format(" fov_deg=600") + "0,30\n9,31\n", "horizontal field of view is 600"),

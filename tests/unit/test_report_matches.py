@@ -21,7 +21,8 @@ from skyline.errors import InputError
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report import exports
-from skyline.report.figures import place_labels
+from skyline.report.figures import encode_figure, place_labels
+from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.match_report import report_matches
 from skyline.report.overlay import draw_overlay
 from skyline.report.peaks import Peaks
@@ -104,7 +105,7 @@ def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
 
 def test_a_report_says_where_and_shows_it(tmp_path):
     place = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
-    peaks = Peaks(names=("<i>Top</i> $",), **place, height_m=np.array([np.nan]))
+    peaks = Peaks(names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place, height_m=np.array([np.nan]))
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
     html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
@@ -128,6 +129,20 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     assert picture.std() > 20.0
     assert like(picture, (209, 16, 61)).sum() > 100
     assert like(picture, (31, 95, 191)).sum() > 100
+
+
+def test_many_viewpoints_hide_no_relief():
+    area, light = detail_area(BEST, FIELD), []
+    for spacing_m in (1500.0, 30.0):
+        eyes = uniform_grid(FIELD, spacing_m)
+        figure = draw_match_map([BEST], area, FIELD.frame, eyes, FIELD, [])
+        light.append(pixels(encode_figure(figure)).mean())
+    assert light[1] > 0.9 * light[0]
+    places = np.stack([eyes.easting_m, eyes.northing_m], axis=1)
+    shown = np.count_nonzero(((area.min <= places) & (places <= area.max)).all(axis=1))
+    assert 1000 < shown < len(places)
+    title = figure.axes[0].get_title(loc="left")
+    assert title == f"{shown:,} of {len(places):,} viewpoints of the store (dots)"
 
 
 def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from scenes import FRAME, candidate_at, field_from
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.query import QuerySkyline
-from skyline.report.peaks import Peaks, read_peaks, visible_peaks
+from skyline.report.peaks import Peaks, Sighting, read_peaks, visible_peaks
 from skyline.report.viewer import Viewer
 from skyline.terrain.viewpoints import stand_on
 
@@ -54,6 +54,16 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
     assert names_seen(0.0) == ["west", "east"]
     assert names_seen(level_m - 20.0) == ["west", "east"]
     assert names_seen(level_m + 20.0) == ["west"]
+
+
+def test_numbers_stay_behind_a_name_from_right_to_left():
+    seen = Sighting(
+        name="Hermon", easting_m=0.0, northing_m=0.0, surface_m=0.0, azimuth_deg=0.0,
+        elevation_tan=0.0, distance_m=9.0, height_m=2814.0,
+    )  # fmt: skip
+    assert seen.label == "Hermon 2814 m"
+    for name in ("\u05d4\u05e8", "\u062c\u0628\u0644"):
+        assert replace(seen, name=name).label == f"\u200e{name}\u200e 2814 m"
 
 
 def test_the_curve_of_the_earth_hides_what_is_far():

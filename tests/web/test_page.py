@@ -445,6 +445,36 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     assert page.asked_elsewhere() == []
 
 
+_WRITTEN = """(() => {
+  const written = [], ctx = document.createElement("canvas").getContext("2d");
+  ctx.fillText = (text, middle, foot) => {
+    const half = ctx.measureText(text).width / 2;
+    written.push([text, middle - half, middle + half, foot]);
+  };
+  const summits = [2, 358, 180, 181, 182, 183, 184, -50, 900].map(
+    (column) => ({ label: `Piz ${column}`, column, row: 90 }));
+  it.drawSummits(ctx, { scale: 1, left: 0, top: 0, width: 360, height: 200 }, summits, 24);
+  return written;
+})()"""
+
+
+def test_names_keep_within_a_phone_s_width_and_off_other_words(page):
+    page.resize(360, 740)
+    *names, note = page.of("layers", _WRITTEN)
+    assert [name for name, *_ in names] == [f"Piz {at}" for at in (2, 358, 180, 181, 182, 183)]
+    assert all(0.0 <= left < right <= 360.0 for _, left, right, _ in names)
+    assert note[0] == "1 peak has no room for a name"
+    assert note[3] < 200 - 8 - 24
+    # Without a photo the tools are hidden.
+    tops = page.script(
+        "document.getElementById('tools').hidden = false;"
+        "return ['out', 'fit', 'pixel', 'in'].map((one) => "
+        "document.getElementById(`zoom-${one}`).getBoundingClientRect().top)"
+    )
+    page.resize(*SIZES["wide"])
+    assert len(set(tops)) == 1
+
+
 def within(page, outer, inner):
     """Whether an element lies wholly in another and in the window."""
     return page.script(

@@ -1,5 +1,6 @@
 """``skyline serve`` from the shell: its errors, and its messages without the store's DEM."""
 
+import io
 import json
 import signal
 import socket
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from commands import assert_refused, noting
-from pages import POSE, TINY, live, look, ready, received, serving
+from pages import POSE, TINY, live, look, received, serving
 from PIL import Image
 from PIL.ExifTags import Base
 
@@ -66,16 +67,23 @@ def built(run, dem, store, bounds):
 
 
 def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, photo, tmp_path):
-    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
+    moved, store, given = tmp_path / "moved.tif", tmp_path / "store.h5", tmp_path / "photo.jpg"
     moved.write_bytes(dem.read_bytes())
+    given.write_bytes(photo.read_bytes())
     assert run("build", moved, "-o", store, "--spacing", "300").code == 0
     moved.unlink()
-    with serving(store, photo) as server:
+    with serving(store, given) as server:
         _, state = server.ask("GET", "/state")
         found = [state[name] for name in ("terrain", "given")]
         assert found == [None, ["photo.jpg"]]
-        session, of_photo = ready(server, photo)
-        assert server.ask("POST", f"{session}/given/0")[1]["name"] == "photo.jpg"
+        session = server.begin()
+        record = server.ask("POST", f"{session}/given/0")[1]
+        assert record["name"] == "photo.jpg"
+        of_photo = f"{session}/photos/{record['id']}"
+        given.unlink()
+        status, said = server.ask("POST", f"{session}/given/0")
+        assert (status, "photo.jpg cannot be copied" in said["error"]) == (400, True)
+        Image.new("RGB", (30, 20)).save(given)
         assert server.ask("POST", f"{session}/given/1")[0] == 404
         assert server.ask("GET", "/relief/9/270/180.png")[0] == 404
         with live(server, session) as socket_:
@@ -88,7 +96,10 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         status, said = server.ask("POST", f"{of_photo}/fit", pose)
         assert (status, "DEM is not at hand" in said["error"]) == (400, True)
         for kind in ("geojson", "kml", "kmz", "gpx", "photo", "report", "trace"):
-            assert server.ask("POST", f"{of_photo}/save/{kind}", b"{}")[0] == 200, kind
+            status, content = server.ask("POST", f"{of_photo}/save/{kind}", b"{}")
+            assert status == 200, kind
+            if kind == "photo":  # It is the photo that was opened, whatever its file is now.
+                assert Image.open(io.BytesIO(content)).width == record["width"]
 
 
 KNOWN = {

@@ -122,7 +122,8 @@ export function drawGaps(ctx, view, sight, rows) {
   });
 }
 
-export function drawSummits(ctx, view, summits) {
+// The note of peaks without a name stands above a badge of a height in the lower left corner.
+export function drawSummits(ctx, view, summits, badge) {
   ctx.font = "12px system-ui, sans-serif";
   ctx.textAlign = "center";
   const taken = [];
@@ -133,14 +134,16 @@ export function drawSummits(ctx, view, summits) {
     ctx.fillStyle = "white";
     ctx.fillText(text, across, down);
   };
-  for (const summit of summits) {
+  const inside = summits.filter((one) => x(view, one.column) >= 0 && x(view, one.column) <= view.width);
+  for (const summit of inside) {
     const at = [x(view, summit.column), y(view, summit.row)];
     const half = ctx.measureText(summit.label).width / 2 + 4;
+    const middle = Math.max(half, Math.min(at[0], view.width - half));
     const level = [0, 1, 2, 3].find(
-      (one) => !taken.some((other) => other.level === one && Math.abs(other.x - at[0]) < other.half + half),
+      (one) => !taken.some((other) => other.level === one && Math.abs(other.middle - middle) < other.half + half),
     );
     if (level === undefined) continue;
-    taken.push({ level, x: at[0], half });
+    taken.push({ level, middle, half });
     const foot = Math.max(14, at[1] - 30 - level * 16);
     ctx.strokeStyle = "white";
     ctx.lineWidth = 1;
@@ -148,10 +151,10 @@ export function drawSummits(ctx, view, summits) {
     ctx.moveTo(at[0], foot + 3);
     ctx.lineTo(at[0], at[1] - 3);
     ctx.stroke();
-    write(summit.label, at[0], foot);
+    write(summit.label, middle, foot);
   }
-  const unnamed = summits.length - taken.length;
-  if (unnamed) write(`${unnamed} ${unnamed === 1 ? "peak has" : "peaks have"} no room for a name`, view.width / 2, view.height - 8);
+  const unnamed = inside.length - taken.length;
+  if (unnamed) write(`${unnamed} ${unnamed === 1 ? "peak has" : "peaks have"} no room for a name`, view.width / 2, view.height - 16 - badge);
 }
 
 const BRUSHES = { sky: "rgba(120, 200, 255, 0.55)", ground: "rgba(230, 150, 60, 0.6)", erase: "rgba(20, 20, 20, 0.6)", line: FOUND };
