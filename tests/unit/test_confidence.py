@@ -1,14 +1,11 @@
 """The figures that a confidence is learned from, and the probabilities that it gives."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from query_scenes import equally_trusted, poses
 
 from skyline.match import confidence
 from skyline.match.candidate import DISTANCES_M, RefinedPoses
-from skyline.photo.query import QuerySkyline
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
@@ -68,12 +65,3 @@ def test_poses_near_one_another_share_one_probability_and_others_the_rest():
     worse = retrieved([0.0, 5000.0, 9000.0], [3.0, 203.0, np.inf])
     near, _ = confidence.shared_probabilities(models, worse, {"any": np.zeros(3)})
     assert near == pytest.approx([0.5, 0.0, 0.0], abs=1e-9)
-
-
-@pytest.mark.parametrize(("expected_deg", "said"), [(84.0, "84.0 was expected"), (70.0, "")])
-def test_a_field_of_view_far_from_the_one_expected_is_named(expected_deg, said):
-    query = QuerySkyline(np.zeros(8), np.ones(8), 8, 8, expected_deg)
-    pose = SimpleNamespace(fov_deg=61.2)
-    hint = confidence.fov_hint(pose, query, QUERY.about(6.0))
-    assert said in hint
-    assert bool(hint) is bool(said)

@@ -90,34 +90,22 @@ def test_degrees_are_warped_to_where_they_belong(tmp_path, names, south, west):
     assert field.north_m % spacing_m == 0.0
 
 
-def test_ascii_grid_takes_its_crs_from_the_option(tmp_path):
-    path = tmp_path / "dem.asc"
-    path.write_text(
-        "ncols 3\nnrows 2\nxllcorner 1000\nyllcorner 2000\ncellsize 10\nNODATA_value -1\n"
-        "1 2 3\n4 5 6\n"
-    )
+HEADER = "ncols 3\nnrows 2\nxllcorner 1000\nyllcorner 2000\ncellsize 10\nNODATA_value -1\n"
+POINTS = "1005 2015 1\n1015 2015 2\n1025 2015 3\n1005 2005 4\n1015 2005 5\n1025 2005 6"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("dem.asc", HEADER + "1 2 3\n4 5 6\n"), ("points.xyz", POINTS)]
+)
+def test_a_text_is_a_grid_whose_crs_is_the_option_s(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
     field = read_dem(path, DemOptions(crs="EPSG:21781"))
     np.testing.assert_array_equal(field.heights_m, [[1, 2, 3], [4, 5, 6]])
     assert field.bounds_m == (1005.0, 2005.0, 1025.0, 2015.0)
     assert field.frame.name == "EPSG:21781"
     with pytest.raises(InputError, match="--crs"):
         read_dem(path)
-
-
-def test_a_text_of_points_row_by_row_is_a_grid(tmp_path):
-    path = tmp_path / "points.xyz"
-    points = [
-        "1005 2015 1",
-        "1015 2015 2",
-        "1025 2015 3",
-        "1005 2005 4",
-        "1015 2005 5",
-        "1025 2005 6",
-    ]
-    path.write_text("\n".join(points))
-    field = read_dem(path, DemOptions(crs="EPSG:21781"))
-    np.testing.assert_array_equal(field.heights_m, [[1, 2, 3], [4, 5, 6]])
-    assert field.bounds_m == (1005.0, 2005.0, 1025.0, 2015.0)
 
 
 def test_the_file_s_own_crs_wins_with_a_warning(tmp_path, caplog):
@@ -175,18 +163,6 @@ def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
     easting, northing = own.to_map([300.0, 600.0], [500.0, 200.0])
     there = at_deg(own.frame.to_lonlat(easting, northing))
     np.testing.assert_allclose(warped.height_at(**there), own.height_at(**there), atol=5.0)
-
-
-def test_a_folder_is_the_elevation_files_in_it(tmp_path):
-    heights = plane_grid(8, 16, from_origin(0.0, 0.0, 30.0, 30.0))
-    halves = [
-        write_dem(tmp_path / f"{name}.tif", half, transform=from_origin(west, 5e6, 30.0, 30.0))
-        for name, half, west in (("b", heights[:, :8], 500_000.0), ("a", heights[:, 8:], 500_240.0))
-    ]
-    (tmp_path / "readme.txt").write_text("two halves")
-    whole = read_dem(tmp_path)
-    assert whole.provenance.files == tuple(str(half) for half in reversed(halves))
-    np.testing.assert_array_equal(whole.heights_m, read_dem(halves).heights_m)
 
 
 def test_a_saved_field_is_read_as_it_was(tmp_path):

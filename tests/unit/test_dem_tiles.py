@@ -37,6 +37,9 @@ def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path):
     assert counts.files == tuple(str(path) for path in paths)
     twice = read_dem([*paths, tmp_path, tmp_path / ".." / tmp_path.name / paths[0].name])
     assert (twice.digest, len(twice.provenance.files)) == (field.digest, 3)
+    (tmp_path / "readme.txt").write_text("A folder is the elevation files in it.")
+    folder = read_dem(tmp_path)
+    assert (folder.digest, folder.provenance.files) == (field.digest, tuple(sorted(counts.files)))
 
 
 def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path):

@@ -4,7 +4,6 @@ import inspect
 import subprocess
 import sys
 import typing
-from functools import cached_property
 
 import pytest
 
@@ -62,14 +61,9 @@ def functions_of(thing):
     for name, member in vars(thing).items():
         if name.startswith("_") and name != "__init__":
             continue
-        if isinstance(member, classmethod | staticmethod):
-            yield member.__func__
-        elif isinstance(member, property):
-            yield member.fget
-        elif isinstance(member, cached_property):
-            yield member.func
-        elif inspect.isfunction(member):
-            yield member
+        # Of class methods and of properties it is what they wrap.
+        wrapped = (getattr(member, part, None) for part in ("__func__", "fget", "func"))
+        yield from filter(inspect.isfunction, [member, *wrapped])
 
 
 @pytest.mark.parametrize("name", skyline.__all__)

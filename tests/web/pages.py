@@ -168,17 +168,13 @@ class Page:
     def draw(self, tool, points):
         """Draw a stroke with the mouse, and wait until the skyline is solved again."""
         self.find(f"#tools label:has([value={tool}])").click()
-        canvas, count = self.find("#photo"), self.solved()
+        canvas, count = self.find("#photo"), self.measured("stroke")
         chain = ActionChains(self.browser, duration=40)
         chain.move_to_element_with_offset(canvas, *self.on_photo(*points[0])).click_and_hold()
         for point in points[1:]:
             chain.move_to_element_with_offset(canvas, *self.on_photo(*point))
         chain.release().perform()
-        self.until(lambda: self.solved() > count)
-
-    def solved(self):
-        """Return how often the skyline was solved again."""
-        return self.measured("stroke")
+        self.until(lambda: self.measured("stroke") > count)
 
     def measured(self, name):
         """Return how often the page has measured the time of a thing."""

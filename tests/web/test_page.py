@@ -276,9 +276,9 @@ def test_everything_is_reached_by_keyboard(page, photo):
     page.press("s", Keys.ENTER)
     page.press(Keys.ARROW_RIGHT, times=12)
     page.press(Keys.ARROW_UP, times=30)
-    count = page.solved()
+    count = page.measured("stroke")
     page.press(Keys.ENTER)
-    page.until(lambda: page.solved() > count)
+    page.until(lambda: page.measured("stroke") > count)
     assert page.rows() != found
     ActionChains(page.browser).key_down(Keys.CONTROL).send_keys("z").key_up(Keys.CONTROL).perform()
     page.until(lambda: page.rows() == found)
