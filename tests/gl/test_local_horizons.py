@@ -122,21 +122,6 @@ def test_a_summit_does_not_stand_before_who_stands_on_it():
         assert found.elevation_deg.max() < 0.0
 
 
-@pytest.mark.parametrize(
-    ("tile", "lon", "lat"),
-    [("N36W119", -118.29204, 36.57857), ("N37W120", -119.5332, 37.7461)],
-    ids=["Whitney", "Half Dome"],
-)
-def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, tile, lon, lat):
-    terrain = read_dem(shared_data / "california" / f"{tile}.hgt.gz")
-    assert horizon(terrain, lon=lon, lat=lat, summit_within_m=0.0).elevation_deg.max() > 25.0
-    for within_m in (None, 100.0):
-        found = horizon(terrain, lon=lon, lat=lat, summit_within_m=within_m)
-        assert (found.elevation_deg < 3.0).mean() > 0.92
-        # Clouds Rest and the ridges beyond it stand above Half Dome.
-        assert found.distance_m[found.elevation_deg > 3.0].min(initial=np.inf) > 4000.0
-
-
 def test_a_horizon_of_a_file_is_drawn_and_shown_in_a_notebook(tmp_path):
     path = write_dem(tmp_path / "dem.tif", fractal(60, 60, 400.0, seed=2))
     terrain = read_dem(path)

@@ -62,8 +62,3 @@ def test_levelled_rays_project_back(projection, share):
     levelled = level(u, v, *turned_deg, projection)
     back = project(*levelled, *turned_deg, projection)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
-
-
-def test_a_camera_turned_clockwise_sees_the_right_hand_horizon_high():
-    _, v = project(np.radians([-20.0, 20.0]), np.zeros(2), 0.0, 5.0)
-    assert v[0] < 0.0 < v[1]
