@@ -36,7 +36,9 @@ _OTHER_NAMES = {
     "fid": "id",
 }
 _DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
+_LONG = {"easting", "northing", "elevation", "height_m", "lowest_m", "highest_m"}
+"""Columns of metres that may be thousands."""
 _SHOWN = 80
 """Characters of a header that an error shows."""
 
@@ -162,7 +164,9 @@ class Row:
         text = self[column]
         if not self.has_decimal_commas:
             return text
-        return (text.replace(".", "") if _THOUSANDS.match(text) else text).replace(",", ".")
+        if column in _LONG and _THOUSANDS.match(text):
+            text = text.replace(".", "")
+        return text.replace(",", ".")
 
     def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
         """Return a finite number within limits, which for ``lon`` and ``lat`` are those of degrees.
@@ -268,7 +272,10 @@ def read_table(
         raise InputError(f"{path} has the column `{twice.pop()[:_SHOWN]}` twice; {expected}")
     # Without a comma in any number, points are decimal.
     has_commas = separator != "," and any(
-        _DECIMAL_COMMA.fullmatch(cell) for _, cells in found for cell in cells.values()
+        _DECIMAL_COMMA.fullmatch(cell)
+        for _, cells in found
+        for name, cell in cells.items()
+        if name not in ("id", "name", "path")
     )
     rows = [Row(where, cells, has_commas) for where, cells in found]
     return Table(path, header, rows, lines[:before])

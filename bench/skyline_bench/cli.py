@@ -48,4 +48,3 @@ for subject, commands in COMMANDS.items():
 
 
 main = partial(run_app, app)
-"""Run the command line; see `skyline.cli.console.run_app`."""

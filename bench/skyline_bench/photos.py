@@ -97,8 +97,7 @@ def photos(
 
     docs/howto/comparing-grids.md has the columns of a manifest.
 
-    An area of 22 km takes a minute to build, a photograph 10 s, one that is lost a
-    minute.
+    An area takes a minute to build, a photograph 10 s, one that is lost a minute.
 
     --quick searches areas of 4 km, and three photographs of each kind.
     """
@@ -164,8 +163,7 @@ def measure(
         if one.kind == EXTRACT:
             yield _extracted(one), None
     located = [one for one in photographs if one.kind != EXTRACT]
-    reach_m = side_m * _SAME_AREA if store is None else math.inf
-    for group in _groups(located, reach_m):
+    for group in _groups(located, math.inf if store else side_m * _SAME_AREA):
         if terrain is None:
             raise InputError("photographs are to be located; give the elevation model too")
         path = store

@@ -102,7 +102,7 @@ def orientation(
         Path,
         Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
     ],
-    queries: Annotated[int, Option(help="Of each of seven kinds, on each terrain.")] = 45,
+    queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
     model: Annotated[
         Path | None, options.new_file("Write the model: skyline's orientation.json.", "--model")
     ] = None,

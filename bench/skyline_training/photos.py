@@ -19,13 +19,7 @@ from skyline.photo.query import undistorted
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.queries.made_photos import (
-    Scenery,
-    distance_along,
-    exposed,
-    mixed,
-    scene_rgb,
-)
+from skyline_bench.queries.made_photos import Scenery, distance_along, exposed, mixed, scene_rgb
 from skyline_bench.queries.synthetic import Occluder, QueryConfig, SyntheticQuery, make_queries
 from skyline_training.covers import dark, put_in_front
 from skyline_training.landscapes import (

@@ -260,12 +260,12 @@ def _build_planned(
 
 def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
     """Print how many photos 60 degrees wide are expected to be found, by distance."""
-    shares = [
-        f"{100.0 * found:.0f} % of those with skylines "
-        f"{f'over {least_m:.0f} m' if least_m else 'less'} away ({100.0 * share:.0f} % of all)"
-        for least_m, share, found in reversed(classes)
-    ]
-    print_line(f"photos expected to be found: {', '.join(shares)}")
+    shares, below_m = [], 0.0
+    for least_m, share, found in reversed(classes):
+        away = f"{least_m:.0f} to {below_m:.0f} m" if below_m else f"over {least_m:.0f} m"
+        shares.append(f"{100.0 * found:.0f} % at {away} ({100.0 * share:.0f} % of all)")
+        below_m = least_m
+    print_line(f"photos expected to be found, by the distance of the skyline: {', '.join(shares)}")
 
 
 def _advise_to_continue(store: Path) -> None:

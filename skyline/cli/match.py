@@ -28,7 +28,15 @@ from skyline.cli.console import (
     print_note,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, split_stores
-from skyline.errors import InputError, SkylineError, entry_named, numbers_of, printable, suffix_of
+from skyline.errors import (
+    InputError,
+    SkylineError,
+    StoreMismatchError,
+    entry_named,
+    numbers_of,
+    printable,
+    suffix_of,
+)
 from skyline.files import STANDARD, version_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
@@ -209,7 +217,8 @@ def _check_files(
     """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
     named = [Path(one.path) for one in queries]
     check_outputs([*exports, results], [*inputs, *named])
-    if report is not None and report.resolve() in {one.resolve().parent for one in named}:
+    folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
+    if report is not None and report.resolve() in folders:
         raise InputError(
             f"--report {report} is a folder of photos to match; name another one for the report"
         )
@@ -271,7 +280,8 @@ class _Output:
             names["id"] = printable(query.label)
         if is_tried:
             print_error(_of_photo(query, error))
-            if self._file is not None and isinstance(error, InputError):
+            is_final = isinstance(error, InputError) and not isinstance(error, StoreMismatchError)
+            if self._file is not None and is_final:
                 row = names | {"answered": 0, "reason": str(error)}
                 self._file.add(row, _photo_of(query))
         self._print(names | {"error": str(error)}, "")

@@ -292,7 +292,7 @@ class Orienter(Releasable):
             )
         if sure < LEAST_CONFIDENCE:
             refusal = self._doubt(poses, pose, sure)
-        if refusal:
+        if refusal and refusal != at_bound(pose, rays):
             refusal += confidence.fov_hint(pose, query, rays)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))

@@ -126,10 +126,10 @@ def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
         yield from sorted(some, key=_in_order)
 
 
-def _in_order(path: Path) -> list[str | int]:
+def _in_order(path: Path) -> tuple[list[str | int], str]:
     """Return a key that sorts frame-2 before frame-10."""
     parts = re.split("([0-9]+)", path.name)
-    return [int(part) if number % 2 else part for number, part in enumerate(parts)]
+    return [int(part) if number % 2 else part for number, part in enumerate(parts)], path.name
 
 
 def _query(table: Table, row: Row, common: Query) -> Query:

@@ -174,7 +174,7 @@ class QueryRays:
         return replace(self, u=u, v=v, fov_deg=fov_deg)
 
     def scaled(self, scale: Any) -> tuple[Any, Any]:
-        """Return u and v for half widths that are ``scale`` times as large, of the same dtype."""
+        """Return u and v for half widths ``scale`` times as large, in the dtype of ``scale``."""
         u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
         if self.projection is Projection.EQUIRECTANGULAR:
             return u * scale, np.tan(np.arctan(v) * scale)
@@ -223,20 +223,26 @@ def level_axes(
     way round: tangents of a cylindrical photo, elevations of an equirectangular one.
     """
     if projection.is_panorama:
-        across, above = np.sin(u), _raised(v, np.tan(pitch), projection)
+        above, side = _raised(v, np.tan(pitch), projection)
+        across, above = side * np.sin(u), side * above
     else:
         across, above = u, v
     right = across * np.cos(roll) + above * np.sin(roll)
     up = above * np.cos(roll) - across * np.sin(roll)
     if projection.is_panorama:
-        return right, up, np.cos(u)
+        return right, up, side * np.cos(u)
     return right, up * np.cos(pitch) + np.sin(pitch), np.cos(pitch) - up * np.sin(pitch)
 
 
-def _raised(v: Any, tangent: Any, projection: Projection) -> Any:
-    """Return v raised by a pitch of a tangent; the sum of angles for an equirectangular photo."""
-    is_sphere = projection is Projection.EQUIRECTANGULAR
-    return (v + tangent) / (1.0 - v * tangent) if is_sphere else v + tangent
+def _raised(v: Any, tangent: Any, projection: Projection) -> tuple[Any, Any]:
+    """Return v raised by a pitch of a tangent, and 1, or -1 where it is raised past the zenith.
+
+    An equirectangular photo is raised by the angle.
+    """
+    if projection is not Projection.EQUIRECTANGULAR:
+        return v + tangent, 1.0
+    cosine = 1.0 - v * tangent
+    return (v + tangent) / cosine, np.sign(cosine)
 
 
 def project(
@@ -248,14 +254,15 @@ def project(
 ) -> tuple[Float64Array, Float64Array]:
     """Return u and v of directions; the inverse of `level`.
 
-    NaN for directions that are not in front of a lens.
+    NaN for directions that are not in front of a lens, or that a pitch moves past the zenith.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
     if projection.is_panorama:
         across = right * np.cos(roll) - y * np.sin(roll)
         above = (right * np.sin(roll) + y * np.cos(roll)) / np.hypot(across, ahead)
-        return np.arctan2(across, ahead), _raised(above, -np.tan(pitch), projection)
+        v, side = _raised(above, -np.tan(pitch), projection)
+        return np.arctan2(across, ahead), np.where(side > 0.0, v, np.nan)
     forward = ahead * np.cos(pitch) + y * np.sin(pitch)
     forward = np.where(forward > 0.0, forward, np.nan)
     up = y * np.cos(pitch) - ahead * np.sin(pitch)
@@ -340,15 +347,15 @@ def _panorama_with_changes(
     They are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
     the derivatives of v by the last two.
     """
-    above = _raised(v, np.tan(pitch), projection)
+    above, _ = _raised(v, np.tan(pitch), projection)
     if projection is Projection.EQUIRECTANGULAR:
         by_pitch = 1.0 + np.square(above)
         by_v = by_pitch / (1.0 + np.square(v))
     else:
         by_pitch, by_v = np.ones_like(v) / np.square(np.cos(pitch)), np.ones_like(v)
     # Pitch, scale and warps move a ray up the image; scale moves it across, too.
-    changes = [by_pitch, np.zeros_like(v), by_v * v_change]
-    lifted = np.concatenate([np.stack(changes, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
+    lifts = [by_pitch, np.zeros_like(v), by_v * v_change]
+    lifted = np.concatenate([np.stack(lifts, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
     right, up, forward = axes = level_axes(u, above, 0.0, roll, projection)
     right_change, up_change = (
         lifted * turned[..., np.newaxis] for turned in (np.sin(roll), np.cos(roll))

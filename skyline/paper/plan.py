@@ -18,12 +18,7 @@ from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.errors import InputError, StoreMismatchError, entry_named
 from skyline.geodesy import Bounds, Rectangle
-from skyline.paper.reprojection import (
-    displacements_m,
-    moved,
-    skyline_points_m,
-    tolerance_errors_px,
-)
+from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
 from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig

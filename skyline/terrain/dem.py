@@ -49,8 +49,8 @@ _CANOPY_MOST_M = 120.0
 """The greatest height in a canopy model; a surface model of high ground has greater ones."""
 _LEAST_FOLLOW_SHARE = 0.5
 """A model that rises by less than this share of the ground's rise is a canopy model."""
-_FLAT_M = 1.0
-"""Standard deviation of ground that is too flat to tell by."""
+_FLAT_M = 20.0
+"""Standard deviation of ground that is too flat to tell by: it varies less than trees do."""
 _OFFSET_M = (-10.0, 60.0)
 """Lowest and highest plausible median of a surface above the ground."""
 

@@ -107,7 +107,8 @@ def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("refined_quickly")
 def test_growing_areas_are_searched(run, dem, store, caplog):
-    asked = ("scale", dem, "--store", store, "--area", 2, "--area", 900)
+    asked = ["matching", dem, "--store", store, "--matcher", "full", "--kind", "plain"]
+    asked += ["--area", 2, "--area", 900]
     rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
     assert [row["search"] for row in rows] == ["2 km2", "all"]
     assert "900 km2" in caplog.text

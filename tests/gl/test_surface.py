@@ -46,6 +46,13 @@ def test_a_surface_and_a_canopy_model_give_the_same_heights(bare, canopy, sea_sh
         np.testing.assert_allclose(over.heights_m - ground.heights_m, trees, atol=1e-3)
 
 
+def test_woods_in_the_hollows_of_low_land_are_a_surface(bare):
+    low = field_of(50.0 + 6.0 * (bare.heights_m - bare.heights_m.mean()) / bare.heights_m.std())
+    trees = np.where(low.heights_m < 47.0, TREES_M, 0.0)
+    over = read_surface(field_of(low.heights_m + trees), low)
+    np.testing.assert_allclose(over.heights_m - low.heights_m, trees, atol=1e-3)
+
+
 def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(bare):
     trees = np.zeros((300, 300))
     trees[151, 149] = 30.0

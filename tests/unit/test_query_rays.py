@@ -62,3 +62,24 @@ def test_levelled_rays_project_back(projection, share):
     levelled = level(u, v, *turned_deg, projection)
     back = project(*levelled, *turned_deg, projection)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("row_deg", "pitch_deg", "azimuth_deg", "elevation_deg"),
+    [(75.0, 10.0, 0.0, 85.0), (82.0, 10.0, 180.0, 88.0), (-89.0, -10.0, 180.0, -81.0)],
+)
+def test_a_sphere_raised_past_the_zenith_looks_back(row_deg, pitch_deg, azimuth_deg, elevation_deg):
+    v, sphere = np.tan(np.radians([row_deg])), Projection.EQUIRECTANGULAR
+    azimuth, y = level(np.zeros(1), v, pitch_deg, 0.0, sphere)
+    assert np.degrees(np.abs(azimuth[0])) == pytest.approx(azimuth_deg, abs=1e-9)
+    assert np.degrees(np.arctan(y[0])) == pytest.approx(elevation_deg)
+    # No row of the photo looks so far down.
+    _, below = project(np.zeros(1), np.tan(np.radians([-85.0])), 10.0, 0.0, sphere)
+    assert np.isnan(below[0])
+
+
+@pytest.mark.parametrize("projection", [Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR])
+def test_rays_of_another_field_of_view_are_those_of_its_photo(projection):
+    query = QuerySkyline(np.linspace(40.0, 60.0, 64), np.ones(64), 64, 100, 200.0, projection)
+    rays = QueryRays.of(query, 0.025, finds_fov=True).with_fov(230.0)
+    np.testing.assert_allclose((rays.u, rays.v), query.with_fov(230.0).image_plane())

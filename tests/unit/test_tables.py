@@ -36,12 +36,20 @@ def test_places_are_read_however_their_file_is_written(tmp_path, text):
 
 @pytest.mark.parametrize(
     ("row", "elevation_m"),
-    [("9,85;2.500", 2500.0), ("9,85;12.500,25", 12500.25), ("9,85;2.5", 2.5), ("9.85;2.500", 2.5)],
+    [
+        ("1;9,85;2.500", 2500.0),
+        ("1;9,85;12.500,25", 12500.25),
+        ("1;9,850;2.5", 2.5),
+        ("1;9.850;2.500", 2.5),
+        ("1,5;9.850;2.500", 2.5),
+        ("1;9.850;2.500,5", 2500.5),
+    ],
 )
 def test_points_beside_decimal_commas_part_thousands(tmp_path, row, elevation_m):
     path = tmp_path / "a.csv"
-    path.write_text(f"lon;elevation\n{row}\n")
-    assert read_table(path, "").rows[0].number("elevation") == elevation_m
+    path.write_text(f"id;lon;elevation\n{row}\n")
+    (row,) = read_table(path, "").rows
+    assert (row.number("lon"), row.number("elevation")) == (9.85, elevation_m)
 
 
 @pytest.mark.parametrize(

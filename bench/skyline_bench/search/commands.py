@@ -39,7 +39,6 @@ _THRESHOLDS_PX = (12.0, 6.0, 3.0)
 """Of the paper's planner: from few renderings to many."""
 _FOUND = """n within_200m within_200m_low within_200m_high within_1km median_m mean_m answered
     precision query_s"""
-_LOST = "lost_by_search lost_to_likeness"
 _QUICK_M, _QUICK_KM2 = 3000.0, 2.0
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""
@@ -199,7 +198,8 @@ SEARCHES: Mapping[str, Search] = {
         The paper's matcher and correlation search uniform grids of renderings, ours planned
         places.""",
         "hours",
-        f"store matcher queries places build_cpu_s bytes {_FOUND} {_LOST}",
+        f"""store matcher queries search places build_cpu_s bytes {_FOUND} query_cpu_s
+        lost_by_search lost_to_likeness""",
         (*_grids(RENDERINGS), *_planned(None)),
         trials.MATCHERS,
         kinds.OF_ONE_AREA,
@@ -232,18 +232,6 @@ SEARCHES: Mapping[str, Search] = {
         f"store places bytes build_cpu_s=cpu_s group=skyline {_FOUND} claimed_loss lost",
         (*_grids(spacings_m=(80.0, 40.0, 20.0)), *_planned(2_000, 8_000, 32_000, None)),
         queries=150,
-        in_middle=False,
-    ),
-    "scale": Search(
-        """Size: synthetic queries found in ever larger squares of one store.
-
-        A query's place lies anywhere in its squares. A query over 200 m off is lost by the search
-        where its true pose, refined, fits better than the best candidate, and to likeness where
-        another pose fits as well.""",
-        "hours",
-        f"store places bytes build_s build_cpu_s search group {_FOUND} {_LOST} query_cpu_s",
-        queries=200,
-        areas_km2=(50.0, 1000.0, 10_000.0),
         in_middle=False,
     ),
     "same-place": Search(
@@ -324,7 +312,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             kinds=tuple(kind or search.kinds),
             queries=queries,
             bounds_deg=bounds_deg,
-            areas_km2=tuple(area or search.areas_km2),
+            areas_km2=tuple(area or ()),
             seed=seed,
         )
         # Before any folder is made.
