@@ -9,7 +9,7 @@ from scenes import field_of
 from skyline.errors import ContextError, InputError
 from skyline.render import march
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001
@@ -33,6 +33,16 @@ def test_equals_the_oracle_flags_and_depths_too(rough, is_hardware):
     # an edge: 5e-5 in one column of 7,680.
     rtol = 1e-4 if is_hardware else 1e-5
     np.testing.assert_allclose(views.depth_m, truth.depth_m, rtol=rtol)
+
+
+def test_single_headings(rough):
+    field, eyes = rough
+    headings = np.arange(len(eyes)) * 3 % 4
+    with HorizonRenderer(field, RenderConfig(160, 0.0)) as renderer:
+        some, every = renderer.render(eyes, headings), renderer.render(eyes)
+    wanted = every[4 * np.arange(len(eyes)) + headings]
+    for name in Views.__slots__:
+        assert getattr(some, name).tobytes() == getattr(wanted, name).tobytes(), name
 
 
 @pytest.mark.parametrize("tolerance_px", [0.1, 5.0])

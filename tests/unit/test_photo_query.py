@@ -57,8 +57,9 @@ def test_sparse_and_fractional_points_are_joined_but_not_across_gaps(tmp_path):
 
 
 def test_commas_may_stand_between_the_notes_of_a_trace(tmp_path):
-    (tmp_path / "trace.csv").write_text("# width = 50,height = 40, fov_deg=60,\ncolumn_px,row_px\n1,2\n")
-    query = read_trace(tmp_path / "trace.csv")
+    path = tmp_path / "trace.csv"
+    path.write_text("# width = 50,height = 40, fov_deg=60,\ncolumn_px,row_px\n1,2\n")
+    query = read_trace(path)
     assert (query.width_px, query.height_px) == (50, 40)
 
 
