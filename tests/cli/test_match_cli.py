@@ -151,6 +151,7 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     assert rows == wanted
     assert run(*command).out == ""
     assert_refused(run(*command, "--near", "10,46,9"), "another store or other options")
+    assert_refused(run("match", store, folder, "--report", folder), "a folder of photos to match")
     (tmp_path / "empty").mkdir()
     assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
     wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
@@ -206,16 +207,9 @@ def test_results_are_not_kept_unrefined_without_a_word(run, dem, photo, tmp_path
     copy, store = shutil.copy(dem, tmp_path / "dem.tif"), tmp_path / "s.h5"
     run("build", copy, "-o", store, "--spacing", "300").ok()
     copy.unlink()
-    results = "--results", tmp_path / "r.csv"
-    assert_refused(run("match", store, photo, "--fov-deg", "60", *results), "with --dem, or accept")
-    run("match", store, photo, "--fov-deg", "60", *results, "--matcher", "unrefined").ok()
-
-
-def test_a_report_is_not_written_among_the_photos(run, store, photo, tmp_path):
-    folder = tmp_path / "photos"
-    folder.mkdir()
-    shutil.copy(photo, folder)
-    assert_refused(run("match", store, folder, "--report", folder), "a folder of photos to match")
+    match = "match", store, photo, "--fov-deg", "60", "--results", tmp_path / "r.csv"
+    assert_refused(run(*match), "with --dem, or accept")
+    run(*match, "--matcher", "unrefined").ok()
 
 
 def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):

@@ -45,9 +45,6 @@ def test_a_panorama_s_scale_is_its_field_of_view_s():
     around = QueryRays(
         u, np.array([0.1, 0.2]), np.ones(2), 220.0, projection=Projection.CYLINDRICAL
     )
-    wider = around.with_fov(242.0)
-    np.testing.assert_allclose(wider.u, 1.1 * u)
-    np.testing.assert_allclose(wider.v, [0.11, 0.22])
     np.testing.assert_allclose(around.fov_at(around.log_scale(242.0)), 242.0)
     assert around.about(2.2).log_scale_sd == pytest.approx(0.01)
     assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
@@ -65,14 +62,14 @@ def test_levelled_rays_project_back(projection, share):
 
 
 @pytest.mark.parametrize(
-    ("row_deg", "pitch_deg", "azimuth_deg", "elevation_deg"),
-    [(75.0, 10.0, 0.0, 85.0), (82.0, 10.0, 180.0, 88.0), (-89.0, -10.0, 180.0, -81.0)],
+    ("row_deg", "pitch_deg", "expected_deg"),
+    [(75.0, 10.0, (0.0, 85.0)), (82.0, 10.0, (180.0, 88.0)), (-89.0, -10.0, (180.0, -81.0))],
 )
-def test_a_sphere_raised_past_the_zenith_looks_back(row_deg, pitch_deg, azimuth_deg, elevation_deg):
+def test_a_sphere_raised_past_the_zenith_looks_back(row_deg, pitch_deg, expected_deg):
     v, sphere = np.tan(np.radians([row_deg])), Projection.EQUIRECTANGULAR
     azimuth, y = level(np.zeros(1), v, pitch_deg, 0.0, sphere)
-    assert np.degrees(np.abs(azimuth[0])) == pytest.approx(azimuth_deg, abs=1e-9)
-    assert np.degrees(np.arctan(y[0])) == pytest.approx(elevation_deg)
+    found_deg = np.degrees([np.abs(azimuth[0]), np.arctan(y[0])])
+    np.testing.assert_allclose(found_deg, expected_deg, atol=1e-9)
     # No row of the photo looks so far down.
     _, below = project(np.zeros(1), np.tan(np.radians([-85.0])), 10.0, 0.0, sphere)
     assert np.isnan(below[0])

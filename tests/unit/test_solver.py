@@ -116,11 +116,8 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
 def test_a_sphere_cropped_far_from_the_horizon_is_levelled_exactly(raised_deg):
     query = swept(hills, 200.0, raised_deg, 230.0, Projection.EQUIRECTANGULAR)
     query = query.with_fov(228.0).about(2.0)
-    found = settled(
-        poses(heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0),
-        panorama_of(hills),
-        query,
-    )
+    start = poses(heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0)
+    found = settled(start, panorama_of(hills), query)
     assert found.heading_deg[0] == pytest.approx(200.0, abs=0.02)
     assert found.pitch_deg[0] == pytest.approx(raised_deg, abs=0.1)
     assert found.fov_deg[0] == pytest.approx(230.0, abs=0.05)
