@@ -92,7 +92,7 @@ def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]
             for _ in range(_KILLS_A_BUILD):
                 before = _parts(path)
                 build = _start(terrain, path, plan, workers)
-                time.sleep(generator.uniform(0.0, _LONGER * lasts_s))
+                build.join(generator.uniform(0.0, _LONGER * lasts_s))
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(build.pid or 0, signal.SIGKILL)  # Its workers too
                 build.kill()
