@@ -106,7 +106,7 @@ def draw_match_map(
     figure = Figure(size_in, _DPI, layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
-    shown, total = _draw_viewpoints(axis, viewpoints, area)
+    shown = _draw_viewpoints(axis, viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width, area.height)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
@@ -114,14 +114,14 @@ def draw_match_map(
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
-    title = f"{shown:,} of {total:,} viewpoints of the store (dots)"
+    title = f"{shown:,} of the store's viewpoints (dots)"
     title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS))
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 
 
-def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> tuple[int, int]:
-    """Draw the locations of the store within an area; return their number and that of all.
+def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
+    """Draw the locations of the store within an area; return their number.
 
     A dot is smaller than the distance to its neighbour, so that the map shows between them.
     """
@@ -131,7 +131,7 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> tuple[in
     point_m = area.width / (72.0 * _WIDTH_IN)
     size = np.clip(_DOT_SHARE * np.asarray(distances_m)[:, 1] / point_m, *_DOT_POINTS)
     axis.scatter(inside[:, 0], inside[:, 1], size**2, color="black", alpha=0.7, linewidths=0.0)
-    return len(inside), len(places)
+    return len(inside)
 
 
 def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
