@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
-_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
+_OF_CAMERA = (
+    "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share",
+    "residual_deg", "terrain_share", "skyline_m",
+)  # fmt: skip
 """Keys of a candidate that differ between photos of one place."""
 
 _BEYOND_SHARE = 0.1

@@ -33,7 +33,7 @@ _ELLIPSE_POINTS = 72
 _JSON = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
     "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "score", "confidence",
-    "confidence_1km", "refined", "beyond_share",
+    "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
 )  # fmt: skip
 
 

@@ -27,7 +27,8 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     keys = "query answer answer_within_m candidates seconds loading_seconds"
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
-        fov_deg score confidence confidence_1km refined beyond_share distortion wander"""
+        fov_deg score confidence confidence_1km refined beyond_share distortion wander
+        residual_deg terrain_share skyline_m"""
     assert set(record["answer"]) == set(keys.split())
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
