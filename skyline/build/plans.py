@@ -1,6 +1,7 @@
 """Plans of a store: its viewpoints, its parts, and the renderer of a part."""
 
 import hashlib
+import logging
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
@@ -35,9 +36,14 @@ _VIEWPOINTS_A_PART = 1024
 
 _MOST_VIEWPOINTS = 50_000_000
 """Viewpoints of the largest uniform grid."""
+_LEAST_COVERED = 0.9
+"""Least share of the bounds that a DEM covers without a warning. Degrees are curved on the map, so
+the box of a DEM's own bounds may be a little larger than the DEM."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
 """Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +88,7 @@ class PlacePlan:
 
         Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
         """
-        area = map_bounds(terrain, self.bounds_deg)
+        area = _area_to_build(terrain, self.bounds_deg)
         if self.spacing_m is not None:
             return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
         if self.places is not None and self.places < 1:
@@ -146,7 +152,7 @@ class RenderingPlan:
         config: RenderConfig,
     ) -> Self:
         """Return the plan of a uniform grid; raises `InputError` as `uniform_grid`."""
-        eyes = uniform_grid(terrain, spacing_m, map_bounds(terrain, bounds_deg))
+        eyes = uniform_grid(terrain, spacing_m, _area_to_build(terrain, bounds_deg))
         about = {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
         return cls(eyes, about, config)
 
@@ -231,6 +237,25 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
             f"{swapped or '; name an area inside it, or a DEM of the area'}"
         )
     return clipped
+
+
+def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
+    """Return the area as `map_bounds`; warn where the field covers a part of the bounds only."""
+    area = map_bounds(field, bounds_deg)
+    if bounds_deg is not None:
+        share = _area_m2(area) / _area_m2(field.frame.rectangle_m(bounds_deg))
+        if share < _LEAST_COVERED:
+            _log.warning(
+                "the DEM covers %.0f %% of the bounds, and the store will have that part alone; "
+                "give a DEM of all of them",
+                100.0 * share,
+            )
+    return area
+
+
+def _area_m2(rectangle: Rectangle) -> float:
+    west, south, east, north = rectangle
+    return (east - west) * (north - south)
 
 
 def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:

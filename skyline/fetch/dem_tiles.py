@@ -19,6 +19,7 @@ import numpy as np
 import rasterio
 from numpy.typing import DTypeLike, NDArray
 from rasterio import windows
+from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
@@ -232,6 +233,11 @@ def _check_usable(url: str, file: Any) -> None:
         raise InputError(
             f"{where} is not north-up (geotransform {transform.to_gdal()}); expected rows from "
             "north to south and columns from west to east"
+        )
+    if MaskFlags.per_dataset in file.mask_flag_enums[0]:
+        raise InputError(
+            f"{where} marks its voids by a mask, which a part of it would lack; fetch it by other "
+            "means and give it to `skyline build`"
         )
 
 

@@ -39,7 +39,12 @@ from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import check_eye_elevation, stand_at, stand_where_possible
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    check_eye_elevation,
+    stand_at,
+    stand_where_possible,
+)
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
@@ -207,13 +212,15 @@ class Orienter(Releasable):
         self._within_m = within_m
         ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
-        self._elevation_m = elevation_m
+        self._elevation_m, self._eye_height_m = elevation_m, DEFAULT_EYE_HEIGHT_M
         ring = within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
         around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
         eyes = stand_where_possible(self.terrain, around.real, around.imag)[0]
         if elevation_m is not None:
             check_eye_elevation(elevation_m, float(eyes.eye_elevation_m.min()))
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
+            above_m = elevation_m - float(ground.eye_elevation_m[0])
+            self._eye_height_m = max(DEFAULT_EYE_HEIGHT_M, above_m)
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views)
         # Kept, since it holds the terrain's textures, which the scene shares.
@@ -271,7 +278,9 @@ class Orienter(Releasable):
             known = replace(
                 known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
             )
-        refinement = _RefinementByHeading(rays, self._scene, _EFFORT, Prior(noted=known))
+        refinement = _RefinementByHeading(
+            rays, self._scene, _EFFORT, Prior(noted=known), self._eye_height_m
+        )
         return refinement.run(fitted[np.union1d(each, best)])
 
     def _orientation(

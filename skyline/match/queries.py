@@ -31,7 +31,8 @@ _NUMBERS = (
     "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
 )  # fmt: skip
 _PICTURES = (
-    ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".jp2", ".bmp",
+    ".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif",
+    ".avif", ".jp2", ".bmp",
 )  # fmt: skip
 """Suffixes of the files of a folder that are matched."""
 _TOGETHER = {

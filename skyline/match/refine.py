@@ -155,7 +155,8 @@ class Particles(Rows):
 class Refinement:
     """The refinement of one query.
 
-    The height of the eye above the ground is solved for unless the prior's narrowing gives it.
+    The height of the eye above the ground is solved for, about the usual one, unless the prior's
+    narrowing gives it.
     """
 
     def __init__(
@@ -164,9 +165,10 @@ class Refinement:
         scene: RenderedScene,
         effort: Effort,
         prior: Prior = NOTHING_KNOWN,
+        usual_eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
     ) -> None:
         self._scene, self.effort = scene, effort
-        eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
+        eye = EyeHeightPrior(usual_eye_height_m, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.fine = (

@@ -345,6 +345,11 @@ def _require_usable(name: str, image: Image.Image) -> None:
         for shrink in (2, 4, 8):
             if image.width * image.height > MAX_DECODED_PIXELS:
                 image.draft("RGB", (width // shrink, height // shrink))
+    if image.size != (width, height):
+        _log.warning(
+            "%s, %d x %d px, is read at %d x %d px, which rows and columns count",
+            *(name, width, height, *image.size),
+        )
     if image.width * image.height > MAX_DECODED_PIXELS:
         raise InputError(
             f"{name} has {width * height / 1e6:.0f} megapixels; expected at most "

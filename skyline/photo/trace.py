@@ -15,7 +15,7 @@ _MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 _MAX_SIDE_PX = 100_000
 _COLUMNS = ("column_px", "row_px")
-_NOTE = re.compile(r"(\w+)\s*=\s*(\S+?)(?=,*\s|,*$|,\w+\s*=)")
+_NOTE = re.compile(r"(\w+)\s*=\s*(\S+?)(?=[,;]*\s|[,;]*$|[,;]\w+\s*=)")
 _NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 

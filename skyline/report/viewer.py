@@ -292,7 +292,7 @@ class Viewer(Releasable):
         easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])
         convergence_deg = self.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
         return Candidate(
-            lon=lon,
+            lon=float(in_turn(lon)),
             lat=lat,
             heading_deg=heading_deg % 360.0,
             pitch_deg=pitch_deg,

@@ -90,10 +90,11 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
             " and ".join(f"{value:g}" for value in values_m),
         )
     despiked = remove_spikes(heights_m, spacing_m)
-    highest_m = max(
-        float(np.max(heights_m[rows], where=np.isfinite(heights_m[rows]), initial=-np.inf))
-        for rows in strips(heights_m)
-    )
+    lowest_m, highest_m = np.inf, -np.inf
+    for rows in strips(heights_m):
+        known_m = heights_m[rows][np.isfinite(heights_m[rows])]
+        lowest_m = min(lowest_m, float(known_m.min(initial=np.inf)))
+        highest_m = max(highest_m, float(known_m.max(initial=-np.inf)))
     if np.isinf(highest_m):
         raise InputError(
             f"{source} holds no height: all samples are nodata or beyond {ABSURD_M:.0f} m; check "
@@ -105,6 +106,13 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
             "heights, or its nodata value (rio edit-info)",
             source,
             highest_m,
+        )
+    if lowest_m < GROUND_M[0]:
+        _log.warning(
+            "%s has heights down to %.0f m, the bed of a sea, which is taken for ground; set what "
+            "lies under water to the height of its surface (gdal_calc.py)",
+            source,
+            lowest_m,
         )
     filled = fill_voids(heights_m)
     hollow = 0

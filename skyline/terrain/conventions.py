@@ -51,6 +51,7 @@ _WORDS = {
     "inches": ["inch"],
     "survey": ["us"],
     "ftus": ["us", "foot"],
+    "usft": ["us", "foot"],
     "legal": [],
     "statute": [],
     "international": [],
@@ -59,7 +60,7 @@ _WORDS = {
 """Words in the names of units, and the words by which they are replaced; a word without meaning has
 none."""
 
-_DATUM = re.compile(r"\(|\babove\b|a\.?m?\.?s\.?l\b|ü")
+_DATUM = re.compile(r"\(|\babove\b|a\.?m?\.?s\.?l\b|ü|\b(?:msl|navd|ngvd|nhn|nap|egm)")
 """The beginning of the words on the datum that follow a unit: ``m (NAVD88)``, ``metres above sea
 level``."""
 
@@ -111,7 +112,7 @@ def _units() -> Mapping[frozenset[str], float]:
 
 def _key(name: str) -> frozenset[str]:
     """Return the words of a unit's name, whatever their order and spelling."""
-    text = name.casefold().replace("meter", "metre").replace("'s", "")
+    text = name.casefold().replace("meter", "metre").replace("'s", "").replace("u.s.", "us ")
     words = re.findall(r"[^\W\d_]+|\d+", text)
     singular = (re.sub(r"(?<=...)s$", "", word) for word in words if word not in _WORDS)
     return frozenset(singular).union(*(_WORDS[word] for word in words if word in _WORDS))

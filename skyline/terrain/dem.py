@@ -28,6 +28,7 @@ from skyline.geodesy import (
     to_wgs84,
 )
 from skyline.terrain.cleaning import clean, strips
+from skyline.terrain.conventions import ELLIPSOID, GEOID
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.rasters import Paths, absolute_name, open_tile, without_folders
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
@@ -53,6 +54,10 @@ _FLAT_M = 20.0
 """Standard deviation of ground that is too flat to tell by: it varies less than trees do."""
 _OFFSET_M = (-10.0, 60.0)
 """Lowest and highest plausible median of a surface above the ground."""
+_LOW_QUANTILE = 0.1
+"""Share of an area that is taken to be open ground, where a surface is as high as the ground."""
+_MUCH_UNKNOWN = 0.2
+"""Share of a DEM over which a surface model may have no height without a warning."""
 
 Dem = Paths | HeightField
 """A model: its file, its tiles, or the height field read from them."""
@@ -304,12 +309,22 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
         highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
         above_m = np.where(np.isinf(highest), np.nan, highest)
     rise = replace(paths, heights_m=above_m)
-    heights_m = np.empty_like(terrain.heights_m)
+    heights_m, unknown = np.empty_like(terrain.heights_m), 0
     for rows in strips(heights_m):
         easting, northing = _samples(terrain, rows, paths)
         over_m = rise.height_at(easting_m=easting, northing_m=northing)
+        unknown += int(np.count_nonzero(np.isnan(over_m)))
         over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
         heights_m[rows] = terrain.heights_m[rows] + over_m
+    if unknown > _MUCH_UNKNOWN * heights_m.size:
+        _log.warning(
+            "%s has no height over %.0f %% of the DEM, where trees of %.0f m are assumed; if "
+            "nothing stands there, set its voids to the height of the ground, in a canopy model "
+            "to 0",
+            _name_of(paths),
+            100.0 * unknown / heights_m.size,
+            UNKNOWN_M,
+        )
     heights_m.setflags(write=False)
     return replace(terrain, heights_m=heights_m, provenance=paths.provenance)
 
@@ -329,7 +344,13 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
             easting_m=easting, northing_m=northing
         )
     known = np.isfinite(above_m)
-    name = ", ".join(model.provenance.files) or "the surface"
+    name = _name_of(model)
+    surfaces = {_surface_of(one) for one in (model, terrain)}
+    if {GEOID, ELLIPSOID} <= surfaces:
+        raise InputError(
+            f"{name} has heights above the {_surface_of(model)}, and the DEM above the "
+            f"{_surface_of(terrain)}, tens of metres apart; convert one of them (gdalwarp)"
+        )
     if not known.any():
         raise InputError(
             f"{name} has no height over the DEM; give a surface model of the same area"
@@ -346,7 +367,26 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
             f"to {_OFFSET_M[1]:+g}: give a surface model of the DEM's vertical datum, or a canopy "
             "model in metres above ground"
         )
+    lowest_m = float(np.quantile(above_m[known], _LOW_QUANTILE))
+    if lowest_m > -_OFFSET_M[0]:
+        _log.warning(
+            "%s lies at least %.0f m above the DEM in %.0f %% of the area; unless that is forest, "
+            "its heights have another vertical datum",
+            name,
+            lowest_m,
+            100.0 * (1.0 - _LOW_QUANTILE),
+        )
     return above_m
+
+
+def _name_of(model: HeightField) -> str:
+    return ", ".join(model.provenance.files) or "the surface"
+
+
+def _surface_of(model: HeightField) -> str:
+    """Return `GEOID` or `ELLIPSOID` where a model names its datum, else an empty text."""
+    datum = model.provenance.conventions.get("vertical_datum", "")
+    return next((one for one in (GEOID, ELLIPSOID) if datum.endswith(f"({one})")), "")
 
 
 def _follow_share(heights_m: FloatArray, above_m: Float64Array) -> float:

@@ -31,7 +31,7 @@ from skyline.errors import FetchError, InputError, MissingFileError, library
 from skyline.files import for_gdal, is_file
 from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
-from skyline.terrain.conventions import conventions_of, vertical_of
+from skyline.terrain.conventions import conventions_of, metres_per, vertical_of
 from skyline.terrain.tiles import Grid, Tile
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
@@ -102,6 +102,9 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
     attrs = array.attrs
     crs = _crs_of(source, _wkt_of_mapping(source, mapping), default_crs)
+    for dim in (y, x):
+        if dim in array.coords:
+            _check_unit(source, dim, str(array.coords[dim].attrs.get("units", "")), crs)
     transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"))
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
     vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
@@ -286,6 +289,9 @@ def _tile_of(
                 "yllcenter, or convert a grid that is there to GeoTIFF"
             )
         grid, north_up = _grid_of(source, transform, dataset.shape)
+        for name, unit in dataset.tags().items():
+            if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
+                _check_unit(source, name.removesuffix("#units"), unit, crs)
         positive = dataset.tags(1).get("positive", "up")
         vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
         nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
@@ -323,7 +329,8 @@ def _heights_of(
         )
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
-    heights: Float32Array = band.astype(np.float32)
+    with np.errstate(over="ignore"):  # The nodata value of ArcGIS is -1.8e308.
+        heights: Float32Array = band.astype(np.float32)
     heights[voids | ~np.isfinite(heights)] = np.nan
     undeclared = np.isin(heights, UNDECLARED_VOIDS)
     if (scale, offset, metres) != (1.0, 0.0, 1.0):
@@ -453,6 +460,16 @@ def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: o
             return exact
     step_y, step_x = _step(source, dims[0], y), _step(source, dims[1], x)
     return Affine(step_x, 0.0, x[0] - 0.5 * step_x, 0.0, step_y, y[0] - 0.5 * step_y)
+
+
+def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
+    """Raise `InputError` where coordinates have a unit of length that is not that of the CRS."""
+    metres = metres_per(unit) if crs.is_projected else None
+    if metres and abs(metres / crs.axis_info[0].unit_conversion_factor - 1.0) > EVEN:
+        raise InputError(
+            f"{source} has coordinates along {dim} in {unit!r}, and its coordinate reference "
+            f"system is in {crs.axis_info[0].unit_name}; convert the coordinates"
+        )
 
 
 def _step(source: str, dim: str, at: Float64Array) -> float:

@@ -13,6 +13,7 @@ from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
+from skyline.terrain.cleaning import ABSURD_M
 from skyline.terrain.conventions import ELLIPSOID, GEOID, Vertical, merged
 
 MAX_SAMPLES = 1 << 31
@@ -132,7 +133,8 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
         disagreement_m = 0.0
         for rows, fresh in tile.read():
             old = place[rows]
-            known = np.isfinite(old)
+            # A height beyond all ground is an undeclared void.
+            known = np.isfinite(old) & (np.abs(old) <= ABSURD_M)
             both = known & np.isfinite(fresh)
             apart_m = np.abs(old[both] - fresh[both])
             disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))

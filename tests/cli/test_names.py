@@ -63,14 +63,6 @@ def test_photos_of_any_name_are_matched_and_written(run, store, photos):
     assert "2 of 2 are there already" in again.err
 
 
-def test_a_list_names_files_by_their_bytes(run, store, photos, tmp_path):
-    (tmp_path / "list.csv").write_bytes(b"path,fov_deg\nb\xe4r.jpg,60\nno\xe4.jpg,60\n")
-    done = run("match", store, "list.csv", "--matcher", "unrefined")
-    assert done.code == 2
-    assert done.out.startswith(r"b\xe4r.jpg (")
-    assert r"no\xe4.jpg does not exist" in done.err
-
-
 def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     odd = f"{NOT_UTF8}.h5"

@@ -161,7 +161,7 @@ class TestAreas:
         assert build_store(terrain, tmp_path / "ab.h5", of(west)).rendered == 0
         assert (tmp_path / "ab.h5").read_bytes() == whole
 
-    def test_areas_of_one_grid_are_the_store_built_at_once(self, terrain, tmp_path):
+    def test_areas_of_one_grid_are_the_store_built_at_once(self, terrain, tmp_path, caplog):
         places = {}
         for name, boxes in (("once", [None]), ("grown", halves_of(terrain))):
             for box in boxes:
@@ -170,6 +170,7 @@ class TestAreas:
                 places[name] = store.stored()
         for name, values in places["once"].items():
             np.testing.assert_array_equal(places["grown"][name], values)
+        assert "% of the bounds" in caplog.text  # The boxes reach 0.1 degrees past the DEM.
 
     def test_a_box_that_fails_leaves_the_store_as_it_was(self, terrain, tmp_path):
         west, east = halves_of(terrain)

@@ -53,13 +53,17 @@ def test_an_unknown_field_of_view_is_found(terrain, queries):
     assert np.abs(off_deg(found, query.truth)).max() < 0.6
 
 
-def test_one_orienter_takes_many_photos_and_a_known_elevation(terrain, queries):
-    query = queries[1]
+@pytest.mark.parametrize("eye_height_m", [1.6, 200.0])
+def test_one_orienter_takes_many_photos_and_a_known_elevation(terrain, eye_height_m):
+    config = replace(SHARP, eye_height_m=eye_height_m)
+    query = make_queries(terrain, MIDDLE, 2, seed=3, config=config)[1]
     place = beside(terrain, query.truth, 0.0)
     with Orienter(terrain, **place, elevation_m=query.truth.eye_elevation_m) as orienter:
         first, again = (orienter.orient(query.skyline, name=name) for name in "ab")
     assert (first.name, again.name) == ("a", "b")
     assert first.pose == again.pose
+    assert first.refusal is None
+    assert np.abs(off_deg(first, query.truth)).max() < 0.3
     assert abs(first.pose.eye_elevation_m - query.truth.eye_elevation_m) < 10.0
 
 

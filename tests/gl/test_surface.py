@@ -12,6 +12,7 @@ from skyline.errors import InputError
 from skyline.match.refine import WHOLE, Refinement
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.terrain.dem import UNKNOWN_M, read_surface
+from skyline.terrain.heightfield import Provenance
 
 SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
 TREES_M = 20.0
@@ -75,6 +76,21 @@ def test_a_surface_of_another_area_or_datum_is_refused(bare, forest):
         read_surface(away, bare)
     with pytest.raises(InputError, match=r"is \+\d+ m above the DEM in the median"):
         read_surface(field_of(forest.heights_m + 200.0), bare)
+    models = [
+        replace(field, provenance=Provenance(conventions={"vertical_datum": f"X ({above})"}))
+        for field, above in ((forest, "ellipsoid"), (bare, "geoid"))
+    ]
+    with pytest.raises(InputError, match="above the ellipsoid, and the DEM above the geoid"):
+        read_surface(*models)
+
+
+def test_a_surface_that_stands_over_open_ground_or_has_holes_is_warned_of(bare, forest, caplog):
+    read_surface(forest, bare)
+    assert caplog.text == ""
+    read_surface(field_of(forest.heights_m + 48.0), bare)
+    assert "at least 48 m above the DEM in 90 % of the area" in caplog.text
+    read_surface(field_of(np.where(forest.heights_m > bare.heights_m, TREES_M, np.nan)), bare)
+    assert "where trees of 40 m are assumed" in caplog.text
 
 
 def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):

@@ -106,6 +106,7 @@ REFUSED = {
     "no coordinate reference system": plain(),
     "expected y, x or lat, lon": plain("row", "column"),
     "no coordinates along x": plain().drop_vars("x"),
+    "along x in 'km'": plain().assign_coords(x=plain().x.assign_attrs(units="km")),
     "along y that are not even": plain().isel(y=[0, 1, 3, 4]),
     "holds no height": (plain() * np.nan).rio.write_crs("EPSG:32632"),
     "is not understood": plain().assign_coords(

@@ -102,12 +102,12 @@ def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path, caplog, crs)
 
 US_FOOT_M = 1200 / 3937
 UNITS = {
-    US_FOOT_M: "US survey foot|Foot_US|ftUS|ft (US)",
+    US_FOOT_M: "US survey foot|Foot_US|ftUS|ft (US)|usft|U.S. survey feet",
     0.3048: "ft|Foot_International| foot |feet (NAVD88)",
     0.3047972654: "Clarke's foot",
     0.30479841: "Indian foot (1937)",
     1.0000135965: "German legal metre",
-    1.0: "|m|Meters|[m]|m a.s.l.|metres above sea level|unknown",
+    1.0: "|m|Meters|[m]|m a.s.l.|metres above sea level|m NAVD88|m+NAP|unknown",
     0.1: "decimetre",
     1000.0: "km",
 }

@@ -50,6 +50,9 @@ def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path):
     field = read_dem([tile_at(tmp_path, left, 0, 0), tile_at(tmp_path, right, 0, 4)])
     assert field.heights_m[2, 4] == 10.5
     assert field.provenance.filled == 0
+    left[2, 4] = -32767.0  # A void that the file does not declare.
+    again = read_dem([tile_at(tmp_path, left, 0, 0), tile_at(tmp_path, right, 0, 4)])
+    np.testing.assert_array_equal(again.heights_m, field.heights_m)
 
 
 def test_tiles_that_disagree_are_named(tmp_path, caplog):

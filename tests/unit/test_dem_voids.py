@@ -128,9 +128,11 @@ def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     assert "exactly 0 m" in caplog.text
 
 
-def test_heights_above_any_ground_are_warned_of(tmp_path, caplog):
-    read_dem(write_dem(tmp_path / "dem.tif", 10.0 * mountains()))
+def test_heights_of_no_ground_are_warned_of(tmp_path, caplog):
+    read_dem(write_dem(tmp_path / "high.tif", 10.0 * mountains()))
     assert "more than any ground on Earth" in caplog.text
+    read_dem(write_dem(tmp_path / "deep.tif", mountains() - 3000.0))
+    assert "the bed of a sea" in caplog.text
 
 
 def test_the_turned_footprint_of_a_real_dem(shared_data):

@@ -9,7 +9,7 @@ from scenes import fractal, geotiff_of
 
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
-from skyline.fetch import remote
+from skyline.fetch import dem_tiles, remote
 from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, _around, address, fetch_dem, tile_corners
 
 SAMPLES = 600
@@ -234,6 +234,15 @@ def test_tiles_that_do_not_fit_are_refused(template, server, heights, tmp_path, 
     with pytest.raises(InputError, match=message):
         fetch(template, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_tile_with_a_mask_is_refused(heights, tmp_path):
+    path = tmp_path / "masked.tif"
+    path.write_bytes(geotiff(heights))
+    with rasterio.open(path, "r+") as tile:
+        tile.write_mask(heights > 0.0)
+    with rasterio.open(path) as tile, pytest.raises(InputError, match="marks its voids by a mask"):
+        dem_tiles._check_usable("https://a.org/masked.tif", tile)
 
 
 def test_a_file_of_someone_else_is_not_replaced(template, tmp_path):

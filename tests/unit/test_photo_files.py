@@ -199,13 +199,14 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     refused(tmp_path / "huge.png", "megapixels; expected at most 100")
 
 
-def test_large_jpeg_is_reduced_while_decoding(tmp_path, monkeypatch):
+def test_large_jpeg_is_reduced_while_decoding(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(read, "MAX_DECODED_PIXELS", 1_000_000)
     mask = Image.new("L", (1_100, 1_000), 255)
     mask.paste(0, (0, 400, 1_100, 1_000))
     mask.save(tmp_path / "large.jpg")
     image, query = extract_photo(tmp_path / "large.jpg")
     assert image.shape == (500, 550, 3)
+    assert "1100 x 1000 px, is read at 550 x 500 px" in caplog.text
     assert (query.width_px, query.height_px) == (550, 500)
     assert_allclose(query.row_px, 199.5, atol=0.1)
 

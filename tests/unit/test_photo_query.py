@@ -56,9 +56,11 @@ def test_sparse_and_fractional_points_are_joined_but_not_across_gaps(tmp_path):
     assert query.fov_deg == 60.0
 
 
-def test_commas_may_stand_between_the_notes_of_a_trace(tmp_path):
+@pytest.mark.parametrize("comma", [",", ";"])
+def test_separators_may_stand_between_the_notes_of_a_trace(tmp_path, comma):
     path = tmp_path / "trace.csv"
-    path.write_text("# width = 50,height = 40, fov_deg=60,\ncolumn_px,row_px\n1,2\n")
+    text = "# width = 50,height = 40, fov_deg=60,\ncolumn_px,row_px\n1,2\n"
+    path.write_text(text.replace(",", comma))
     query = read_trace(path)
     assert (query.width_px, query.height_px) == (50, 40)
 

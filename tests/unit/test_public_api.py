@@ -75,33 +75,3 @@ def test_types_of_parameters_and_results_are_public_too(name):
             for each in classes_in(hint):
                 public = getattr(skyline, each.__name__, None) is each
                 assert public or each.__name__ in INTERNAL, function.__qualname__
-
-
-CONVERSIONS = {"Frame.to_lonlat", "Frame.from_lonlat"}
-"""Their names say what they take, and in which order."""
-RECORDS = {"LocalHorizons", "Places", "Views"}
-"""Records that functions return."""
-
-
-def public_callables():
-    for name in skyline.__all__:
-        thing = getattr(skyline, name)
-        if name not in RECORDS and not (inspect.isclass(thing) and issubclass(thing, Exception)):
-            yield name, thing
-        if inspect.isclass(thing):
-            for member in vars(thing):
-                if not member.startswith("_") and callable(getattr(thing, member)):
-                    yield f"{name}.{member}", getattr(thing, member)
-
-
-def test_every_place_is_taken_by_name():
-    taken = 0
-    for name, thing in public_callables():
-        if name in CONVERSIONS:
-            continue
-        for parameter in inspect.signature(thing).parameters.values():
-            assert parameter.name not in {"easting", "northing", "east", "north"}, name
-            if parameter.name in {"easting_m", "northing_m", "lon", "lat"}:
-                assert parameter.kind is inspect.Parameter.KEYWORD_ONLY, (name, parameter.name)
-                taken += 1
-    assert taken > 30
