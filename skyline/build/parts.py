@@ -94,7 +94,8 @@ def build_places(
     Raises
     ------
     InputError
-        The spacing suits no grid on the terrain, or no place falls in so small an area.
+        The spacing suits no grid on the terrain, a number of places is given beside it, or no place
+        falls in so small an area.
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """

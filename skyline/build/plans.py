@@ -62,13 +62,18 @@ class PartRenderer:
 class PlacePlan:
     """The plan of a store of places, on a uniform grid or as far apart as the skyline allows.
 
-    Its settings are the parameters of `skyline.build_places`.
+    Its settings are the parameters of `skyline.build_places`. Raises `InputError` for both a
+    spacing and a number of places.
     """
 
     spacing_m: float | None = None
     bounds_deg: Bounds | None = None
     places: int | None = None
     curvature: Curvature = field(default_factory=Curvature)
+
+    def __post_init__(self) -> None:
+        if self.spacing_m is not None and self.places is not None:
+            raise InputError("give one of the spacing (a uniform grid) and the number of places")
 
     def header(self, terrain: HeightField) -> StoreHeader:
         """Return the header of the store, without the renderer's name."""

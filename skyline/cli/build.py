@@ -78,8 +78,6 @@ def build(
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     _advise_to_continue(output)
-    if spacing is not None and places is not None:
-        raise InputError("give one of --spacing (a uniform grid) and --places (planned places)")
     plan = PlacePlan(
         spacing, None if bounds is None else parse_bounds(bounds), places, Curvature(refraction_k=k)
     )

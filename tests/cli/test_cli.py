@@ -203,7 +203,7 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["render", dem, "-o", out, "--planner", "lpov", "--grid", 50_000], "larger than the area"),
         (["build", dem, "-o", out, "--workers", "0"], "workers is 0; expected 1 or more"),
         (["build", dem, "-o", out, "--workers", "nonsense://x"], "no dask scheduler answers"),
-        (["build", dem, "-o", out, "--places", 400, "--spacing", 80], "give one of --spacing (a"),
+        (["build", dem, "-o", out, "--places", 400, "--spacing", 80], "give one of the spacing (a"),
         (["dem", "fetch", "--bbox", "9.4,46.4", "-o", out], "expected four numbers"),
         (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
         (["build", dem, "-o", out, "--bounds", "46.74,10.32,46.75,10.34"], "give 10.32,46.74,10."),
