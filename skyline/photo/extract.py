@@ -114,7 +114,7 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
             f"sky and ground, expected at least {100.0 * _MIN_TRUSTED_SHARE:.0f} %; draw it as a "
-            "trace (CSV column_px,row_px) or a mask (PNG, white = sky)"
+            "trace (CSV column_px,row_px) or a mask (PNG, sky pure white, ground black)"
         )
     return query
 
