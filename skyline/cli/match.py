@@ -64,8 +64,9 @@ def match(
         list[Path],
         Argument(
             metavar="QUERY...",
-            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. Before "
-            "them may come more stores of the same DEM, which are searched as one.",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. A trace "
+            "begins with '# width=W height=H' and has the columns column_px,row_px. Before all may "
+            "come more stores of the same DEM, which are searched as one.",
         ),
     ],
     fov_deg: FieldOfView = None,

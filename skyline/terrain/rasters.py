@@ -358,7 +358,8 @@ def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
         if default_crs is None:
             raise InputError(
                 f"{source} has no coordinate reference system; name it with --crs, for example "
-                "--crs EPSG:32632, or EPSG:4326 for degrees (in Python DemOptions(crs=...))"
+                "--crs EPSG:32632, or EPSG:4326 for degrees (in Python "
+                "read_dem(files, DemOptions(crs=...)))"
             )
         return default_crs
     try:
