@@ -233,8 +233,6 @@ def progress_bar(doing: str) -> "Iterator[Progress]":
         def note(done: int, total: int) -> None:
             nonlocal noted_s, first
             now_s = time.monotonic()
-            if first is None and done:
-                print_note(f"{doing}: {done} of {total} are there already")
             started_s, before = first = first or (now_s, done)
             if now_s - noted_s > _NOTE_EVERY_S and before < done < total:
                 noted_s = now_s
