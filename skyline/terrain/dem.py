@@ -345,12 +345,6 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
         )
     known = np.isfinite(above_m)
     name = _name_of(model)
-    surfaces = {_surface_of(one) for one in (model, terrain)}
-    if {GEOID, ELLIPSOID} <= surfaces:
-        raise InputError(
-            f"{name} has heights above the {_surface_of(model)}, and the DEM above the "
-            f"{_surface_of(terrain)}, tens of metres apart; convert one of them (gdalwarp)"
-        )
     if not known.any():
         raise InputError(
             f"{name} has no height over the DEM; give a surface model of the same area"
@@ -361,6 +355,11 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
         is_far_below or _follow_share(model.heights_m[known], above_m[known]) < _LEAST_FOLLOW_SHARE
     ):
         return np.where(known, model.heights_m, np.nan)
+    if {GEOID, ELLIPSOID} == {_surface_of(model), _surface_of(terrain)}:
+        raise InputError(
+            f"{name} has heights above the {_surface_of(model)}, and the DEM above the "
+            f"{_surface_of(terrain)}, tens of metres apart; convert one of them (gdalwarp)"
+        )
     if not _OFFSET_M[0] <= offset_m <= _OFFSET_M[1]:
         raise InputError(
             f"{name} is {offset_m:+.0f} m above the DEM in the median; expected {_OFFSET_M[0]:+g} "

@@ -6,6 +6,7 @@ a path. `skyline.terrain.tiles` then reads it, and all commands take it.
 
 import gzip
 import logging
+import math
 import os
 import re
 import warnings
@@ -465,11 +466,11 @@ def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: o
 
 def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
     """Raise `InputError` where coordinates have a unit of length that is not that of the CRS."""
-    metres = metres_per(unit) if crs.is_projected else None
-    if metres and abs(metres / crs.axis_info[0].unit_conversion_factor - 1.0) > EVEN:
+    metres, axis = metres_per(unit) if crs.is_projected else None, crs.axis_info[0]
+    if metres and not math.isclose(metres, axis.unit_conversion_factor, rel_tol=1e-4):
         raise InputError(
             f"{source} has coordinates along {dim} in {unit!r}, and its coordinate reference "
-            f"system is in {crs.axis_info[0].unit_name}; convert the coordinates"
+            f"system is in {axis.unit_name}; convert the coordinates"
         )
 
 
