@@ -25,7 +25,6 @@ from .match.orient import Orientation as Orientation
 from .match.orient import Orienter as Orienter
 from .match.orient import orient as orient
 from .match.prior import Narrowing as Narrowing
-from .match.screening import Alike as Alike
 from .photo.correction import Correction as Correction
 from .photo.correction import Stroke as Stroke
 from .photo.correction import StrokeKind as StrokeKind

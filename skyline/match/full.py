@@ -25,7 +25,6 @@ from skyline.match.prior import Narrowing, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.screening import Alike
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import HeightField, ground_of
@@ -88,16 +87,12 @@ class FullMatcher:
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
-    def rank(
-        self, query: QueryRays, top: int, prior: Prior, screened: Alike | None = None
-    ) -> tuple[Candidate, ...]:
+    def rank(self, query: QueryRays, top: int, prior: Prior) -> tuple[Candidate, ...]:
         """Return up to ``top`` candidates, best first, none where nothing fits.
 
-        ``screened`` are the results of `Retriever.screened` for all parts of the store, joined; by
-        default the store is screened here. Raises `InputError` where the search is narrowed to no
-        place.
+        Raises `InputError` where the search is narrowed to no place.
         """
-        found, poses = self.found(query, prior, screened)
+        found, poses = self.found(query, prior)
         if not len(found) or (poses is not None and not len(poses)):
             return ()
         if poses is None:
@@ -115,16 +110,14 @@ class FullMatcher:
         return candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
 
     @one_blas_thread()
-    def found(
-        self, query: QueryRays, prior: Prior, screened: Alike | None = None
-    ) -> tuple[Hypotheses, RefinedPoses | None]:
+    def found(self, query: QueryRays, prior: Prior) -> tuple[Hypotheses, RefinedPoses | None]:
         """Return the poses retrieved for a query, and the refined ones; None without a scene.
 
         A quick refinement comes first, and is enough where one place fits far better than any
         other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
         `rank`.
         """
-        found = self.retriever.shortlist(query, self._shortlist, prior, screened)
+        found = self.retriever.shortlist(query, self._shortlist, prior)
         if not len(found) or self._scene is None:
             return found, None
         start = self._with_noted(found, query, prior)
@@ -214,10 +207,10 @@ class FullMatcher:
         near_noted = prior.near_noted()
         if near_noted is None:
             return found
-        alike = self.retriever.screened(query, near_noted)
-        if not len(alike):
+        try:
+            near = self.retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted)
+        except InputError:  # No place of the store lies there.
             return found
-        near = self.retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted, alike)
         if not len(near):
             return found
         raised = near.score - near.score.min() + found.score.min()

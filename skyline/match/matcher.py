@@ -25,11 +25,11 @@ from skyline.match.confidence import (
     too_little,
     unsure,
 )
-from skyline.match.full import BY_RENDERING, FullMatcher, one_blas_thread
+from skyline.match.full import BY_RENDERING, FullMatcher
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import VIEW_WIDTH
-from skyline.match.screening import Alike, ReportProgress, reporting_progress
+from skyline.match.screening import ReportProgress, reporting_progress
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture, read_query
 from skyline.render.context import Releasable, RenderThread
@@ -147,7 +147,6 @@ class Matcher(Releasable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
-        screened: Alike | None = None,
         report_progress: ReportProgress | None = None,
     ) -> MatchResult:
         """Find where a photo, a sky mask, a trace or a query skyline was taken.
@@ -161,9 +160,6 @@ class Matcher(Releasable):
             Most candidates to return; the candidates themselves do not depend on it.
         narrowing : Narrowing, optional
             Knowledge about the photo's pose; only the full matcher takes any.
-        screened : Alike, optional
-            The results of `screen` for all parts of the store, joined; by default the store is
-            screened here.
         report_progress : callable, optional
             Called, in this thread, with the current step of the match and the share of that step
             that is done, 0 to 1. An exception that it raises ends the match.
@@ -192,7 +188,7 @@ class Matcher(Releasable):
             rays, prior = self._rays_and_prior(query, narrowing)
             with reporting_progress(report_progress):
                 if isinstance(self._ranker, FullMatcher):
-                    candidates = self._ranker.rank(rays, top, prior, screened)
+                    candidates = self._ranker.rank(rays, top, prior)
                 else:
                     candidates = candidates_of(self.frame, self._ranker.rank(rays, top))
             refusal = refusal_of(candidates, self._config, query, rays)
@@ -305,19 +301,6 @@ class Matcher(Releasable):
         if refusal is not None:
             pose = replace(pose, covariance_m2=None)
         return MatchResult(query, (pose,), time.perf_counter() - started, refusal)
-
-    def screen(
-        self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
-    ) -> Alike | None:
-        """Return the places of a part of the store that are most like a query.
-
-        ``part`` selects blocks of places. None for a query that shows too little, and for matchers
-        that do not screen. Raises as `match`.
-        """
-        if too_little(query) is not None or not isinstance(self._ranker, FullMatcher):
-            return None
-        with one_blas_thread():
-            return self._ranker.retriever.screened(*self._rays_and_prior(query, narrowing), part)
 
     def _full(self) -> FullMatcher:
         if not isinstance(self._ranker, FullMatcher):

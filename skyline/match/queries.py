@@ -1,8 +1,7 @@
 """Queries: photos, masks and traces, each with its camera and narrowing; lists; matching many.
 
-Each worker opens the store once. A store of many places is screened in parts, so that one query
-keeps many workers busy. The places of all parts are joined, and one worker fits and refines the
-best. The answers are those of one process, to the bit.
+A query is one job of a worker, which opens the store once. The answers are those of one process, to
+the bit.
 """
 
 import re
@@ -10,7 +9,7 @@ import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,11 +19,8 @@ from skyline.files import STANDARD, Row, Table, is_table, read_table, version_of
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
-from skyline.match.screening import Alike
 from skyline.photo.query import Lens, Projection, QuerySkyline
 from skyline.photo.read import check_fov, read_query
-from skyline.store.format import PLACES, PLACES_A_CHUNK
-from skyline.store.read import open_store
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
@@ -42,9 +38,6 @@ _TOGETHER = {
 }
 """Columns of each field of a narrowing; a row fills either all columns of a field or none."""
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
-_PART_BLOCKS = 128
-"""Blocks of places that one job screens, in a tenth of a second."""
-
 _Opening = tuple[Hashable, ...]
 """The versions of the stores and models, followed by the arguments of `Matcher`."""
 
@@ -183,23 +176,9 @@ def match_many(
     models = (Path(name) for some in matcher[1:] if isinstance(some, tuple) for name in some)
     opening = (tuple(map(version_of, [*stores, *models])), stores, *matcher[1:])
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
-    parts = _parts(stores)
-    screened: list[Alike | SkylineError | None] = [None] * len(jobs)
-    if len(parts) > 1:
-        of_parts = [(query, part) for query in jobs for part in parts]
-        names = [f"screen-{index}" for index in range(len(of_parts))]
-        found = list(runner(partial(_screen, opening), of_parts, names))
-        each = range(0, len(found), len(parts))
-        screened = [_joined(found[start : start + len(parts)]) for start in each]
-    left = [
-        (query, alike)
-        for query, alike in zip(jobs, screened, strict=True)
-        if not isinstance(alike, SkylineError)
-    ]
-    names = [f"query-{index}" for index in range(len(left))]
-    matched = runner(partial(_match, opening), left, names)
-    for query, alike in zip(queries, screened, strict=True):
-        result = alike if isinstance(alike, SkylineError) else next(matched)
+    names = [f"query-{index}" for index in range(len(jobs))]
+    matched = runner(partial(_match, opening), jobs, names)
+    for query, result in zip(queries, matched, strict=True):
         yield _named_as(query.path, result)
 
 
@@ -210,54 +189,16 @@ def _named_as(path: str, result: MatchResult | SkylineError) -> MatchResult | Sk
     return type(result)(str(result).replace(str(Path(path).absolute()), path))
 
 
-def _parts(stores: Sequence[Path]) -> list[slice]:
-    """Return the blocks of stores of places, in parts; none for stores of renderings.
-
-    Stores that overlap have fewer blocks together, and the last parts may be empty.
-    """
-    blocks = 0
-    for store in stores:
-        with open_store(store) as opened:
-            if opened.header.holds == PLACES:
-                blocks += -(-len(opened) // PLACES_A_CHUNK)
-    return [slice(start, start + _PART_BLOCKS) for start in range(0, blocks, _PART_BLOCKS)]
+def _match(opening: _Opening, query: Query) -> MatchResult:
+    return _matched(_opened(*opening), query)
 
 
-def _joined(parts: Sequence[Alike | SkylineError | None]) -> Alike | SkylineError | None:
-    """Return the places of all parts, or the first error; None if there was nothing to screen."""
-    errors = [part for part in parts if isinstance(part, SkylineError)]
-    alike = [part for part in parts if isinstance(part, Alike)]
-    if errors:
-        return errors[0]
-    return Alike.joined(alike) if len(alike) == len(parts) else None
-
-
-def _screen(opening: _Opening, job: tuple[Query, slice]) -> Alike | None:
-    query, part = job
-    return _opened(*opening).screen(_read(query), query.narrowing, part)
-
-
-def _match(opening: _Opening, job: tuple[Query, Alike | None]) -> MatchResult:
-    return _matched(_opened(*opening), *job)
-
-
-def _matched(matcher: Matcher, query: Query, screened: Alike | None = None) -> MatchResult:
+def _matched(matcher: Matcher, query: Query) -> MatchResult:
     """Match one query; the result's seconds include reading it."""
     started = time.perf_counter()
-    found = matcher.match(_read(query), narrowing=query.narrowing, screened=screened)
+    found = matcher.match(query.read(), narrowing=query.narrowing)
     seconds = time.perf_counter() - started
     return replace(found, seconds=seconds, name=query.path, id=query.label)
-
-
-def _read(query: Query) -> QuerySkyline:
-    """Read a query once for all the parts of the store that this worker screens."""
-    version = version_of(query.path)
-    return query.read() if version is None else _read_as_of(version, query)
-
-
-@lru_cache(maxsize=4)
-def _read_as_of(_: object, query: Query) -> QuerySkyline:
-    return query.read()
 
 
 _open_matcher: dict[_Opening, Matcher] = {}

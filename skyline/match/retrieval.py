@@ -31,7 +31,7 @@ from skyline.errors import InputError
 from skyline.match.candidate import Hypotheses
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
-from skyline.match.screening import Alike, Screen, report_progress, screen_places
+from skyline.match.screening import Screen, report_progress, screen_places
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import Ground, ground_slope
@@ -119,28 +119,14 @@ class Retriever:
             "a store of that area" + next(filter(None, hints), "")
         )
 
-    def screened(
-        self, query: QueryRays, prior: Prior = NOTHING_KNOWN, part: slice = slice(None)
-    ) -> Alike:
-        """Return the places most like a query, of a part of the blocks of places."""
-        screen = self._screen(query, prior)
-        return screen_places(screen.scores, self.places, self._screened, prior.contains, part)
-
-    def shortlist(
-        self,
-        query: QueryRays,
-        count: int,
-        prior: Prior = NOTHING_KNOWN,
-        screened: Alike | None = None,
-    ) -> Hypotheses:
+    def shortlist(self, query: QueryRays, count: int, prior: Prior = NOTHING_KNOWN) -> Hypotheses:
         """Return up to ``count`` poses that a query is most likely to have, best first.
 
-        Poses may lie between the places. Scores compare poses of one query only. ``screened`` are
-        the results of `screened` for all parts, joined; by default the places are screened here.
-        Raises `InputError` where the search is narrowed to no place.
+        Poses may lie between the places. Scores compare poses of one query only. Raises
+        `InputError` where the search is narrowed to no place.
         """
-        alike = self.screened(query, prior) if screened is None else screened
-        alike = alike.best(self._screened)
+        scores = self._screen(query, prior).scores
+        alike = screen_places(scores, self.places, self._screened, prior.contains)
         if not len(alike):
             raise self._no_place_error([prior])
         start = self._start(query, prior, self.places.take(alike.row), alike.score, _TURNS)

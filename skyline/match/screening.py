@@ -259,14 +259,11 @@ def screen_places(
     source: PlaceSource,
     count: int,
     contains: Callable[[Places], BoolArray],
-    part: slice = slice(None),
 ) -> Alike:
     """Return the best ``count`` places of a source, or fewer where fewer are contained.
 
     ``scores`` gives the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several;
-    ``contains`` marks which places (N,) of a block are searched. ``part`` selects blocks of the
-    source, so that several workers can share it: the lists of all parts, joined, give the list of
-    the whole source.
+    ``contains`` marks which places (N,) of a block are searched.
     """
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
@@ -278,7 +275,7 @@ def screen_places(
                 parts.append(Alike(start + chosen, scores(phase)))
         return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
-    batches, kept, seen = _batches(source, part), Alike.joined([]), 0
+    batches, kept, seen = _batches(source), Alike.joined([]), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # A few batches are in work at a time, so that memory does not grow with the store.
         ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
@@ -293,15 +290,13 @@ def screen_places(
     return kept.best(count)
 
 
-def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
-    """Yield the blocks of a part, each with its first row, in lists for one thread."""
-
-    def numbered() -> Iterator[tuple[int, Places]]:
-        first = 0
-        for places in source.blocks():
-            yield first, places
-            first += len(places)
-
-    chosen = islice(numbered(), part.start, part.stop)
-    while batch := list(islice(chosen, _BLOCKS_AT_ONCE)):
-        yield batch
+def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
+    """Yield the blocks of places, each with its first row, in lists for one thread."""
+    batch, first = [], 0
+    for places in source.blocks():
+        batch.append((first, places))
+        first += len(places)
+        if len(batch) == _BLOCKS_AT_ONCE:
+            yield batch
+            batch = []
+    yield batch

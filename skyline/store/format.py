@@ -56,7 +56,7 @@ MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
 
-PLACES_A_CHUNK = 1024
+_PLACES_A_CHUNK = 1024
 """Places of a chunk, some 0.7 MB, which are mapped and worked on at a time."""
 
 _VIEWS_A_CHUNK = 32
@@ -196,7 +196,7 @@ class StoreHeader:
 
     def chunk_rows(self, rows: int) -> int:
         """Return the number of rows in a chunk of every dataset, in a store of ``rows`` rows."""
-        return max(1, min(rows, PLACES_A_CHUNK if self.holds == PLACES else _VIEWS_A_CHUNK))
+        return max(1, min(rows, _PLACES_A_CHUNK if self.holds == PLACES else _VIEWS_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
         """Return the settings, as h5py names them, of a dataset of ``rows`` rows."""

@@ -1,4 +1,4 @@
-"""Queries matched by workers, a store screened in parts: the answers are those of one process."""
+"""Queries matched by workers: the answers are those of one process."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,9 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import runner_of
-from skyline.match import queries as match_queries
 from skyline.match.matcher import FULL
 from skyline.match.queries import Query, match_many
 from skyline.photo.trace import write_trace
-from skyline.store.read import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)
@@ -19,7 +17,7 @@ SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.003, 0.003), smooth_share=0.0
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory):
-    """A store of more than 6,000 places, which are several blocks, two traces, and where one is."""
+    """A store of more than 6,000 places, two traces, and where one of them is."""
     folder = tmp_path_factory.mktemp("searched")
     dem = write_dem(folder / "dem.tif", fractal(110, 110, relief_m=700.0, seed=11))
     terrain = read_dem([dem])
@@ -37,9 +35,7 @@ def searched(tmp_path_factory):
 @pytest.mark.parametrize(
     ("refine", "count"), [(False, 2), (True, 1)], ids=["wide", "narrowed and refined"]
 )
-def test_two_workers_find_what_one_process_finds(
-    searched, dask_cluster, monkeypatch, refine, count
-):
+def test_two_workers_find_what_one_process_finds(searched, dask_cluster, refine, count):
     store, traces, near = searched
     # Few places are refined: each process does it with all its effort.
     narrowing = Narrowing(near, heading_deg=(180.0, 179.0)) if refine else Narrowing()
@@ -47,20 +43,8 @@ def test_two_workers_find_what_one_process_finds(
     queries = [Query(str(path), fov_deg=60.0, narrowing=narrowing) for path in traces[:count]]
     with Matcher(store, config=config) as matcher:
         wanted = [matcher.match(one.read(), narrowing=narrowing) for one in queries]
-    with open_store(store) as opened:
-        blocks = len(list(opened.places().blocks()))
-    assert blocks > 4
-    # Jobs screen a block at a time.
-    monkeypatch.setattr(match_queries, "_PART_BLOCKS", 1)
-    jobs = []
-
-    def counting(work, items, names):
-        jobs.extend(names)
-        return runner(work, items, names)
-
     with runner_of(dask_cluster.scheduler_address) as runner:
-        found = list(match_many(counting, (str(store), None, FULL, config), queries))
-    assert len(jobs) == count * (blocks + 1)
+        found = list(match_many(runner, (str(store), None, FULL, config), queries))
     for one, other in zip(found, wanted, strict=True):
         assert one.candidates
         # Equal floats, not near ones.

@@ -44,16 +44,6 @@ def test_blocks_change_nothing(places, size, count):
     np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
 
 
-def test_parts_joined_are_the_whole_to_the_bit(places):
-    screen, source = screening.Screen(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
-    whole = screening.screen_places(screen.scores, source, 10, every)
-    thirds = (slice(k, k + 3) for k in range(0, 8, 3))
-    parts = [screening.screen_places(screen.scores, source, 10, every, some) for some in thirds]
-    joined = screening.Alike.joined(parts).best(10)
-    assert joined.row.tobytes() == whole.row.tobytes()
-    assert joined.score.tobytes() == whole.score.tobytes()
-
-
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     fovs = (FOVS_DEG[k : k + 1] for k in range(3))
