@@ -130,10 +130,10 @@ def is_file(path: str | Path) -> bool:
 
 
 def version_of(path: str | Path) -> tuple[int, int, int] | None:
-    """Return a file's size and the times at which it was written and put here; None without a file.
+    """Return a file's size, modification time and status-change time; None without a file.
 
-    Times are in nanoseconds. A copy or an unpacked file may keep the first time, but not the
-    second, which other rights and another name change, too.
+    Times are in nanoseconds. Copying and unpacking may keep the modification time, but not the
+    status-change time, which a change of permissions or of the name updates, too.
     """
     try:
         known = Path(path).stat()

@@ -148,9 +148,9 @@ def quadrants(
     """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
 
     Also return the nearest column of each bin and the cosine of its azimuth, (B / 4,) each.
-    Azimuths count from the heading and begin 45 degrees left of it. The left seam lies half a
-    column outside the columns' centres and is extrapolated by that; the right one belongs to the
-    next heading.
+    Azimuths count from the heading and begin 45 degrees left of it. The first bin lies half a
+    column left of the first column's centre and is extrapolated; the bin 45 degrees to the right
+    belongs to the next heading.
     """
     steps = np.arange(bins // 4) - bins // 8
     azimuth = 2.0 * np.pi / bins * steps

@@ -36,7 +36,7 @@ _SHOWN = 5
 """Places that a notebook shows."""
 
 _YEARS = 1583, 9998
-"""PyEphem takes earlier days for those of the Julian calendar; Python has no later ones."""
+"""PyEphem counts earlier days in the Julian calendar, and later ones are beyond Python's dates."""
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
 _DISC = np.linspace(-1.0, 1.0, 9)

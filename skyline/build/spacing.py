@@ -98,9 +98,9 @@ def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
 class Prices:
     """Prices of plans for an area.
 
-    A price is the area, in square metres, whose views each place of a plan must save. Prices are
-    computed from skylines at viewpoints spread over the area. Raises `InputError` for an area of
-    holes.
+    A price is the area, in square metres, whose views a place must save to be part of a plan.
+    Prices are computed from skylines at viewpoints spread over the area. Raises `InputError` for an
+    area of holes.
     """
 
     def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:

@@ -90,8 +90,8 @@ Surfaces = Annotated[
     of_terrain(
         "--surface",
         metavar="FILE",
-        help="A surface or canopy model, up to which trees and houses may hide the bare ground: a "
-        "file, or a folder of them; may be repeated.",
+        help="A surface or canopy model, which gives the heights of trees and houses: a file, or a "
+        "folder of them; may be repeated.",
     ),
 ]
 RefractionK = Annotated[

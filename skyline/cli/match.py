@@ -145,7 +145,7 @@ def match(
         ),
         (
             same_place and results,
-            "--same-place has one answer, not a row a photo; leave --results out",
+            "--same-place gives one answer, not one row per photo; leave --results out",
         ),
         (same_place and workers, "--same-place matches in this process; leave --workers out"),
         (

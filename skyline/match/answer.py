@@ -115,8 +115,8 @@ class MatchResult:
         if share is None or share < _BEYOND_SHARE:
             return None
         return (
-            f"{100.0 * share:.0f} % of the skyline may be of terrain beyond the elevation model's "
-            "edge; a model that reaches farther may give another answer"
+            f"{100.0 * share:.0f} % of the skyline may be terrain beyond the edge of the elevation "
+            "model; a model that reaches farther may give another answer"
         )
 
     @property

@@ -44,8 +44,8 @@ from skyline.match.solver import TEMPERATURE
 from skyline.photo.query import QuerySkyline
 
 _MAX_MARGIN = 60.0
-"""Cap of margins. Models learned with caps of up to 1,000 are no better: queries from other regions
-have been fitted with margins of 124."""
+"""Cap of margins. Models learned with caps of up to 1,000 are no better, since queries from other
+regions can reach a margin of 124."""
 _LEARNED_EXTENT_M = 8_500.0
 """Greatest distance in the smallest areas that the models learned from, squares of 6 km. A narrower
 search meets fewer rivals, as the square of its extent; its odds are divided by the same factor."""
@@ -70,7 +70,7 @@ _NEAR_SLOPE_M = 150.0
 photos: wrong slopes fit as well (docs/accuracy.md)."""
 _AT_BOUND_SHARE = 1e-3
 """A field of view counts as at an end of the searched range if its distance from the end is less
-than this share of the range: fits that are held to a bound miss it by rounding."""
+than this share of the range: a fit held at a bound may differ from it by rounding."""
 _LEAST_OF_FIT = 0.75
 """Least share of right ones among poses that fit like a given one. The share is that of the best
 poses of searches; a pose that a person gives is right more often."""

@@ -199,8 +199,8 @@ class ProfileMatcher(ABC):
 class CorrelationMatcher(ProfileMatcher):
     """The plain baseline: the greatest normalized correlation wins.
 
-    The transforms of profiles are computed anew for each query: they are few beside those that a
-    query needs, and would take several times the memory of the profiles.
+    The transforms of profiles are computed anew for each query: to keep them would save little
+    time, and take several times the memory of the profiles.
     """
 
     def fit(self, query: QueryRays) -> Hypotheses:

@@ -53,7 +53,7 @@ _FITTED = 8192
 _SEPARATION_M, _TURN_DEG = 30.0, 20.0
 """Poses nearer to a better one, that look within this angle of it, are left out."""
 _FITS_AT_ONCE = 2048
-"""Poses fitted together. Of 256, two threads wait for the interpreter half the time."""
+"""Poses fitted together. With 256, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 512
 """Places whose best turns are found together; keeps the arrays in the cache."""
 _HEADING_STEP_DEG = 3.0

@@ -56,7 +56,7 @@ _APART_TURNS = 6
 _SLACK = 4
 """Multiple of the wanted number of places that is kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
-"""Blocks that a thread takes. With one, two threads wait for the interpreter half the time."""
+"""Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
 """Places scored together, so that memory does not grow with the number of places."""
 

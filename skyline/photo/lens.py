@@ -157,7 +157,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     tangent = _cropped_width(size_px, frame) / 2.0 / (focal.diagonals * hypot(*frame))
     fov_deg = 2.0 * degrees(atan(tangent))
     if fov_deg < MIN_FOV_DEG:
-        return Lens(reason=f"{focal.source} left aside: {fov_deg:.2g} degrees are no photo's")
+        return Lens(reason=f"{focal.source} left aside: {fov_deg:.2g} degrees fit no photo")
     sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
         return Lens(fov_deg, sd_deg, None, "; ".join([focal.source, *against]))
@@ -224,7 +224,7 @@ def _panorama_lens(
     kept_px = width if height is None else _cropped_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:
-        return Lens(reason=f"XMP's panorama left aside: {fov_deg:.2g} degrees are no photo's")
+        return Lens(reason=f"XMP's panorama left aside: {fov_deg:.2g} degrees fit no photo")
     if height is None:
         is_known = size_px[0] == width
     else:
@@ -257,7 +257,7 @@ def _focal_lengths(
     if equivalent_mm is not None:
         film = _FocalLength("35 mm equivalent", equivalent_mm / _FULL_FRAME_MM)
         if not _is_lens(film.diagonals, focal_mm):
-            against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm is no lens's")
+            against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm fits no lens")
             film = None
     if focal_mm is not None and sensor is not None:
         zoom = max(1.0, positive(tags.get(Base.DigitalZoomRatio)) or 1.0)
@@ -272,7 +272,7 @@ def _focal_lengths(
     is_of_file = sorted(noted) == sorted(size_px)
     is_like_film = film is not None and film.log_ratio(plane) <= _AGREE
     if not _is_lens(plane.diagonals, focal_mm):
-        against.append("EXIF's focal plane is no camera's")
+        against.append("EXIF's focal plane fits no camera")
     elif known is not None and known.log_ratio(plane) > _AGREE and not is_like_film:
         against.append(f"{wide}, which that sensor is not")
     elif known is None and is_of_file and _is_reduced(plane, film, noted):

@@ -347,7 +347,7 @@ def _require_usable(name: str, image: Image.Image) -> None:
                 image.draft("RGB", (width // shrink, height // shrink))
     if image.size != (width, height):
         _log.warning(
-            "%s, %d x %d px, is read at %d x %d px, which rows and columns count",
+            "%s, %d x %d px, is read at %d x %d px; rows and columns refer to that size",
             *(name, width, height, *image.size),
         )
     if image.width * image.height > MAX_DECODED_PIXELS:

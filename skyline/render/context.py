@@ -119,9 +119,9 @@ class _SharedContext:
         # fork.
         if self._process not in (None, os.getpid()):
             raise ContextError(
-                f"process {os.getpid()} was forked from {self._process} after that made its OpenGL "
-                "context, which a fork does not survive; start workers with multiprocessing's \""
-                'spawn" method or fork before rendering'
+                f"process {os.getpid()} was forked from process {self._process}, which had an "
+                "OpenGL context, and no context survives a fork; start workers with "
+                'multiprocessing\'s "spawn" method, or fork before rendering'
             )
         with self._lock:
             if self._context is None:

@@ -320,7 +320,7 @@ class ColumnRenderer(Renderer):
         eyes = near[rows]
         slope_max, columns = window.slope_max[heading % 2], window.columns[heading % 2]
         turned = bool(eyes["turn_tan"].any())
-        # Rays fall short of slope_max by a column's half: at equal spacings two cells do.
+        # No ray is as steep as slope_max, so at equal spacings it crosses at most two cells.
         cells = math.ceil(slope_max * (1.0 if turned else self._widest_u)) + 1
         switches = {"HOLES": bool(window.rims), "DANGLING": window.dangling, "RAISE": not first}
         program = self._program(

@@ -181,9 +181,9 @@ class WindowTextures:
 def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
     """Put two or four trees into one texture. Of two trees each serves both headings of its axis.
 
-    Two stand one under the other and the next two beside them: four would be higher than a
-    texture may be. A ray that leaves its own tree may meet the next; a mark or a bound too
-    many costs time and changes nothing.
+    The first two are stacked and the next two stand beside them, because a stack of four would be
+    higher than a texture may be. A ray that leaves its own tree may meet the next; a mark or a
+    bound too many costs time and changes nothing.
     """
     levels = [texels for tree in trees for texels, _ in tree]
     width = max(texels.shape[2] for texels in levels)

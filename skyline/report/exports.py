@@ -180,7 +180,7 @@ def _linked_kml(
     for photo in (Path(one.name) for one in results):
         href = photo.name
         if photos is None:
-            # A link among the folders would lead `..` to another folder.
+            # Symbolic links are resolved first, since `..` would lead from a link's target.
             href = os.path.relpath(photo.parent.resolve() / photo.name, path.parent.resolve())
         has_picture = photo.name and photo.suffix.lower() != ".csv"
         hrefs.append(quote(os.fsencode(href)) if has_picture else None)

@@ -26,8 +26,8 @@ AGREEMENT_M = 1.0
 """Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
 
 _BORDER_SAMPLES, _STANDARD_ERRORS = 64, 8.0
-"""Along shorter borders, ridges and valleys look like steps. No cut of 128 samples through a whole
-DEM may be a step of so many standard errors; tests/unit/test_dem_tiles.py makes some thousands."""
+"""Along shorter borders, ridges and valleys look like steps. A cut through a whole DEM must never
+be reported as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
 
 _log = logging.getLogger(__name__)
 

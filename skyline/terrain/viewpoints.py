@@ -252,9 +252,10 @@ def _check_heights(eye_height_m: Float64Array) -> None:
     below = np.flatnonzero(eye_height_m < -_ROUNDING_M)
     if below.size:
         first = below[0]
+        more = f", and {below.size - 1} more are below it" if below.size > 1 else ""
         raise OffMapError(
-            f"viewpoint {first} has its eye {-eye_height_m[first]:.2f} m below the ground; raise "
-            f"the eye to the ground or above ({below.size} such)"
+            f"the eye of viewpoint {first} is {-eye_height_m[first]:.2f} m below the ground{more}; "
+            "raise it to the ground or above"
         )
 
 

@@ -121,7 +121,7 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
     [
         ({"FullPanoWidthPixels": "many"}, "not how wide"),
         ({"FullPanoWidthPixels": "9e99", "CroppedAreaImageWidthPixels": "9e99"}, "not how wide"),
-        ({"FullPanoWidthPixels": 28_800_000}, "0.12 degrees are no photo's"),
+        ({"FullPanoWidthPixels": 28_800_000}, "0.12 degrees fit no photo"),
         ({"ProjectionType": "fisheye"}, "projection is fisheye, which is not known"),
     ],
 )
