@@ -15,7 +15,7 @@ from pyproj import CRS, Geod, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from skyline.arrays import Complex128Array, Float64Array
-from skyline.errors import InputError, swapped_in_words
+from skyline.errors import InputError, numbers_of, swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
@@ -82,8 +82,9 @@ Bounds = tuple[float, float, float, float]
 
 
 def check_bounds(bounds_deg: Bounds) -> Bounds:
-    """Return bounds; `InputError` where they are not W,S,E,N with S < N."""
-    west, south, east, north = bounds_deg
+    """Return bounds as floats; `InputError` where they are not W,S,E,N with S < N."""
+    error = f"bounds are {bounds_deg!r}; expected four numbers W,S,E,N in degrees"
+    west, south, east, north = bounds_deg = numbers_of(bounds_deg, 4, error)  # type: ignore[assignment]
     if not are_bounds(*bounds_deg):
         is_swapped = are_bounds(south, west, north, east)
         hint = f"; {swapped_in_words(*bounds_deg)}" if is_swapped else ""

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.errors import InputError, entry_named, library, numbers_of
 from skyline.files import write_whole
-from skyline.geodesy import Curvature
+from skyline.geodesy import Curvature, in_turn
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import MAX_WIDTH, Horizons
 from skyline.terrain.dem import Dem, read_dem, read_surface
@@ -376,8 +376,18 @@ def sky_view_factor(
     Raises
     ------
     InputError
-        The tilt is not from 0 to 180, or the azimuth is not a number.
+        The azimuths are not equal steps over a full turn, there is not one elevation for each, the
+        tilt is not from 0 to 180, or the azimuth that the surface faces is not a number.
     """
+    azimuth, elevation = (np.asarray(a, dtype=np.float64) for a in (azimuth_deg, elevation_deg))
+    even = np.arange(azimuth.size) * (360.0 / max(azimuth.size, 1))
+    if azimuth.ndim != 1 or not np.allclose(in_turn(azimuth - azimuth[:1] - even), 0.0, atol=1e-3):
+        raise InputError("azimuths are not equal steps, in degrees, over a full turn")
+    if elevation.shape[-1:] != azimuth.shape:
+        raise InputError(
+            f"elevations have shape {elevation.shape}; expected (..., {azimuth.size}), one for "
+            "each azimuth"
+        )
     error = (
         f"tilt and azimuth are {tilt_deg!r} and {facing_deg!r}; expected degrees, a tilt from 0 "
         "(level) to 180 (facing the ground)"
@@ -386,9 +396,9 @@ def sky_view_factor(
     if not (0.0 <= tilt_deg <= 180.0 and math.isfinite(facing_deg)):
         raise InputError(error)
     tilt = np.radians(tilt_deg)
-    away = np.cos(np.radians(np.asarray(azimuth_deg, dtype=np.float64) - facing_deg))
+    away = np.cos(np.radians(azimuth - facing_deg))
     own_plane = np.arctan2(-np.sin(tilt) * away, np.cos(tilt))
-    horizon = np.radians(np.asarray(elevation_deg, dtype=np.float64))
+    horizon = np.radians(elevation)
     # Angles from the zenith down to the lower and the upper end of the sky.
     low = 0.5 * np.pi - np.clip(np.maximum(horizon, own_plane), 0.0, 0.5 * np.pi)
     zenith = np.stack([low, np.clip(-0.5 * np.pi - own_plane, 0.0, low)])

@@ -11,7 +11,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.build.spacing import Prices, blocks_of, planned_places
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds
+from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
 from skyline.render.horizon import (
     DEFAULT_TOLERANCE_DEG,
     HorizonRenderer,
@@ -74,6 +74,10 @@ class PlacePlan:
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
             raise InputError("give one of the spacing (a uniform grid) and the number of places")
+        # NumPy's numbers are no JSON.
+        for name, number in (("spacing_m", float), ("places", int), ("bounds_deg", check_bounds)):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, number(given))
 
     def header(self, terrain: HeightField) -> StoreHeader:
         """Return the header of the store, without the renderer's name."""
@@ -157,8 +161,9 @@ class RenderingPlan:
         config: RenderConfig,
     ) -> Self:
         """Return the plan of a uniform grid; raises `InputError` as `uniform_grid`."""
+        bounds_deg = None if bounds_deg is None else check_bounds(bounds_deg)
         eyes = uniform_grid(terrain, spacing_m, _area_to_build(terrain, bounds_deg))
-        about = {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
+        about = {"planner": "uniform", "spacing_m": float(spacing_m), "bounds_deg": bounds_deg}
         return cls(eyes, about, config)
 
     def header(self, terrain: HeightField) -> StoreHeader:

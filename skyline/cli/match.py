@@ -37,7 +37,7 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import STANDARD, version_of
+from skyline.files import STANDARD, read_bytes, version_of
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
@@ -366,8 +366,10 @@ def _photo_of(query: Query) -> str:
     return _digest(query, _written(query.path))
 
 
-def _written(path: str | Path) -> tuple[int, ...]:
-    """Return a file's size and the time of its writing; files may move."""
+def _written(path: str | Path) -> tuple[object, ...]:
+    """Return a file's size and modification time, since files may move; of ``-`` a digest."""
+    if str(path) == STANDARD:
+        return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
     return (version_of(path) or ())[:2]
 
 

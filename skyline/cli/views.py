@@ -210,7 +210,7 @@ def _warn(found: LocalHorizons) -> None:
     unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
     if unsure.any():
         _log.warning(
-            "%.2g %% of the azimuths look over the DEM's border or over a hole, where higher "
+            "%.0f %% of the azimuths look over the DEM's border or over a hole, where higher "
             "terrain may be hidden; give a DEM of a wider area",
             100.0 * unsure.mean(),
         )

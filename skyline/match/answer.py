@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import Geod
 
-from skyline.errors import library, printable
+from skyline.errors import InputError, library, printable
 from skyline.geodesy import in_turn
 from skyline.match.candidate import COLUMNS, ROUGHLY_WITHIN_M, Candidate
 from skyline.photo.exif import NOTHING_NOTED
@@ -361,6 +361,15 @@ class JointResult:
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
+def listed(results: Any) -> list[Any]:
+    """Return results as a list, a single one too; raises `InputError` for anything else."""
+    if hasattr(results, "to_row"):
+        return [results]
+    if not isinstance(results, Iterable):
+        raise InputError(f"results are {results!r}; expected a list of results")
+    return list(results)
+
+
 def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     """Return results as a table, one row each.
 
@@ -375,7 +384,7 @@ def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     InputError
         Pandas is not installed.
     """
-    return library("pandas", "a DataFrame").DataFrame([one.to_row() for one in results])
+    return library("pandas", "a DataFrame").DataFrame([one.to_row() for one in listed(results)])
 
 
 def to_geodataframe(results: Iterable[MatchResult]) -> Any:
@@ -398,7 +407,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     columns: dict[str, list[Any]] = {
         name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
     }
-    for number, result in enumerate(results):
+    for number, result in enumerate(listed(results)):
         for one in result.candidates:
             (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
             row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))

@@ -42,6 +42,10 @@ class Projection(StrEnum):
     CYLINDRICAL = "cylindrical"
     EQUIRECTANGULAR = "equirectangular"
 
+    @classmethod
+    def _missing_(cls, value: object) -> "Projection":
+        raise InputError(f"projection is {value!r}; expected {', '.join(cls)}")
+
     @property
     def is_panorama(self) -> bool:
         """True if the photo was swept or stitched, rather than taken in one exposure."""
@@ -183,7 +187,7 @@ class QuerySkyline:
         if self.crests is not None:
             shapes["crests"] = (3, self.width_px)
         for name, shape in shapes.items():
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = np.ma.array(getattr(self, name), dtype=np.float64).filled(np.nan)
             if values.shape != shape:
                 raise InputError(
                     f"{name} has shape {values.shape}; expected {shape}, one value per image column"
@@ -194,8 +198,11 @@ class QuerySkyline:
             raise InputError(
                 f"image size is {self.width_px} x {self.height_px} px; expected at least 1 x 1"
             )
+        object.__setattr__(self, "projection", Projection(self.projection))
         if self.fov_deg is not None:
             object.__setattr__(self, "fov_deg", self.projection.check_fov_deg(self.fov_deg))
+        if not np.all((self.confidence >= 0.0) & (self.confidence <= 1.0)):
+            raise InputError("a confidence is not a number from 0 to 1; scale them")
         if np.any((self.confidence > 0.0) & ~self.trusted):
             raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")
 

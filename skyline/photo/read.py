@@ -176,6 +176,7 @@ def read_photo(
     InputError
         The file cannot be decoded, or is a sliver.
     """
+    projection = None if projection is None else Projection(projection)
     check_fov(fov_deg, projection)
     name = name_of(path)
     with opened_image(path) as image:
@@ -215,7 +216,7 @@ def read_noted_place(path: Picture) -> NotedPlace:
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
     """Raise `InputError` for an impossible field of view, before any file is read."""
     if fov_deg is not None:
-        (projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)
+        Projection(projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:

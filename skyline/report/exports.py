@@ -28,9 +28,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import has_locks, write_whole, write_with_folders
+from skyline.files import STANDARD, has_locks, write_whole, write_with_folders
 from skyline.geodesy import Frame, lonlat_rings
-from skyline.match.answer import MatchResult
+from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
 from skyline.photo.query import Projection, QuerySkyline
 from skyline.photo.read import read_picture
@@ -182,7 +182,7 @@ def _linked_kml(
         if photos is None:
             # Symbolic links are resolved first, since `..` would lead from a link's target.
             href = os.path.relpath(photo.parent.resolve() / photo.name, path.parent.resolve())
-        has_picture = photo.name and photo.suffix.lower() != ".csv"
+        has_picture = photo.name not in ("", STANDARD) and photo.suffix.lower() != ".csv"
         hrefs.append(quote(os.fsencode(href)) if has_picture else None)
     return _kml(results, frame, hrefs)
 
@@ -292,9 +292,12 @@ def export_matches(
     Raises
     ------
     InputError
-        The suffix is not known, a photo cannot be read, or the file cannot be written.
+        The suffix is not known, a photo cannot be read or is missing, or the file cannot be
+        written.
     """
-    path = Path(path)
+    path, results = Path(path), listed(results)
+    if photos is not None and len(photos) != len(results):
+        raise InputError(f"{len(photos)} photos are given for {len(results)} results")
     content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frame, photos)
     write_with_folders(path, content)
 

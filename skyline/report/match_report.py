@@ -9,7 +9,7 @@ from pathlib import Path
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
 from skyline.files import write_with_folders
-from skyline.match.answer import MatchResult
+from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import COLUMNS, Candidate, Ellipse
 from skyline.match.matcher import Matcher, terrain_at_hand
 from skyline.photo.query import QuerySkyline
@@ -63,7 +63,7 @@ def report_matches(
     InputError
         A photo cannot be read, or a file cannot be written.
     """
-    folder, results = Path(folder), list(results)
+    folder, results = Path(folder), listed(results)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")

@@ -120,8 +120,11 @@ class PlaceMap:
         StoreError
             A place differs from its checksum, or the file was cut short.
         """
-        wanted: IntArray = np.asarray(rows, dtype=np.intp)
-        if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
+        given = np.asarray(rows)
+        wanted: IntArray = given.astype(np.intp)
+        # A mask is no list of rows, though its values are numbers.
+        is_list = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
+        if not is_list or not ((wanted >= 0) & (wanted < self._places)).all():
             raise InputError(
                 f"rows to take from store {self._path} are not a list of numbers from 0 to "
                 f"{self._places - 1}"

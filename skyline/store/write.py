@@ -34,6 +34,7 @@ import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, SkylineError, StoreError
+from skyline.files import STANDARD
 from skyline.geodesy import Bounds
 from skyline.store.format import (
     PLACES,
@@ -116,7 +117,9 @@ def write_store(
 
 
 def check_folder(path: Path) -> None:
-    """Raise `MissingFileError` unless there is a folder for a file."""
+    """Raise `MissingFileError` unless there is a folder for a store, `InputError` for ``-``."""
+    if path.name == STANDARD:
+        raise InputError("a store cannot be written to standard output; name a file")
     if not path.parent.is_dir():
         raise MissingFileError(
             f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
@@ -226,7 +229,10 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> S
     damage: list[Damage] = []
     with open_store(path) as store:
         header = store.header
-    with _gathered([(path, len(store))], header, out.parent, damage) as columns:
+        count = len(store)
+    with _gathered([(path, count)], header, out.parent, damage) as columns:
+        if count and not len(columns[header.checksum]):
+            raise StoreError(f"none of the {count} rows of store {path} is whole; build it again")
         return StoreReport(write_store(out, header, columns), header.holds, tuple(damage))
 
 
@@ -328,7 +334,7 @@ def _gathered(
     """
     record, total = np.dtype(list(header.specs.items())), sum(count for _, count in stores)
     with (
-        explained(folder, "rows cannot be gathered in this folder", "make room"),
+        explained(folder, "rows cannot be gathered in it", "check the folder's rights and space"),
         tempfile.TemporaryFile(dir=folder) as file,
     ):
         rows = np.zeros(0, dtype=record)

@@ -1,8 +1,6 @@
 """Query skylines: geometry, fields of view, traces and masks."""
 
-import os
 import re
-import time
 
 import numpy as np
 import pytest
@@ -149,15 +147,6 @@ def test_overlay_draws_trusted_columns_only(tmp_path):
     assert not photo.any()
     with pytest.raises(InputError, match=r"is '.jpg'; expected one of .png"):
         write_overlay(photo, query, tmp_path / "overlay.jpg")
-
-
-def test_a_worker_reads_a_trace_anew_once_it_has_changed(tmp_path):
-    path = tmp_path / "t.csv"
-    for row in (2, 3):
-        path.write_text(f"# width=2 height=9 fov_deg=60\ncolumn_px,row_px\n0,{row}\n1,{row}\n")
-        os.utime(path, ns=(1, 1))  # As files copied from an archive have it
-        time.sleep(0.05)  # The clock of a file system may tick as slowly as every 10 ms.
-        assert queries._read(queries.Query(str(path))).row_px.tolist() == [row, row]
 
 
 def test_a_trace_notes_its_camera(tmp_path):

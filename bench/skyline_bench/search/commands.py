@@ -75,6 +75,9 @@ class Search:
         stores = [one for one in dict.fromkeys(self.stores) if one.path or one.holds in searched]
         if not stores:
             raise InputError("there is no store to match; give a spacing or a store")
+        names = [spec.name for spec in stores]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InputError(f"two stores are named {twice}; rename the file of one")
         for spec in stores:
             spec.check(terrain, self.bounds_deg)
             if spec.path and (held := BuiltStore.read(spec, spec.path).holds) not in searched:
@@ -117,9 +120,10 @@ class Search:
         without any candidate counts as wrong by half of the area's diagonal. Heading errors are
         those of the right answers.
         """
-        stores = [spec.build(terrain, folder, self.bounds_deg, progress) for spec in self.stores]
-        given_deg = next((one.bounds_deg for one in stores if one.spec.path), None)
-        area_m = map_bounds(terrain, self.bounds_deg or given_deg)
+        given = [BuiltStore.read(spec, spec.path) for spec in self.stores if spec.path]
+        bounds_deg = self.bounds_deg or next((one.bounds_deg for one in given), None)
+        stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
+        area_m = map_bounds(terrain, bounds_deg)
         width_m, height_m = area_m[2] - area_m[0], area_m[3] - area_m[1]
         whole_km2, miss_m = width_m * height_m / 1e6, math.hypot(width_m, height_m) / 2.0
         large = [f"{km2:g} km2" for km2 in self.areas_km2 if km2 >= whole_km2]
@@ -133,11 +137,13 @@ class Search:
             for kind in self.kinds
         }
         numbers = [(kind, index) for kind, some in queries.items() for index in range(len(some))]
-        keys = [(*number, area) for number in numbers for area in areas]
         rows = list[Row]()
         for store, matcher in product(stores, self.matchers):
             if trials.searched_by(matcher) != store.holds:
                 continue
+            # Only the full matcher can narrow its search.
+            searched = areas if store.holds == PLACES else {trials.ALL: whole_km2}
+            keys = [(*number, area) for number in numbers for area in searched]
             found = dict[tuple[str, int, str], trials.Trial]()
             with trials.open_matcher(matcher, store.path, terrain) as opened:
                 for kind, index, area in keys:
@@ -149,7 +155,7 @@ class Search:
                     trial = trials.tried(opened, query, narrowing, strange=is_strange)
                     found[kind, index, area] = trial
                     progress(len(found), len(keys))
-            for kind, area in product(queries, areas):
+            for kind, area in product(queries, searched):
                 about = {"matcher": matcher, "queries": kind, "search": area, "km2": areas[area]}
                 away_m = [kinds.distance_m(one) for one in queries[kind]]
                 for group, members in trials.groups(away_m, self.by_thirds).items():
@@ -212,7 +218,7 @@ SEARCHES: Mapping[str, Search] = {
         ours searches uniform grids of places and planned places, each of which counts as four
         renderings. Queries are grouped in thirds by the distance of their skyline.""",
         "an hour",
-        """store renderings bytes build_s matcher queries group from_m to_m mean_m mean_m_low
+        """store renderings bytes build_s matcher queries search group from_m to_m mean_m mean_m_low
         mean_m_high within_200m query_s""",
         (
             *_grids(RENDERINGS),
@@ -229,7 +235,7 @@ SEARCHES: Mapping[str, Search] = {
         The claimed loss is the share of the views that the planner expects to be lost over the
         area; a query is lost that is not found within 1 km.""",
         "an hour",
-        f"store places bytes build_cpu_s=cpu_s group=skyline {_FOUND} claimed_loss lost",
+        f"store places bytes build_cpu_s=cpu_s search group=skyline {_FOUND} claimed_loss lost",
         (*_grids(spacings_m=(80.0, 40.0, 20.0)), *_planned(2_000, 8_000, 32_000, None)),
         queries=150,
         in_middle=False,
@@ -324,10 +330,15 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         ):
             rows, built = asked.measure(terrain, place, progress, other)
             if name == "placing":
-                claimed = {one.spec.name: one.claimed_loss() for one in built}
+                of_places = [one for one in built if one.holds == PLACES]
+                claimed = {one.spec.name: one.claimed_loss() for one in of_places}
                 rows = [
-                    {**one, "claimed_loss": claimed[one["store"]], "lost": 1.0 - one["within_1km"]}
-                    for one in rows
+                    {
+                        **row,
+                        "claimed_loss": claimed.get(row["store"]),
+                        "lost": 1 - row["within_1km"],
+                    }
+                    for row in rows
                 ]
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]

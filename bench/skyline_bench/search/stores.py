@@ -25,7 +25,7 @@ from skyline.terrain.heightfield import HeightField
 
 _log = logging.getLogger(__name__)
 
-UNIFORM, PLANNED, GIVEN = "uniform", "planned", "given"
+UNIFORM, PLANNED = "uniform", "planned"
 """Planners of stores; the paper's planners are named by their strategy."""
 
 _NOTE = ".build.json"
@@ -43,9 +43,7 @@ class StoreSpec:
 
     @property
     def planner(self) -> str:
-        """The planner that chose the viewpoints."""
-        if self.path is not None:
-            return GIVEN
+        """The planner that chose the viewpoints; a store that exists has its own."""
         if self.plan is not None:
             return self.plan.strategy
         return PLANNED if self.spacing_m is None else UNIFORM
@@ -87,7 +85,12 @@ class StoreSpec:
             return BuiltStore.read(self, self.path)
         path = folder / f"{self.name}.h5"
         settings = json.loads(json.dumps([terrain.digest, bounds_deg, asdict(self)], default=str))
-        if not path.exists() or _noted(path).get("settings") != settings:
+        noted = _noted(path).get("settings")
+        if path.exists() and noted not in (None, settings):
+            raise InputError(
+                f"{path} was built with other bounds or from another DEM; name another --folder"
+            )
+        if not path.exists() or noted is None:
             resumed = path.exists() or parts_folder(path).exists()
             wall, cpu = time.perf_counter(), time.process_time()
             if self.plan is not None:
@@ -121,11 +124,12 @@ class BuiltStore:
         note = _noted(path)
         with open_store(path) as store:
             rows, holds, boxes_deg = len(store), store.header.holds, store.header.boxes_deg
+            planner = spec.planner if spec.path is None else store.header.config["planner"]
         # A place counts as four renderings, since it looks all the way round.
         renderings = len(HEADINGS) * rows if holds == PLACES else rows
         figures = {
             "store": spec.name,
-            "planner": spec.planner,
+            "planner": planner,
             "renderings": renderings,
             "places": renderings / len(HEADINGS),
             "bytes": path.stat().st_size,

@@ -209,7 +209,7 @@ def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def against_uniform(rows: Sequence[Row]) -> list[Row]:
-    """Hold each adaptive store to the uniform ones that the same matcher searches.
+    """Hold each adaptive store to the uniform ones that the same matcher searches as widely.
 
     ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
     ``gain`` is that over the store's own; ``uniform_renderings`` is how many renderings a uniform
@@ -219,8 +219,8 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
     uniform, adaptive = by_planner(rows)
     held: list[Row] = []
     for store in (row for row in rows if row in adaptive):
-        key = store["matcher"], store["queries"]
-        grids = [row for row in uniform if (row["matcher"], row["queries"]) == key]
+        same = ("matcher", "queries", "search")
+        grids = [row for row in uniform if all(row[name] == store[name] for name in same)]
         renderings = [float(row["renderings"]) for row in grids]
         mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
         own_m = max(float(store["mean_m"]), _LEAST_M)
@@ -228,7 +228,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
         # Errors of finer grids are less; where noise has it otherwise, the least so far counts.
         falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
         as_good = interpolated(falling[::-1], renderings[::-1], own_m)
-        names = ("store", "matcher", "queries", "renderings", "mean_m")
+        names = ("store", *same, "renderings", "mean_m")
         held.append(
             {name: store[name] for name in names}
             | {
