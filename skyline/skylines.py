@@ -5,7 +5,7 @@ Y = up, Z = north; camera axes are x = right, y = up, z = forward. Both are left
 rotation here has determinant +1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
 from skyline.errors import InputError
+from skyline.geodesy import Curvature
 
 Float = TypeVar("Float", np.float32, np.float64)
 
@@ -23,7 +24,7 @@ DEFAULT_WIDTH = 640
 MAX_WIDTH = 16384
 
 FLAG_TRUNCATED = 1
-"""The skyline lies on the border of the data."""
+"""The skyline lies on the border of the data, or past it; see `raised_to_dip`."""
 FLAG_HOLE = 2
 """The column passes over a hole with data behind it."""
 FLAG_NO_DATA = 4
@@ -35,6 +36,9 @@ NO_KEYPOINT = 65535
 """Value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
+
+_NEARER = 0.9
+"""Share of a horizon's distance. Ground that ends there is 0.6 % of the dip below the horizon."""
 
 
 def check_width(width: int) -> int:
@@ -121,6 +125,37 @@ class Views(Rows):
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
+
+
+def raised_to_dip(
+    views: Views, abscissa: Float64Array, lowest_m: float, curvature: Curvature
+) -> Views:
+    """Return views whose skylines are nowhere below the horizon of the lowest ground.
+
+    Past the border of a DEM the Earth goes on. It is taken to lie no lower than ``lowest_m``, the
+    lowest sample: so it does at sea. Ground at h below the eye has its horizon at the distance
+    sqrt(h / c), at a tangent of -2 sqrt(h c), where c is the drop over the square of the distance.
+    A skyline that ends lower and nearer, at the border or at a hole, is raised to that horizon, and
+    flagged as truncated. A flat Earth has no such horizon. ``abscissa`` are those of the columns,
+    (W,) or (N, W).
+    """
+    if curvature.drop_per_m2 <= 0.0:
+        return views
+    kind, below_m = views.elevation_tan.dtype, np.maximum(views.eye_elevation_m - lowest_m, 0.0)
+    away_m = np.sqrt(below_m / curvature.drop_per_m2)[:, np.newaxis]
+    stretch = np.hypot(1.0, abscissa)
+    dip_tan = (-2.0 * curvature.drop_per_m2 * away_m * stretch).astype(kind)
+    depth_m = (away_m / stretch).astype(kind)
+    # Samples of a sea that reaches the horizon lie up to a spacing nearer, and a little lower.
+    is_lower = (views.elevation_tan < dip_tan) & (views.depth_m < _NEARER * depth_m)
+    if not is_lower.any():
+        return views
+    return replace(
+        views,
+        elevation_tan=np.where(is_lower, dip_tan, views.elevation_tan),
+        depth_m=np.where(is_lower, depth_m, views.depth_m),
+        flags=views.flags | np.where(is_lower, np.uint8(FLAG_TRUNCATED), np.uint8(0)),
+    )
 
 
 def joined_views(

@@ -351,7 +351,7 @@ def _fail(message: str, code: int) -> None:
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` if an output file is one of the input files, or of the other outputs."""
+    """Raise `InputError` for an output that is an input or another output, or cannot be made."""
     read = [path for path in inputs if is_file(path)]
     named = [path for path in outputs if path is not None]
     places = [path.resolve() for path in named]
@@ -360,3 +360,6 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> Non
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
+        folder = next(one for one in path.resolve().parents if one.exists())
+        if str(path) != STANDARD and not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{path} cannot be written: there are no rights to write in {folder}")

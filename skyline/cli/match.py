@@ -217,7 +217,7 @@ def _check_files(
 ) -> None:
     """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
     named = [Path(one.path) for one in queries]
-    check_outputs([*exports, results], [*inputs, *named])
+    check_outputs([*exports, results, report], [*inputs, *named])
     folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
     if report is not None and report.resolve() in folders:
         raise InputError(

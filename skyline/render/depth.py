@@ -22,6 +22,8 @@ from skyline.skylines import (
     HEADINGS,
     Views,
     check_width,
+    columns_u,
+    raised_to_dip,
     rotation,
 )
 from skyline.terrain.heightfield import HeightField
@@ -81,7 +83,7 @@ class DepthRenderer(Renderer):
     def render(self, viewpoints: Viewpoints) -> Views:
         """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn.
 
-        Of the flags only `FLAG_OUT_OF_IMAGE` is set.
+        Of the flags, `FLAG_OUT_OF_IMAGE` is set, and that of `raised_to_dip`.
         """
         eyes, headings = in_four_views(viewpoints)
         tan, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
@@ -93,13 +95,15 @@ class DepthRenderer(Renderer):
             top = np.isfinite(images).argmax(axis=1)
             depth = np.take_along_axis(images, top[:, np.newaxis], axis=1)[:, 0]
             is_seen = np.isfinite(depth)
-            views = slice(len(HEADINGS) * index, len(HEADINGS) * (index + 1))
+            rows = slice(len(HEADINGS) * index, len(HEADINGS) * (index + 1))
             ordinate = np.float32(2.0) * (self.width - top).astype(np.float32) / self.width - 1.0
-            tan[views] = np.where(is_seen, ordinate, np.nan)
-            depth_m[views] = np.where(is_seen, depth, np.nan)
-            flags[views] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
+            tan[rows] = np.where(is_seen, ordinate, np.nan)
+            depth_m[rows] = np.where(is_seen, depth, np.nan)
+            flags[rows] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
         places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
-        return Views(*places, headings, tan, depth_m, flags)
+        views = Views(*places, headings, tan, depth_m, flags)
+        lowest_m = self.field.height_range_m[0]
+        return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
         """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky.

@@ -18,7 +18,7 @@ from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
-from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, rotation
+from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -208,7 +208,7 @@ class ColumnRenderer(Renderer):
     ) -> None:
         super().__init__(name)
         self.field, self.width, self.curvature = field, len(u), curvature or Curvature()
-        self._near_error = near_error
+        self._u, self._near_error = u, near_error
         self._spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
         if max(east, north) > MAX_SPACING_RATIO * min(east, north):
             raise InputError(
@@ -236,9 +236,11 @@ class ColumnRenderer(Renderer):
         """Render N views, as of `Eyes`, in batches whose results fit the GPU."""
         starts = range(0, max(len(viewpoints), 1), self._max_views)
         parts = [slice(start, start + self._max_views) for start in starts]
-        return Views.concatenate(
+        views = Views.concatenate(
             [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
         )
+        u = np.tan(np.arctan(self._u) + turn_rad[:, np.newaxis]) if turn_rad.any() else self._u
+        return raised_to_dip(views, u, self.field.height_range_m[0], self.curvature)
 
     def _batch(self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array) -> Views:
         eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)

@@ -1,15 +1,18 @@
 """The horizon rasterizer against the oracle, on every path through its code."""
 
+import math
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from scenes import field_of
+from scenes import at_m, field_of
 
 from skyline.errors import ContextError, InputError
+from skyline.geodesy import Curvature
 from skyline.render import march
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views, columns_u
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001
@@ -53,6 +56,31 @@ def test_falls_short_by_no_more_than_the_tolerance(uneven, tolerance_px):
         short = (truth.elevation_tan - views.elevation_tan) * 160.0
         assert short.min() > -EXACT_PX
         assert short.max() <= tolerance_px + EXACT_PX
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.5, 1.5])
+def test_a_sea_has_its_horizon_wherever_the_model_ends(reach):
+    # A tower of 300 m on an island, and a sea that ends before the horizon or goes on past it.
+    curvature, eye_m = Curvature(), 300.0
+    horizon_m = math.sqrt(eye_m / curvature.drop_per_m2)
+    heights = np.zeros((101, 101))
+    heights[:50, 50] = 400.0
+    field = field_of(heights, reach * horizon_m / 50.0)
+    place = at_m(field.to_map(np.array([50.0]), np.array([50.0])))
+    eye = Viewpoints(**place, eye_elevation_m=np.array([eye_m]))
+    views = render(field, eye)
+    dip_deg = np.degrees(np.arctan(-2.0 * math.sqrt(eye_m * curvature.drop_per_m2)))
+    at_sea = views.elevation_deg()[2]
+    # Flat triangles sag by half a spacing's drop between samples.
+    np.testing.assert_allclose(at_sea, dip_deg, atol=1e-3 if reach < 1.0 else 2e-3)
+    away_m = np.hypot(1.0, columns_u(views.width)) * views.depth_m[2]
+    np.testing.assert_allclose(away_m, horizon_m, rtol=1e-5 if reach < 1.0 else 0.05)
+    assert ((views.flags[2] == FLAG_TRUNCATED) == (reach < 1.0)).all()
+    assert views.elevation_deg()[0].max() > 0.0
+    flat = RenderConfig(160, 0.0, Curvature(enabled=False))
+    with HorizonRenderer(field, flat) as renderer:
+        # A flat Earth ends where the model does.
+        np.testing.assert_allclose(renderer.render(eye).depth_m[2], reach * horizon_m, rtol=1e-5)
 
 
 def test_samples_much_longer_than_wide_are_refused():

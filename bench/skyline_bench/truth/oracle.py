@@ -26,6 +26,7 @@ from skyline.skylines import (
     Views,
     check_width,
     columns_u,
+    raised_to_dip,
     rotation,
 )
 from skyline.terrain.heightfield import HeightField
@@ -79,13 +80,14 @@ def skyline_at(
     """
     kinds = (np.float64, np.float64, np.uint8)
     eyes, heading = in_four_views(viewpoints)
-    return Views(
+    views = Views(
         eyes.easting_m,
         eyes.northing_m,
         eyes.eye_elevation_m,
         heading,
         *_seen(field, viewpoints, u, curvature, _Scene.skyline, kinds),
     )
+    return raised_to_dip(views, u, field.height_range_m[0], curvature)
 
 
 def rivals(
