@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
+Complex64Array = NDArray[np.complex64]
 Complex128Array = NDArray[np.complex128]
 Int64Array = NDArray[np.int64]
 IntArray = NDArray[np.intp]

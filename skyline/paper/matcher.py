@@ -6,31 +6,27 @@ stored keypoint of a location with the nearest local skyline; RANSAC finds the a
 correspondences agree on; the score is the rms vertical distance in px between the warped query
 skyline and the stored skyline. The affine map also gives the camera's heading, pitch and roll.
 
-These steps take seconds for all locations at all assumed pitches, so a shortlist, which is not the
-paper's, chooses the pairs of a location and a pitch that go through them. Two cheap steps look at
-every pair:
+These steps take seconds for all locations at all assumed pitches. A shortlist, which is not the
+paper's, chooses the pairs of a location and a pitch that go through them. The skylines, thinned,
+are laid over each other in every direction. A tilt and an affine map near the identity change the
+query's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q',
+x q'), so the least rms distance after such a warp is that of the difference with those curves
+projected out:
 
-1. Each query keypoint corresponds to the stored keypoint of a location with the nearest local
-   skyline, by squared vertical difference, which is a matrix product. Correspondences vote
-   for the direction in which they put the query.
-2. In the direction with most votes the skylines, thinned, are laid over each other. A tilt and
-   an affine map near the identity change the query's skyline q(x) to first order by a
-   combination of a few known curves (1, cos x, sin x, q, q', x q'), so the least rms distance
-   after such a warp is that of the difference with those curves projected out:
+.. math:: \sum w (s - q)^2 - |B^T (s - q)|^2
 
-   .. math:: \sum w (s - q)^2 - |B^T (s - q)|^2
-
-   where B is an orthonormal basis of them and s the stored skyline. Expanded, each sum is the
-   product of a window of s, or of its square, with a matrix that is the query's alone.
+where B is a basis of them, orthonormal under the weights w, and s the stored skyline. Each sum over
+s or its square is a circular correlation with a curve that is the query's alone, so all directions
+come from one product of Fourier transforms.
 """
 
-from dataclasses import dataclass, replace
-from typing import Self
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
+from skyline.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, IntArray
 from skyline.match.candidate import Hypotheses
 from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
 from skyline.match.query_rays import QueryRays
@@ -59,22 +55,8 @@ _VOTE_TURNS = 1.0 / 64.0
 
 _REACH_TURNS = 1.0 / 32.0
 
-_AT_ONCE = 32
-"""Locations whose patches are compared together; keeps a product in the cache."""
-
-_SAMPLES = 2
-"""Step between the samples of a patch that the shortlist compares."""
-
-_FAR = np.float32(1e12)
-"""px squared; padding of a location's patches gets this distance, so that any patch is nearer."""
-
-_RUN = 4
-"""Bins that are averaged to one for the distance; profiles have a multiple of 8."""
-
-_REACH = 4
-"""Greatest error of a direction, in thinned bins to either side."""
-
-_STEPS = 2 * _REACH + 1
+_THIN = 4
+"""Bins that are averaged to one for the shortlist; profiles have a multiple of it."""
 
 
 class PaperMatcher(ProfileMatcher):
@@ -85,7 +67,11 @@ class PaperMatcher(ProfileMatcher):
 
     def __init__(self, profiles: Profiles) -> None:
         super().__init__(profiles)
-        self._shortlist = Shortlist(profiles)
+        shape = len(profiles), -1, _THIN
+        thinned = _bridged(profiles.y).reshape(shape).mean(axis=2)
+        # Deviations from the mean keep the differences of sums well conditioned.
+        self._thinned_px = (thinned - thinned.mean(axis=1, keepdims=True)) / TANGENT_PER_PX
+        self._is_known = np.asarray(np.isfinite(profiles.y).reshape(shape).all(axis=2))
 
     def fit(self, query: QueryRays) -> Hypotheses:
         """Return the best pose at every location; score in px, infinite where nothing fits.
@@ -94,7 +80,7 @@ class PaperMatcher(ProfileMatcher):
         """
         assumed = [QueryCurve.of(*one) for one in at_pitches(query, self.profiles.bins)]
         fits = _no_fit(len(self.profiles))
-        for one, listed in zip(assumed, self._listed(assumed), strict=True):
+        for one, listed in zip(assumed, self._listed(query), strict=True):
             for start in range(0, len(listed), _CHUNK):
                 rows = listed[start : start + _CHUNK]
                 found = _fits(StoredCurves.of(self.profiles, rows), one)
@@ -103,14 +89,34 @@ class PaperMatcher(ProfileMatcher):
         score, heading_deg, pitch_deg, roll_deg = fits
         return self.profiles.poses(score, heading_deg, pitch_deg, roll_deg, query.fov_deg)
 
-    def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:
-        """Return the locations on the shortlist, ascending, for each pitch."""
-        distance = self._shortlist.distances_px(assumed)
-        flat = distance.ravel()
-        best = np.argsort(flat, kind="stable")[:_POSES]
+    def _listed(self, query: QueryRays) -> list[IntArray]:
+        """Return the locations on the shortlist, ascending, for each assumed pitch."""
+        pitches = at_pitches(query, self._thinned_px.shape[1])
+        curves = [_projected(y, weight) for _, y, weight in pitches]
+        distance = _least_distances_px(self._thinned_px, self._is_known, curves)
+        best = np.argsort(distance, axis=None, kind="stable")[:_POSES]
         listed = np.zeros(distance.shape, dtype=np.bool_)
-        listed.ravel()[best[np.isfinite(flat[best])]] = True
+        listed.flat[best] = np.isfinite(distance.flat[best])
         return [np.flatnonzero(column) for column in listed.T]
+
+
+def _projected(y: Float64Array, weight: Float64Array) -> tuple[Complex64Array, Float64Array]:
+    """Return a query's curve q (B,) of tangents, prepared for distances after a small warp.
+
+    These are the conjugate Fourier transforms (2 + F, B / 2 + 1) of w, w q and w b, for F curves b
+    of the basis, and the sums (1 + F,) of w q^2 and w b q. The weights w have a sum of 1.
+    """
+    weight, bins = weight / weight.sum(), np.arange(len(y))
+    seen = weight > 0.0
+    q = np.interp(bins, bins[seen], y[seen]) / TANGENT_PER_PX
+    q -= q @ weight
+    azimuth = 2.0 * np.pi / len(y) * (bins - len(y) // 2)
+    slope, root = np.gradient(q), np.sqrt(weight)
+    curves = np.stack([np.ones(len(y)), np.cos(azimuth), np.sin(azimuth), slope, azimuth * slope])
+    left, size, _ = np.linalg.svd((curves * root).T, full_matrices=False)
+    basis = left[:, size > 1e-6 * size[0]].T * root
+    transforms = fft.rfft(np.stack([weight, weight * q, *basis]).astype(np.float32))
+    return transforms.conj().astype(np.complex64), np.stack([weight @ q**2, *(basis @ q)])
 
 
 def _no_fit(locations: int) -> Float64Array:
@@ -232,177 +238,36 @@ def _pose(
     return np.stack([score, heading_deg, query.pitch_deg + np.degrees(raised), -turn_deg])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Patches:
-    """The patches of C locations, K each with S samples, as the right-hand side of a product."""
+def _least_distances_px(
+    y_px: Float32Array,
+    is_known: BoolArray,
+    curves: Sequence[tuple[Complex64Array, Float64Array]],
+) -> Float32Array:
+    """Return the least distance (L, A) of profiles (L, B) to each of A curves of `_projected`.
 
-    rows: IntArray  # (C,)
-    bins: IntArray  # (C, K)
-    terms: Float32Array  # (2 S + 1, C * K): squares, values, and how far padding is off
-    comparable: BoolArray  # (C,): which locations have patches that are wholly known
-
-    @classmethod
-    def of(cls, profiles: Profiles, rows: IntArray) -> Self:
-        stored = StoredCurves.of(profiles, rows)
-        patches = stored.patches[:, :, ::_SAMPLES].transpose(2, 0, 1)
-        patches = patches.reshape(len(patches), -1)
-        whole = np.asarray(np.isfinite(patches).all(axis=0))
-        values = np.where(whole, patches, np.float32(0.0))
-        far = np.where(whole, np.float32(0.0), _FAR)[np.newaxis]
-        comparable = np.asarray(whole.reshape(stored.bins.shape).any(axis=1))
-        return cls(rows, stored.bins, np.concatenate([values**2, values, far]), comparable)
-
-
-class Shortlist:
-    """The parts of a store's L locations that every query is compared with.
-
-    Stored patches with unknown samples, at the borders of what is known, have no vote.
+    Infinite where less than `MIN_OVERLAP` of a curve's weight lands on known profile.
     """
-
-    def __init__(self, profiles: Profiles) -> None:
-        by_count = np.argsort(np.diff(profiles.keypoint_start), kind="stable")
-        known = np.isfinite(profiles.y)
-        y = profiles.y if known.all() else _bridged(profiles.y, known)
-        self._bins = profiles.bins
-        self._patches = [
-            _Patches.of(profiles, by_count[k : k + _AT_ONCE])
-            for k in range(0, len(by_count), _AT_ONCE)
-        ]
-        # (L, 2 B / _RUN + 2 _REACH), thinned skylines in px, gaps bridged; and the known share of
-        # each thinned bin, None where all is known.
-        self._around = _around(y / np.float32(TANGENT_PER_PX))
-        self._known = None if known.all() else _around(known.astype(np.float32))
-
-    def distances_px(self, queries: list[QueryCurve]) -> Float32Array:
-        """Return the least distance (L, A) of every location to the query at A attitudes.
-
-        It is infinite where less than `MIN_OVERLAP` of the query's weight lands on known profile,
-        and where there is no correspondence.
-        """
-        least = np.full((len(self._around), len(queries)), np.inf, dtype=np.float32)
-        used = [np.isfinite(query.patches).sum(axis=1) >= query.min_known for query in queries]
-        shifts = self._shifts(queries, used)
-        for column, (query, shift) in enumerate(zip(queries, shifts, strict=True)):
-            if shift.shape[1]:
-                least[:, column] = self._distances_px(query, most_voted(shift, self._bins))
-        for block in self._patches:
-            least[block.rows[~block.comparable]] = np.inf
-        return least
-
-    def _shifts(self, queries: list[QueryCurve], used: list[BoolArray]) -> list[IntArray]:
-        """Return stored minus query bin (L, Q) of the used keypoints' correspondences.
-
-        The keypoints of all attitudes are compared in one product. Stored patches that take part
-        are known everywhere, so sums over a query patch's known samples can be compared as they
-        are, less its own squares, which are the same for all.
-        """
-        patches = np.concatenate(
-            [query.patches[rows, ::_SAMPLES] for query, rows in zip(queries, used, strict=True)]
-        )
-        bins = np.concatenate([q.bins[rows] for q, rows in zip(queries, used, strict=True)])
-        known = np.isfinite(patches)
-        values = np.where(known, patches, np.float32(0.0))
-        terms = np.concatenate([known, -2.0 * values, np.ones((len(values), 1))], axis=1)
-        terms = terms.astype(np.float32)
-        shift = np.zeros((len(self._around), len(patches)), dtype=np.intp)
-        for block in self._patches:
-            if not block.bins.shape[1]:
-                continue
-            squared = (terms @ block.terms).reshape(len(terms), *block.bins.shape)
-            nearest = squared.argmin(axis=2).T
-            shift[block.rows] = np.take_along_axis(block.bins, nearest, axis=1) - bins
-        return np.split(shift, np.cumsum([rows.sum() for rows in used])[:-1], axis=1)
-
-    def _distances_px(self, query: QueryCurve, turn: IntArray) -> Float32Array:
-        """Return the least distance (L,) within `_REACH` of each location's turn in bins."""
-        first = query.point_bins[0] // _RUN
-        weight, thin, constant = _thinned(query)
-        start = (first + (turn + _RUN // 2) // _RUN - _REACH) % (self._bins // _RUN)
-        rows, size = np.arange(len(start)), len(weight) + 2 * _REACH
-        weights = _slid(weight[:, np.newaxis])
-        window = sliding_window_view(self._around, size, axis=1)[rows, start]
-        window = window - window.mean(axis=1, keepdims=True)
-        rest = window**2 @ weights
-        values = (window @ _slid(thin)).reshape(len(window), _STEPS, -1)
-        values -= constant.astype(np.float32)
-        rest = rest - 2.0 * values[:, :, 0] - np.square(values[:, :, 1:]).sum(axis=2)
-        rest -= np.float32(constant[0])
-        if self._known is not None:
-            known = sliding_window_view(self._known, size, axis=1)[rows, start]
-            rest[known @ weights < MIN_OVERLAP * weight.sum()] = np.inf
-        least = np.maximum(rest.min(axis=1), 0.0) / np.float32(weight.sum())
-        return np.asarray(np.sqrt(least), dtype=np.float32)
+    bins, least = y_px.shape[1], np.empty((len(y_px), len(curves)), dtype=np.float32)
+    for start in range(0, len(y_px), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        squares, values = fft.rfft(np.square(y_px[rows])), fft.rfft(y_px[rows])
+        known = None if is_known[rows].all() else fft.rfft(is_known[rows].astype(np.float32))
+        for column, (transforms, products) in enumerate(curves):
+            weight, query, basis = transforms[0], transforms[1], transforms[2:]
+            rest = fft.irfft(squares * weight - 2.0 * values * query, bins) + products[0]
+            along = fft.irfft(values[:, np.newaxis] * basis, bins) - products[1:, np.newaxis]
+            rest -= np.square(along).sum(axis=1)
+            if known is not None:
+                rest[fft.irfft(known * weight, bins) < MIN_OVERLAP - 1e-4] = np.inf
+            least[rows, column] = np.sqrt(np.maximum(rest.min(axis=1), 0.0))
+    return least
 
 
-def _thinned(query: QueryCurve) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return a query's skyline on N thinned bins, prepared for products with stored windows.
-
-    These are the weights w (N,), w q and w times each of F basis curves (N, 1 + F), and the
-    latter's products with q itself (1 + F,).
-    """
-    slot = query.point_bins // _RUN
-    slot = slot - slot[0]
-    weight: Float64Array = np.bincount(slot, query.weight).astype(np.float64)
-    seen = weight > 0.0
-    x, q = (
-        np.bincount(slot, query.weight * values) / np.where(seen, weight, 1.0)
-        for values in query.points_px.T
-    )
-    azimuth = x * TANGENT_PER_PX
-    whole = np.pad(np.interp(np.arange(len(q)), np.flatnonzero(seen), q[seen]), 1, "edge")
-    slope = whole[2:] - whole[:-2]
-    curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope])
-    root = np.sqrt(weight)
-    left, size, _ = np.linalg.svd((curves * root).T, full_matrices=False)
-    basis = left[:, size > 1e-6 * size[0]]
-    q = np.where(seen, q - np.average(q, weights=weight), 0.0)
-    values = np.concatenate([(weight * q)[:, np.newaxis], root[:, np.newaxis] * basis], axis=1)
-    return weight, values, q @ values
-
-
-def _slid(values: Float64Array) -> Float32Array:
-    """Return values (N, F) slid down by 0 to T - 1 rows, T `_STEPS`, as (N + T - 1, T * F)."""
-    count, curves = values.shape
-    slid = np.zeros((count + _STEPS - 1, _STEPS, curves), dtype=np.float32)
-    for step in range(_STEPS):
-        slid[step : step + count, step] = values
-    return slid.reshape(len(slid), -1)
-
-
-def _around(y: Float32Array) -> Float32Array:
-    """Return curves (L, B) thinned and repeated, so that no window comes to their end."""
-    thin = y.reshape(len(y), -1, _RUN).mean(axis=2)
-    return np.concatenate([thin, thin, thin[:, : 2 * _REACH]], axis=1)
-
-
-def _bridged(y: Float32Array, known: BoolArray) -> Float32Array:
+def _bridged(y: Float32Array) -> Float32Array:
     """Return curves (L, B) with straight lines over unknown bins; 0 where all are unknown."""
-    bins = np.arange(y.shape[1])
-    filled = np.zeros_like(y)
-    for row in np.flatnonzero(known.any(axis=1)):
-        there = bins[known[row]]
-        filled[row] = np.interp(bins, there, y[row, there], period=len(bins))
+    bins, filled = np.arange(y.shape[1]), np.nan_to_num(y)
+    for row in np.flatnonzero(np.isnan(y).any(axis=1)):
+        known = np.isfinite(y[row])
+        if known.any():
+            filled[row] = np.interp(bins, bins[known], y[row, known], period=len(bins))
     return filled
-
-
-def most_voted(shift: IntArray, bins: int) -> IntArray:
-    """Return the turns (L,) in bins that most of the shifts (L, Q) agree on.
-
-    The turn is the mean of the shifts in the fullest window; of equal windows the first counts.
-    """
-    halves = round(2.0 / _VOTE_TURNS)
-    width = bins / halves
-    shift = shift % bins
-    half = (shift / width).astype(np.intp)
-    row = np.arange(len(shift))
-    place = (row[:, np.newaxis] * halves + half).ravel()
-    beyond = (shift - half * width).ravel()
-    votes, summed = (
-        np.bincount(place, weights, minlength=len(shift) * halves).reshape(-1, halves)
-        for weights in (None, beyond)
-    )
-    left = (votes + np.roll(votes, -1, axis=1)).argmax(axis=1)
-    right = (left + 1) % halves
-    total = summed[row, left] + summed[row, right] + votes[row, right] * width
-    turn = left * width + total / (votes[row, left] + votes[row, right])
-    return np.asarray(np.rint(turn), dtype=np.intp)

@@ -223,13 +223,13 @@ def merge_stores(
 def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> StoreReport:
     """Write the undamaged rows of a store into a new one, in their order.
 
-    Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
+    A chunk that HDF5 cannot read, of 1,024 places or 32 renderings, is left out as a whole. Raises
+    `StoreError` where nothing can be saved, or the new store cannot be written or exists.
     """
     out = _new(out)
     damage: list[Damage] = []
     with open_store(path) as store:
-        header = store.header
-        count = len(store)
+        header, count = store.header, len(store)
     with _gathered([(path, count)], header, out.parent, damage) as columns:
         if count and not len(columns[header.checksum]):
             raise StoreError(f"none of the {count} rows of store {path} is whole; build it again")

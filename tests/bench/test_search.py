@@ -220,7 +220,7 @@ def test_a_summary_counts_every_query():
 def row(store, matcher, renderings, mean_m, group="all"):
     planner = store.split("-")[0]
     return {"store": store, "planner": planner, "matcher": matcher, "queries": "plain",
-        "group": group, "renderings": renderings, "mean_m": mean_m}  # fmt: skip
+        "search": "all", "group": group, "renderings": renderings, "mean_m": mean_m}  # fmt: skip
 
 
 def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():

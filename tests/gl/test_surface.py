@@ -20,8 +20,9 @@ TREES_M = 20.0
 
 @pytest.fixture(scope="module")
 def bare():
-    """Rough ground of 500 m relief, 12 x 12 km."""
-    return field_of(fractal(400, 400, relief_m=1500.0, seed=5, exponent=2.0) + 1500.0)
+    """Rough ground of 500 m relief in a bowl, 12 x 12 km, which holds the skyline."""
+    rough = fractal(400, 400, relief_m=1500.0, seed=5, exponent=2.0)
+    return field_of(rough + 1500.0 + 0.01 * np.square(np.hypot(*np.ogrid[-200:200, -200:200])))
 
 
 @pytest.fixture(scope="module")

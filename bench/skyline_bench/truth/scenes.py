@@ -248,12 +248,11 @@ def _plain(*eye_heights_m: float) -> SkylineScene:
 
 
 def _plain_skyline(scene: SkylineScene) -> forms.ClosedForm:
-    """Return the dip of the horizon, or of the data's end where that is nearer."""
+    """Return the dip of the horizon, also where the data end before it."""
     eye_height = np.repeat(scene.viewpoints.eye_elevation_m, len(HEADINGS))[:, np.newaxis]
     drop = scene.curvature.drop_per_m2 * (1.0 + columns_u(scene.width) ** 2)
-    end = _PLAIN_HALF * _PLAIN_SPACING_M
     # v(z) = -h / z - drop z is greatest at sqrt(h / drop).
-    depth = np.minimum(np.sqrt(eye_height / drop), end)
+    depth = np.sqrt(eye_height / drop)
     # An edge of length L hangs up to c L^2 / 4 below the parabola; rows are crossed within half
     # a spacing of the greatest v, which costs drop (spacing / 2)^2 / z.
     length_squared = 2.0 * _PLAIN_SPACING_M**2
@@ -287,7 +286,7 @@ PLAIN_CASES = (
         "a flat maximum of v between vertices 100 m apart, where curvature meets eye height",
         lambda: _plain(0.5, 2.0, 9.0), _plain_skyline),
     forms.SceneCase("endless plain, the data's end",
-        "the horizon lies beyond the data, so every column ends at the border, truncated",
+        "the horizon lies beyond the data, which end far below it: truncated, and raised to it",
         lambda: _plain(50.0, 1000.0), _plain_skyline),
     forms.SceneCase("constant DEM", "a height range of 0 scales stored heights by 0 / 0",
         lambda: _constant(2.0), _constant_skyline),
