@@ -44,7 +44,7 @@ from skyline.paper.curves import (
 _CHUNK = 64
 """Locations compared at a time."""
 
-_POSES = 100
+_POSES = 300
 """Pairs of a location and an assumed pitch on the shortlist."""
 
 _DIRECTIONS = 3
