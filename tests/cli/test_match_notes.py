@@ -17,7 +17,9 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     found = run("match", store, cropped, lie, "--json").ok()
     records = [json.loads(line) for line in found.out.splitlines()]
     assert all(off_m(one["answer"]) < 60.0 for one in records)
-    assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in records)
+    for one in (record["answer"] for record in records):
+        # Nearer to the ridges they look larger: the field of view is as uncertain as the place.
+        assert abs(one["fov_deg"] - 60.0) < 60.0 * one["radius_m"] / one["skyline_m"] < 6.0
     bounded, unknown = (one["lens"] for one in records)
     assert bounded["most_deg"] > 60.0 > bounded["fov_deg"]
     assert "cropped" in bounded["reason"]
