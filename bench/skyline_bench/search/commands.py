@@ -75,9 +75,8 @@ class Search:
         stores = [one for one in dict.fromkeys(self.stores) if one.path or one.holds in searched]
         if not stores:
             raise InputError("there is no store to match; give a spacing or a store")
-        names = [spec.name for spec in stores]
-        if twice := next((name for name in names if names.count(name) > 1), None):
-            raise InputError(f"two stores are named {twice}; rename the file of one")
+        if len({spec.name for spec in stores}) < len(stores):
+            raise InputError("two stores have one name; rename the file of one")
         for spec in stores:
             spec.check(terrain, self.bounds_deg)
             if spec.path and (held := BuiltStore.read(spec, spec.path).holds) not in searched:
@@ -346,11 +345,10 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         options.print_rows(
             [row for row in rows if by_group or row["group"] == trials.ALL], search.columns
         )
-        summary = (
-            {"against_uniform": trials.against_uniform(rows)} if name == "uniform-adaptive" else {}
-        )
-        for table in summary.values():
-            options.print_rows(table)
+        summary = {}
+        if name == "uniform-adaptive":
+            summary["against_uniform"] = trials.against_uniform(rows)
+            options.print_rows(summary["against_uniform"])
         write_record(json_file, name, rows, summary)
 
     command.__name__ = name

@@ -80,13 +80,9 @@ def skyline_at(
     """
     kinds = (np.float64, np.float64, np.uint8)
     eyes, heading = in_four_views(viewpoints)
-    views = Views(
-        eyes.easting_m,
-        eyes.northing_m,
-        eyes.eye_elevation_m,
-        heading,
-        *_seen(field, viewpoints, u, curvature, _Scene.skyline, kinds),
-    )
+    places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
+    seen = _seen(field, viewpoints, u, curvature, _Scene.skyline, kinds)
+    views = Views(*places, heading, *seen)
     return raised_to_dip(views, u, field.height_range_m[0], curvature)
 
 
