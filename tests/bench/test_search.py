@@ -31,7 +31,7 @@ def run(run_bench, dem, tmp_path):
     return run_command
 
 
-def test_stores_matchers_and_kinds_are_compared(run, dem, tmp_path):
+def test_stores_matchers_and_kinds_are_compared(run, run_bench, dem, tmp_path):
     kept = tmp_path / "kept"
     asked = (
         "matching", dem, "--spacing", 600, "--spacing", 300, "--places", 400, "--queries", 3,
@@ -63,8 +63,12 @@ def test_stores_matchers_and_kinds_are_compared(run, dem, tmp_path):
     assert every[0]["places"] < every[6]["places"] == every[18]["places"]
     # Stores that are there are not built again.
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.h5")}
-    run(*asked, "--kind", "plain")
+    searched = run(*asked, "--kind", "plain", "--area", 1)["rows"]
     assert {path: path.stat().st_mtime_ns for path in before} == before
+    # Only the full matcher can narrow its search.
+    assert {row["matcher"] for row in searched if row["search"] != "all"} == {"unrefined"}
+    elsewhere = run_bench(*asked, "--bounds", "10.32,46.74,10.34,46.76")
+    assert_refused(elsewhere, "was built with other bounds")
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """`skyline match` and `skyline extract`: places found, written down, refused."""
 
 import csv
+import io
 import json
 import math
 import re
@@ -128,7 +129,7 @@ def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     assert_refused(run(*common, "--surface", "none.tif"), "no file")
 
 
-def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
+def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path, monkeypatch):
     folder, results = tmp_path / "photos", tmp_path / "results.csv"
     folder.mkdir()
     for name in ("a.jpg", "b.JPG"):
@@ -155,6 +156,11 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     assert_refused(run("match", store, folder, "--report", folder), "a folder of photos to match")
     (tmp_path / "empty").mkdir()
     assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
+    piped = [*command[:2], "-", *command[3:-1], tmp_path / "piped.csv"]
+    for rows, content in ((1, photo.read_bytes()), (2, photo.read_bytes() + b" ")):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
+        run(*piped).ok()
+        assert len((tmp_path / "piped.csv").read_text().splitlines()) == 1 + rows
     wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
     assert wild.out.count("(unrefined)") == 5
 

@@ -36,6 +36,16 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
     assert path.read_text().startswith(f"# width={len(rows)} height=100\ncolumn_px,row_px\n")
 
 
+def test_a_confidence_is_a_number_from_0_to_1_and_a_masked_row_is_none():
+    rows = np.ma.array([3.0, 4.0], mask=[False, True])
+    assert QuerySkyline(rows, np.array([1.0, 0.0]), 2, 9).trusted.tolist() == [True, False]
+    for wrong in (255.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="not a number from 0 to 1"):
+            QuerySkyline(np.array([3.0, 4.0]), np.array([1.0, wrong]), 2, 9)
+    with pytest.raises(InputError, match="projection is 'fisheye'; expected perspective, cyl"):
+        QuerySkyline(np.array([3.0]), np.array([1.0]), 1, 9, projection="fisheye")
+
+
 def trace_file(folder, points, notes=""):
     path = folder / "trace.csv"
     path.write_text(f"# width=100 height=50{notes}\ncolumn_px,row_px\n{points}")

@@ -228,6 +228,15 @@ class TestDamage:
             with pytest.raises(StoreError, match="skyline store check"):
                 mapped.take(np.arange(2500))
             assert len(mapped.take(kept)) == len(kept)
+            with pytest.raises(InputError, match="not a list of numbers"):
+                mapped.take(np.ones(2500, dtype=bool))
+
+    def test_a_store_without_a_whole_row_is_not_saved(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        flip(path, chunk_of(path, "views/heading", 0))
+        with pytest.raises(StoreError, match="none of the 3 rows"):
+            repair_store(path, tmp_path / "saved.h5")
+        assert not (tmp_path / "saved.h5").exists()
 
     def test_a_hole_that_reads_as_zeros(self, tmp_path):
         """The Fletcher-32 of zeros is zero, so HDF5 takes them for data."""
