@@ -329,14 +329,9 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         ):
             rows, built = asked.measure(terrain, place, progress, other)
             if name == "placing":
-                of_places = [one for one in built if one.holds == PLACES]
-                claimed = {one.spec.name: one.claimed_loss() for one in of_places}
+                claimed = {one.spec.name: one.claimed_loss() for one in built}
                 rows = [
-                    {
-                        **row,
-                        "claimed_loss": claimed.get(row["store"]),
-                        "lost": 1 - row["within_1km"],
-                    }
+                    {"claimed_loss": claimed[row["store"]], "lost": 1 - row["within_1km"], **row}
                     for row in rows
                 ]
         if strange:

@@ -66,12 +66,6 @@ class StoreSpec:
             BuiltStore.read(self, self.path)
         elif self.spacing_m is not None:
             uniform_grid(terrain, self.spacing_m, area)
-            width, height = area[2] - area[0], area[3] - area[1]
-            if min(width, height) < self.spacing_m:
-                raise InputError(
-                    f"the area is {width:.0f} x {height:.0f} m, too small for a grid of "
-                    f"{self.spacing_m:g} m; choose larger bounds or a smaller spacing"
-                )
 
     def build(
         self,
@@ -143,7 +137,9 @@ class BuiltStore:
         return cls(spec, path, holds, bounds_deg, figures)
 
     def claimed_loss(self) -> float:
-        """Return the share of views that is expected to be lost over the area of the places."""
+        """Return the share of views expected to be lost over the places; NaN for renderings."""
+        if self.holds != PLACES:
+            return math.nan
         with open_store(self.path) as store:
             places = Places.concatenate(list(store.places().blocks()))
         return 1.0 - sum(share * found for _, share, found in expected_finds(places))
