@@ -82,8 +82,7 @@ def skyline_at(
     eyes, heading = in_four_views(viewpoints)
     places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
     seen = _seen(field, viewpoints, u, curvature, _Scene.skyline, kinds)
-    views = Views(*places, heading, *seen)
-    return raised_to_dip(views, u, field.height_range_m[0], curvature)
+    return raised_to_dip(Views(*places, heading, *seen), u, field.height_range_m[0], curvature)
 
 
 def rivals(
