@@ -201,7 +201,8 @@ class QuerySkyline:
         object.__setattr__(self, "projection", Projection(self.projection))
         if self.fov_deg is not None:
             object.__setattr__(self, "fov_deg", self.projection.check_fov_deg(self.fov_deg))
-        if not np.all((self.confidence >= 0.0) & (self.confidence <= 1.0)):
+        # Means of confidences pass 0 and 1 by rounding.
+        if not np.all(np.abs(self.confidence - 0.5) <= 0.5 + 1e-6):
             raise InputError("a confidence is not a number from 0 to 1; scale them")
         if np.any((self.confidence > 0.0) & ~self.trusted):
             raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")

@@ -65,7 +65,6 @@ def test_stores_matchers_and_kinds_are_compared(run, run_bench, dem, tmp_path):
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.h5")}
     searched = run(*asked, "--kind", "plain", "--area", 1)["rows"]
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    # Only the full matcher can narrow its search.
     assert {row["matcher"] for row in searched if row["search"] != "all"} == {"unrefined"}
     elsewhere = run_bench(*asked, "--bounds", "10.32,46.74,10.34,46.76")
     assert_refused(elsewhere, "was built with other bounds")

@@ -39,6 +39,7 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
 def test_a_confidence_is_a_number_from_0_to_1_and_a_masked_row_is_none():
     rows = np.ma.array([3.0, 4.0], mask=[False, True])
     assert QuerySkyline(rows, np.array([1.0, 0.0]), 2, 9).trusted.tolist() == [True, False]
+    assert QuerySkyline(rows, np.array([1.0 + 1e-9, -1e-9]), 2, 9).confidence[0] > 1.0
     for wrong in (255.0, -0.1, np.nan):
         with pytest.raises(InputError, match="not a number from 0 to 1"):
             QuerySkyline(np.array([3.0, 4.0]), np.array([1.0, wrong]), 2, 9)
