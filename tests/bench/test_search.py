@@ -138,7 +138,7 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
     [
         ("matching", ["--queries", "0"], "Invalid value for '--queries'"),
         ("matching", ["--bounds", "40,10,41,11"], "do not meet the DEM"),
-        ("matching", ["--spacing", "9e5"], "no viewpoint of a 900000.0 m grid"),
+        ("matching", ["--spacing", "3400"], "too small for a grid of 3400 m"),
         ("matching", ["--store", "RENDERINGS", "--matcher", "full"], "which none of full searches"),
         ("matching", ["--matcher", "best"], "matcher is 'best'"),
         ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),

@@ -45,14 +45,11 @@ def test_the_factor_is_the_integral_over_the_hemisphere(seed):
     ("azimuth_deg", "elevation_deg", "said"),
     [
         (np.radians(AZIMUTH_DEG), np.zeros(720), "not equal steps"),
-        (AZIMUTH_DEG[::-1] ** 1.1, np.zeros(720), "not equal steps"),
         (AZIMUTH_DEG, np.zeros((720, 1)), r"expected \(..., 720\)"),
         (AZIMUTH_DEG[::2], np.zeros(720), r"expected \(..., 360\)"),
     ],
 )
-def test_azimuths_that_are_not_those_of_the_elevations_are_refused(
-    azimuth_deg, elevation_deg, said
-):
+def test_azimuths_that_do_not_suit_the_elevations_are_refused(azimuth_deg, elevation_deg, said):
     with pytest.raises(InputError, match=said):
         sky_view_factor(azimuth_deg, elevation_deg)
 

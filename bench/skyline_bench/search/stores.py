@@ -66,6 +66,12 @@ class StoreSpec:
             BuiltStore.read(self, self.path)
         elif self.spacing_m is not None:
             uniform_grid(terrain, self.spacing_m, area)
+            width, height = area[2] - area[0], area[3] - area[1]
+            if min(width, height) < self.spacing_m:
+                raise InputError(
+                    f"the area is {width:.0f} x {height:.0f} m, too small for a grid of "
+                    f"{self.spacing_m:g} m; choose larger bounds or a smaller spacing"
+                )
 
     def build(
         self,
@@ -81,9 +87,7 @@ class StoreSpec:
         settings = json.loads(json.dumps([terrain.digest, bounds_deg, asdict(self)], default=str))
         noted = _noted(path).get("settings")
         if path.exists() and noted not in (None, settings):
-            raise InputError(
-                f"{path} was built with other bounds or from another DEM; name another --folder"
-            )
+            raise InputError(f"{path} was built with other bounds; name another --folder")
         if not path.exists() or noted is None:
             resumed = path.exists() or parts_folder(path).exists()
             wall, cpu = time.perf_counter(), time.process_time()
