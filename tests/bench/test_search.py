@@ -67,7 +67,7 @@ def test_stores_matchers_and_kinds_are_compared(run, run_bench, dem, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert {row["matcher"] for row in searched if row["search"] != "all"} == {"unrefined"}
     elsewhere = run_bench(*asked, "--bounds", "10.32,46.74,10.34,46.76")
-    assert_refused(elsewhere, "was built with other bounds")
+    assert_refused(elsewhere, "has other bounds or another DEM")
 
 
 @pytest.mark.slow

@@ -87,7 +87,7 @@ class StoreSpec:
         settings = json.loads(json.dumps([terrain.digest, bounds_deg, asdict(self)], default=str))
         noted = _noted(path).get("settings")
         if path.exists() and noted not in (None, settings):
-            raise InputError(f"{path} was built with other bounds; name another --folder")
+            raise InputError(f"{path} has other bounds or another DEM; name another --folder")
         if not path.exists() or noted is None:
             resumed = path.exists() or parts_folder(path).exists()
             wall, cpu = time.perf_counter(), time.process_time()
