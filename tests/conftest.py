@@ -7,7 +7,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from font_scenes import font_of
 from hypothesis import settings
+from matplotlib.font_manager import fontManager
 from scenes import fractal, take_photo, write_dem
 
 import skyline_bench.cli
@@ -60,6 +62,19 @@ def dask_cluster():
     """Two workers on this machine, for the tests of a module."""
     with local_cluster(2) as cluster:
         yield cluster
+
+
+@pytest.fixture
+def install_font(tmp_path_factory, monkeypatch):
+    """Return a function that makes a font and installs it for one test."""
+    monkeypatch.setattr(fontManager, "ttflist", [*fontManager.ttflist])
+    folder = tmp_path_factory.mktemp("fonts")
+
+    def installed(family, letters, **options):
+        path = folder / f"{family}.ttf"
+        fontManager.addfont(font_of(path, family, letters, **options))
+
+    return installed
 
 
 @pytest.fixture

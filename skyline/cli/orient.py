@@ -41,8 +41,6 @@ from skyline.terrain.rasters import without_folders
 from skyline.terrain.viewpoints import check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
-_NAMED = 5
-"""Summits that are not seen of which the names are printed."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
@@ -173,7 +171,7 @@ def label(
     The camera is oriented by the skyline at its place, unless its pose is given.
     Summits that terrain hides are left out; if none is in view, the photo is written without names.
     """
-    from skyline.report.figures import unnamed_in_words  # noqa: PLC0415  (slow to load)
+    from skyline.report.figures import Unnamed, some_of  # noqa: PLC0415  (slow to load)
     from skyline.report.overlay import draw_labels  # noqa: PLC0415
 
     kind = _LABEL_FILES[suffix_of(output, _LABEL_FILES)]
@@ -200,7 +198,7 @@ def label(
         with note_if_slow("looking for summits"):
             seen = viewer.summits(camera, query)
             sight = viewer.look(camera, query) if ridges and kind != "json" else None
-    unnamed = 0
+    unnamed = Unnamed()
     if kind == "json":
         names = ("name", "column_px", "row_px", "distance_m", "elevation_m")
         records = [{name: getattr(one, name) for name in names} for one in seen]
@@ -208,11 +206,10 @@ def label(
     else:
         written, unnamed = draw_labels(query, picture.rgb, seen, sight, kind)
     write_whole(output, written)
-    without = unnamed_in_words(unnamed)
+    without = unnamed.named
     missing = sorted(set(gazetteer.names) - {one.name for one in seen})
     if missing:
-        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
-        without += f"; hidden or outside the photo: {', '.join(missing[:_NAMED])}{more}"
+        without += f"; hidden or outside the photo: {some_of(missing)}"
     print_line(f"{output}: {len(seen)} of {len(gazetteer)} peaks are seen{without}")
 
 

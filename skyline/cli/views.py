@@ -157,7 +157,6 @@ def panorama(
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
     from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
-    from skyline.report.figures import unnamed_in_words  # noqa: PLC0415
 
     place = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
@@ -171,7 +170,7 @@ def panorama(
         unnamed = pictures.save_view(view, output)
     seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
-    print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed_in_words(unnamed)}")
+    print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed.named}")
 
 
 def _eyes(

@@ -1,14 +1,15 @@
-"""Matplotlib figures as files, and the placing of labels without overlaps."""
+"""Matplotlib figures as files, labels of peaks, and their placing without overlaps."""
 
 import io
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+
+from skyline.fonts import fonts_for, packages_with, undrawn_letters
+from skyline.report.peaks import S
 
 _OPTIONS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 4}},
@@ -16,17 +17,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Options of JPEG: without optimization a file has a tenth more bytes, but takes half the time; at
 reduced colour resolution thin coloured lines fade."""
+_NAMED = 5
+"""Names that a sentence lists."""
 
 
-@contextmanager
-def _boxes_for_letters() -> Iterator[None]:
-    """Draw letters that the font lacks as boxes, without Matplotlib's warning."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=r"Glyph .* missing from")
-        yield
-
-
-@_boxes_for_letters()
 def encode_figure(figure: Figure, kind: str = "png") -> bytes:
     """Return a figure, at its own resolution, encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
@@ -54,12 +48,31 @@ class PlacedLabel:
         return low.left_px <= high.anchor_px <= low.right_px
 
 
-@_boxes_for_letters()
-def extent_px(figure: Figure, text: str, size_pt: float) -> tuple[float, float]:
-    """Return the width and height in pixels of a text that a figure draws horizontally."""
-    drawn = Text(0, 0, text, fontsize=size_pt, parse_math=False, figure=figure)
-    box = drawn.get_window_extent()
-    return float(box.width), float(box.height)
+@dataclass(frozen=True, slots=True)
+class Label(Generic[S]):
+    """The label of a peak, and the fonts that draw it."""
+
+    peak: S
+    text: str
+    families: tuple[str, ...]
+
+    def extent_px(self, figure: Figure, size_pt: float) -> tuple[float, float]:
+        """Return the width and height in pixels of the label that a figure draws horizontally."""
+        box = Text(0, 0, self.text, figure=figure, fontsize=size_pt, **self.style)
+        extent = box.get_window_extent()
+        return float(extent.width), float(extent.height)
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """Options of a Matplotlib text that draws the label as it is."""
+        return {"fontfamily": self.families, "parse_math": False}
+
+
+def labels_of(peaks: Sequence[S], texts: Sequence[str]) -> tuple[list[Label[S]], tuple[str, ...]]:
+    """Return the labels that the installed fonts draw, and the names of the other peaks."""
+    labels = [Label(*one) for one in zip(peaks, texts, fonts_for(texts), strict=True)]
+    no_font = tuple(one.peak.name for one in labels if not one.families)
+    return [one for one in labels if one.families], no_font
 
 
 def place_labels(
@@ -93,8 +106,38 @@ def place_labels(
     return placed
 
 
-def unnamed_in_words(count: int) -> str:
-    """Return how many peaks have no room for their names, to end a sentence; empty for none."""
-    if count == 0:
-        return ""
-    return f"; {count} {'peak has' if count == 1 else 'peaks have'} no room for a name"
+@dataclass(frozen=True, slots=True)
+class Unnamed:
+    """The peaks in a picture whose names are not on it, by the reason."""
+
+    no_room: int = 0
+    """Their number, where names would overlap."""
+    no_font: tuple[str, ...] = ()
+    """Their names, which no installed font draws."""
+
+    @property
+    def counted(self) -> str:
+        """How many names are missing, to end a sentence in a picture; empty for none."""
+        words = ""
+        if self.no_room:
+            have = "peak has" if self.no_room == 1 else "peaks have"
+            words += f"; {self.no_room} {have} no room for a name"
+        if self.no_font:
+            names = "name" if len(self.no_font) == 1 else "names"
+            words += f"; no installed font draws {len(self.no_font)} {names}"
+        return words
+
+    @property
+    def named(self) -> str:
+        """As `counted`, with the names that no font draws, and Debian's packages of fonts."""
+        if not self.no_font:
+            return self.counted
+        packages = packages_with(undrawn_letters(self.no_font))
+        advice = f"; install {', '.join(packages)} (Debian) or other fonts" if packages else ""
+        return f"{self.counted}: {some_of(self.no_font)}{advice}"
+
+
+def some_of(names: Sequence[str]) -> str:
+    """Return the first names of a list in words, and the number of the others."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more

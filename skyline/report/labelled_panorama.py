@@ -1,5 +1,7 @@
 """Panoramas to print: terrain that fades with distance, ridges, a compass and named summits."""
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +16,9 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
-from skyline.report.figures import encode_figure, extent_px, place_labels, unnamed_in_words
+from skyline.report.figures import Label, Unnamed, encode_figure, labels_of, place_labels
 from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count
-from skyline.report.peaks import Peaks
+from skyline.report.peaks import Peaks, Sighting
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at
@@ -35,6 +37,7 @@ _ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
 _SKY, _TREES = "#f4f8fb", "#2e8b57"
 _LIFTED_M = 0.5
 _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
+_log = logging.getLogger(__name__)
 
 
 def save_panorama(
@@ -64,7 +67,8 @@ def save_panorama(
     -------
     int
         Number of peaks visible in the picture. If two names would overlap, the less prominent
-        peak gets none; the picture's title gives the number of peaks without a name.
+        peak gets none; nor does a peak whose name no installed font draws, which a warning names.
+        The picture's title gives the number of peaks without a name.
 
     Raises
     ------
@@ -81,36 +85,41 @@ def save_panorama(
     above_m, within_m = config.eye_height_m, config.summit_within_m
     eye = stand_at(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
     view = panorama_view(terrain, eye, peaks, config, over)
-    save_view(view, path)
+    unnamed = save_view(view, path)
+    if unnamed.no_font:
+        _log.warning("%s%s", path, unnamed.named)
     return len(view.sightings)
 
 
-def save_view(view: PanoramaView, path: str | Path) -> int:
-    """Draw a view as a panorama; return the number of peaks without room for their names."""
+def save_view(view: PanoramaView, path: str | Path) -> Unnamed:
+    """Draw a view as a panorama; return the peaks without their names."""
     figure, unnamed = draw_panorama(view)
     write_whole(Path(path), encode_figure(figure, suffix_of(path, PANORAMA_SUFFIXES)[1:]))
     return unnamed
 
 
-def draw_panorama(view: PanoramaView) -> tuple[Figure, int]:
+def draw_panorama(view: PanoramaView) -> tuple[Figure, Unnamed]:
     """Draw a panorama in rows, with one scale for azimuth and elevation.
 
-    Returns the figure and the number of peaks without room for their names.
+    Returns the figure and the peaks without their names.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    rows = [_Row.of(view, row, figure) for row in range(row_count(view.config.fov_deg))]
+    texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in view.sightings]
+    labels, no_font = labels_of(view.sightings, texts)
+    rows = [_Row.of(view, row, labels, figure) for row in range(row_count(view.config.fov_deg))]
     total_in = _TITLE_IN + sum(row.names_in + row.high_in + _SCALE_IN for row in rows)
     figure.set_size_inches(_WIDTH_IN, total_in)
     left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
-    top_in, colours, unnamed = total_in - _TITLE_IN, _colours(view), len(view.sightings)
+    top_in, colours, no_room = total_in - _TITLE_IN, _colours(view), len(labels)
     for row in rows:
         bottom_in = top_in - row.names_in - row.high_in
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
         _draw_row(axis, view, row, colours)
-        unnamed -= _draw_names(axis, row)
+        no_room -= _draw_names(axis, row)
         top_in = bottom_in - _SCALE_IN
-    title = _title(view) + unnamed_in_words(unnamed)
+    unnamed = Unnamed(no_room, no_font)
+    title = _title(view) + unnamed.counted
     figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
     return figure, unnamed
 
@@ -123,7 +132,7 @@ class _Row:
     """Columns of the landscape."""
     ends_deg: tuple[float, float]
     span_deg: tuple[float, float]
-    names: list[tuple[str, float, float, float]]
+    names: list[tuple[Label[Sighting], float, float, float]]
     """(label, azimuth_deg, summit_deg, wide_in) of each; the width of the upright label."""
     in_a_deg: float
     """Inches per degree, sideways and upwards."""
@@ -132,8 +141,13 @@ class _Row:
     """``high_in``, ``names_in``: heights of the landscape, and of the names above it."""
 
     @classmethod
-    def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
-        """Lay out one row of a view: its range of elevation, and the space of its names."""
+    def of(
+        cls, view: PanoramaView, row: int, labels: Sequence[Label[Sighting]], figure: Figure
+    ) -> "_Row":
+        """Lay out one row of a view: its range of elevation, and the space of its names.
+
+        ``labels`` are those of all rows.
+        """
         columns = slice(row * COLUMNS, (row + 1) * COLUMNS)
         row_deg = view.config.fov_deg / row_count(view.config.fov_deg)
         ends = view.config.start_deg + row * row_deg, view.config.start_deg + (row + 1) * row_deg
@@ -143,13 +157,13 @@ class _Row:
         low_deg = max(float(skyline_deg.min()) - _BELOW_DEG, -89.0)
         low_deg = min(low_deg, high_deg - _LEAST_DEG)
         names, names_in = [], 0.0
-        for one in view.sightings:
+        for label in labels:
+            one = label.peak
             azimuth = ends[0] + (one.azimuth_deg + view.landscape.convergence_deg - ends[0]) % 360.0
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
             if azimuth < ends[1] and summit_deg > low_deg:
-                label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
                 # The upright name is as high as the text is long.
-                long_px, wide_px = extent_px(figure, label, _FONT_PT)
+                long_px, wide_px = label.extent_px(figure, _FONT_PT)
                 names.append((label, azimuth, summit_deg, wide_px / figure.dpi))
                 names_in = max(names_in, long_px / figure.dpi + 0.35)
         in_a_deg = (_WIDTH_IN - 2.0 * _MARGIN_IN) / row_deg
@@ -245,22 +259,22 @@ def _draw_names(axis: Axes, row: _Row) -> int:
         gap_px=_NAMES_APART_IN,
     )
     leaders = []
-    for label in placed:
-        text, azimuth, summit_deg, _ = row.names[label.index]
-        middle = begin + 0.5 * (label.left_px + label.right_px) / in_a_deg
+    for place in placed:
+        label, azimuth, summit_deg, _ = row.names[place.index]
+        middle = begin + 0.5 * (place.left_px + place.right_px) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
         leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
         axis.text(
             middle,
             foot + 0.04 / in_a_deg,
-            text,
+            label.text,
             gid=SUMMIT,
             rotation=90,
             ha="center",
             va="bottom",
             fontsize=_FONT_PT,
-            parse_math=False,
+            **label.style,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
     return len(placed)

@@ -25,7 +25,7 @@ from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
-from skyline.report.figures import unnamed_in_words
+from skyline.report.figures import Label, Unnamed, labels_of
 from skyline.report.peaks import Sighting
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -111,11 +111,12 @@ def draw_match_map(
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
     peaks = [peak for peak in sightings if area.contains(peak.easting_m, peak.northing_m)]
-    _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
+    labels, no_font = labels_of(peaks, [peak.label for peak in peaks])
+    _draw_peaks(axis, labels[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
     title = f"{shown:,} of the store's viewpoints (dots)"
-    title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS))
+    title += Unnamed(max(0, len(labels) - _MOST_PEAKS), no_font).counted.replace("; ", "\n", 1)
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 
@@ -161,15 +162,16 @@ def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: f
     )
 
 
-def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Bbox) -> None:
-    for peak in peaks:
+def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> None:
+    for label in labels:
+        peak = label.peak
         across = (peak.easting_m - area.x0) / area.width
         near_west, near_east = across < _NEAR_BORDER, across > 1.0 - _NEAR_BORDER
         side = "left" if near_west else "right" if near_east else "center"
         place = peak.easting_m, peak.northing_m
         axis.plot(*place, "^", color="black", markeredgecolor="white", markersize=7, zorder=5)
         axis.annotate(
-            peak.label,
+            label.text,
             place,
             xytext=(0, -6),
             textcoords="offset points",
@@ -177,9 +179,9 @@ def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Bbox) -> None:
             va="top",
             fontsize=8,
             path_effects=_HALO,
-            parse_math=False,
             annotation_clip=True,
             zorder=5,
+            **label.style,
         )
 
 

@@ -15,7 +15,7 @@ from skyline.match.matcher import Matcher, terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
-from skyline.report.figures import encode_figure, unnamed_in_words
+from skyline.report.figures import Unnamed, encode_figure
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
@@ -192,16 +192,15 @@ def _map_links(candidate: Candidate) -> list[tuple[str, str]]:
 
 
 def _overlay_caption(
-    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: int
+    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: Unnamed
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
-    without_name = unnamed_in_words(unnamed)
     if pose is None or sight is None or sight.median_gap_deg is None:
-        return f"{caption}; no skyline was rendered to compare it with{without_name}."
+        return f"{caption}; no skyline was rendered to compare it with{unnamed.named}."
     return (
         f"{caption}, and the skyline rendered at {pose.title}; they are "
-        f"{sight.median_gap_deg:.2f}° apart in the median column, up or down{without_name}."
+        f"{sight.median_gap_deg:.2f}° apart in the median column, up or down{unnamed.named}."
     )
 
 

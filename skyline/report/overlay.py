@@ -1,6 +1,7 @@
 """A query's picture with its skyline, the skyline rendered at a pose, and named peaks."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from skyline.arrays import UInt8Array
 from skyline.match.candidate import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.figures import encode_figure, extent_px, place_labels
+from skyline.report.figures import Unnamed, encode_figure, labels_of, place_labels
 from skyline.report.viewer import SeenPeak, Sight
 
 _FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
@@ -35,11 +36,11 @@ def draw_overlay(
     pose: Candidate | None,
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
-) -> tuple[bytes, int]:
+) -> tuple[bytes, Unnamed]:
     """Draw skylines and peaks over a query's picture, with the arguments of `draw_labels`.
 
-    Returns a JPEG and the number of peaks without room for their names. Without a photo the canvas
-    is blank; ``pose`` is the pose from which ``sight`` and ``peaks`` are seen.
+    Returns a JPEG and the peaks without their names. Without a photo the canvas is blank; ``pose``
+    is the pose from which ``sight`` and ``peaks`` are seen.
     """
     texts = [one.label for one in peaks]
     figure, axis, unnamed = _draw_picture(query, photo, peaks, texts, _KEYS_PX)
@@ -63,7 +64,7 @@ def draw_labels(
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
     kind: str = "png",
-) -> tuple[bytes, int]:
+) -> tuple[bytes, Unnamed]:
     """Draw a photo with the names and distances of the peaks in it.
 
     Parameters
@@ -79,9 +80,9 @@ def draw_labels(
 
     Returns
     -------
-    bytes, int
-        The picture, the photo at most 1600 px wide and high, and the number of peaks without room
-        for their names.
+    bytes, Unnamed
+        The picture, the photo at most 1600 px wide and high; and the peaks without their names,
+        because names would overlap or no installed font draws them.
     """
     texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in peaks]
     figure, axis, unnamed = _draw_picture(query, photo, peaks, texts)
@@ -101,10 +102,11 @@ def _draw_picture(
     peaks: Sequence[SeenPeak],
     texts: Sequence[str],
     foot_px: float = 0.0,
-) -> tuple[Figure, Axes, int]:
+) -> tuple[Figure, Axes, Unnamed]:
     """Draw the photo, or a blank canvas, with the peaks' texts above it, over an empty foot.
 
-    Returns the figure, axes in pixels of the query, and the number of texts without room.
+    Names that no font draws are counted in a line below the photo. Returns the figure, axes in
+    pixels of the query, and the peaks without their texts.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
@@ -112,13 +114,16 @@ def _draw_picture(
     most = _LONGEST_PX / max(query.width_px, query.height_px)
     scale = min(most, max(1.0, _NARROWEST_PX / query.width_px))
     width, height = query.width_px * scale, query.height_px * scale
-    labels = place_labels(
-        [(one.column_px + 0.5) * scale for one in peaks],
-        [extent_px(figure, text, _LABEL_POINTS)[0] for text in texts],
+    labels, no_font = labels_of(peaks, texts)
+    placed = place_labels(
+        [(one.peak.column_px + 0.5) * scale for one in labels],
+        [one.extent_px(figure, _LABEL_POINTS)[0] for one in labels],
         width,
         _MOST_ROWS,
     )
-    band = max((_ROW_PX * (1 + label.row) + 10.0 for label in labels), default=0.0)
+    unnamed = Unnamed(len(labels) - len(placed), no_font)
+    band = max((_ROW_PX * (1 + place.row) + 10.0 for place in placed), default=0.0)
+    foot_px += _ROW_PX if no_font else 0.0
     figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
@@ -131,10 +136,12 @@ def _draw_picture(
         picture = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
     axis.imshow(picture, extent=(-0.5, right, bottom, -0.5), aspect="auto")
     outline = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
-    for label in labels:
-        peak, text = peaks[label.index], texts[label.index]
-        foot = (-8.0 - label.row * _ROW_PX) / scale - 0.5
-        middle = (label.left_px + label.right_px) / 2.0 / scale - 0.5
+    font: dict[str, Any] = {"fontsize": _LABEL_POINTS, "ha": "center", "va": "bottom"}
+    for place in placed:
+        label = labels[place.index]
+        peak = label.peak
+        foot = (-8.0 - place.row * _ROW_PX) / scale - 0.5
+        middle = (place.left_px + place.right_px) / 2.0 / scale - 0.5
         leader = [foot, peak.row_px - 3.0 / scale]
         axis.plot(
             [peak.column_px] * 2, leader, "w", linewidth=0.9, path_effects=outline, zorder=2.5
@@ -142,9 +149,11 @@ def _draw_picture(
         axis.plot(
             peak.column_px, peak.row_px, "vw", markeredgecolor="black", markersize=6, zorder=2.5
         )
-        font = {"fontsize": _LABEL_POINTS, "ha": "center", "va": "bottom"}
-        axis.text(middle, foot, text, font, parse_math=False)
-    return figure, axis, len(peaks) - len(labels)
+        axis.text(middle, foot, label.text, **font, **label.style)
+    if no_font:
+        note = Unnamed(no_font=no_font).counted.removeprefix("; ")
+        axis.text(width / 2.0 / scale - 0.5, bottom + _ROW_PX / scale, note, **font)
+    return figure, axis, unnamed
 
 
 def _draw_masked(axis: Axes, query: QuerySkyline) -> None:

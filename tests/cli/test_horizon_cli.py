@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of
+from font_scenes import UNDRAWN
 from scenes import fractal, write_dem
 
 from skyline import horizon, read_dem
@@ -169,3 +170,17 @@ def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
         peaks.write_text(text)
         assert_refused(run(*arguments, "--peaks", peaks), "peaks.geojson")
     assert_refused(run(*arguments, "--fov-deg", "2"), "expected a field of view of 5 to 360")
+
+
+def test_a_panorama_names_the_peaks_that_no_font_draws(run, dem, places, tmp_path, install_font):
+    terrain = read_dem([dem])
+    row, col = np.unravel_index(np.nanargmax(terrain.heights_m), terrain.heights_m.shape)
+    easting_m, northing_m = terrain.to_map(row, col)
+    header = "name,easting,northing"
+    peaks = csv_of(tmp_path / "peaks.csv", [f"{UNDRAWN},{easting_m},{northing_m}"], header)
+    target = tmp_path / "panorama.pdf"
+    arguments = "panorama", dem, "--at", places[1], "--eye-height", "900", "-o", target
+    without = "1 of 1 peaks are seen; no installed font draws 1 name: "
+    assert run(*arguments, "--peaks", peaks).ok().out.endswith(f"{without}{UNDRAWN}\n")
+    install_font("Tiny", UNDRAWN)
+    assert run(*arguments, "--peaks", peaks).ok().out.endswith("1 of 1 peaks are seen\n")

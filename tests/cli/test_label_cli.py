@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of
+from font_scenes import UNDRAWN
 from PIL import Image
 
 from skyline import read_dem
@@ -84,6 +85,23 @@ def test_pictures_have_the_names(run, dem, photo, pose, peaks, tmp_path, suffix)
     else:
         with Image.open(out) as picture, Image.open(photo) as taken:
             assert picture.height > taken.height * picture.width / taken.width
+
+
+def test_a_picture_names_the_summits_that_no_font_draws(
+    run, dem, photo, pose, peaks, tmp_path, install_font
+):
+    common = "label", photo, "--pose", pose, "--dem", dem
+    run(*common, "--peaks", peaks, "-o", tmp_path / "names.json").ok()
+    seen = json.loads((tmp_path / "names.json").read_text())[0]["name"]
+    renamed = tmp_path / "renamed.csv"
+    renamed.write_text(peaks.read_text().replace(f"{seen},", f"{UNDRAWN},"))
+    said = f"; no installed font draws 1 name: {UNDRAWN}; hidden"
+    assert said in run(*common, "--peaks", renamed, "-o", tmp_path / "a.svg").ok().out
+    assert UNDRAWN not in (tmp_path / "a.svg").read_text()
+    install_font("Tiny", UNDRAWN)
+    done = run(*common, "--peaks", renamed, "-o", tmp_path / "a.svg").ok()
+    assert "no installed font" not in done.out
+    assert UNDRAWN in (tmp_path / "a.svg").read_text()
 
 
 def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):

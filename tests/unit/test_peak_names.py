@@ -1,0 +1,111 @@
+"""Names of peaks in pictures: drawn by the fonts that have them, or counted and left out."""
+
+import math
+
+import numpy as np
+import pytest
+from font_scenes import UNDRAWN
+from scenes import candidate_at, field_from
+
+from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
+from skyline.build.plans import uniform_grid
+from skyline.photo.query import QuerySkyline
+from skyline.report.figures import Unnamed, encode_figure
+from skyline.report.labelled_panorama import draw_panorama
+from skyline.report.landscape import panorama_view
+from skyline.report.maps import detail_area, draw_match_map
+from skyline.report.overlay import draw_labels, draw_overlay
+from skyline.report.viewer import SeenPeak
+
+NAMES = "Plain", f"{UNDRAWN} $1$"
+EAST_M = np.array([-600.0, 600.0])
+FIELD = field_from(
+    lambda east, north: np.maximum(400.0 - np.hypot(np.abs(east) - 600.0, north - 1500.0), 0.0),
+    121, 30.0,
+)  # fmt: skip
+"""A plain with two cones 1,500 m north of its middle."""
+EYE = stand_on(FIELD, easting_m=0.0, northing_m=0.0)
+PEAKS = Peaks(
+    names=NAMES, easting_m=EAST_M, northing_m=np.full(2, 1500.0), height_m=np.full(2, math.nan)
+)
+NORTH = PanoramaConfig(0.0, 120.0)
+QUERY = QuerySkyline(np.full(900, np.nan), np.zeros(900), 900, 400, 60.0)
+PHOTO = np.full((400, 900, 3), 90, np.uint8)
+SEEN = [
+    SeenPeak(
+        name=name, easting_m=EAST_M[at], northing_m=600.0, surface_m=0.0,
+        azimuth_deg=0.0, elevation_tan=0.0, distance_m=600.0, column_px=200.0 + 400.0 * at,
+        row_px=100.0,
+    )
+    for at, name in enumerate(NAMES)
+]  # fmt: skip
+WITHOUT = Unnamed(no_font=(NAMES[1],))
+
+
+def panorama(kind):
+    """Draw a panorama of both cones; return its texts and the peaks without names."""
+    figure, unnamed = draw_panorama(panorama_view(FIELD, EYE, PEAKS, NORTH))
+    assert encode_figure(figure, kind)
+    return "".join(text.get_text() for text in [*figure.texts, *figure.axes[0].texts]), unnamed
+
+
+def match_map(kind):
+    pose = candidate_at(0.0, 0.0)
+    area = detail_area(pose, FIELD)
+    figure = draw_match_map([pose], area, FIELD.frame, uniform_grid(FIELD, 600.0), FIELD, SEEN)
+    assert encode_figure(figure, kind)
+    (axis,) = figure.axes
+    words = axis.get_title(loc="left")
+    counted = "no installed font draws 1 name" in words
+    return words + "".join(
+        text.get_text() for text in axis.texts
+    ), WITHOUT if counted else Unnamed()
+
+
+@pytest.mark.parametrize(
+    ("draw", "kind"),
+    [(panorama, "png"), (panorama, "svg"), (panorama, "pdf"), (match_map, "png")],
+)
+def test_a_name_is_drawn_by_the_font_that_has_it_or_counted(install_font, draw, kind):
+    texts, unnamed = draw(kind)
+    assert unnamed == WITHOUT
+    assert "Plain" in texts
+    assert NAMES[1] not in texts
+    assert "no installed font draws 1 name" in texts
+    install_font("Tiny", UNDRAWN)
+    texts, unnamed = draw(kind)  # Matplotlib's warning of a missing letter would be an error.
+    assert unnamed == Unnamed()
+    assert NAMES[1] in texts
+    assert "no installed font" not in texts
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg", "svg"])
+def test_names_on_a_photo_are_drawn_by_the_fonts_that_have_them(install_font, kind):
+    bare, unnamed = draw_labels(QUERY, PHOTO, SEEN, kind=kind)
+    assert unnamed == WITHOUT
+    assert draw_overlay(QUERY, PHOTO, None, peaks=SEEN)[1] == WITHOUT
+    install_font("Tiny", UNDRAWN)
+    named, unnamed = draw_labels(QUERY, PHOTO, SEEN, kind=kind)
+    assert unnamed == Unnamed()
+    assert draw_overlay(QUERY, PHOTO, None, peaks=SEEN)[1] == Unnamed()
+    if kind == "svg":
+        assert NAMES[1] not in bare.decode()
+        assert "no installed font draws 1 name" in bare.decode()
+        assert NAMES[1] in named.decode()
+        assert "no installed font" not in named.decode()
+
+
+def test_peaks_without_a_name_in_words():
+    assert Unnamed().named == ""
+    assert Unnamed(2).named == Unnamed(2).counted == "; 2 peaks have no room for a name"
+    both = Unnamed(1, tuple(f"{UNDRAWN} {index}" for index in range(7)))
+    assert both.counted == "; 1 peak has no room for a name; no installed font draws 7 names"
+    listed = ", ".join(both.no_font[:5])
+    assert both.named == f"{both.counted}: {listed} and 2 more"
+
+
+def test_a_saved_panorama_warns_of_names_that_no_font_draws(tmp_path, caplog):
+    lon, lat = map(float, FIELD.frame.to_lonlat(0.0, 0.0))
+    path = tmp_path / "north.png"
+    assert save_panorama(FIELD, path, lon=lon, lat=lat, peaks=PEAKS, config=NORTH) == 2
+    assert f"{path}; no installed font draws 1 name: {NAMES[1]}" in caplog.text
