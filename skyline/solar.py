@@ -6,6 +6,7 @@ Azimuths are degrees from true north, distances metres. The sun's position is Py
 
 import io
 import json
+import logging
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -41,6 +42,7 @@ _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
 _DISC = np.linspace(-1.0, 1.0, 9)
 """Positions across the sun's disc, in radii."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,17 +95,21 @@ class LocalHorizons(Rows):
         """Return the sky view factors (N,) of a surface; see `sky_view_factor`."""
         return sky_view_factor(self.azimuth_deg[0], self.elevation_deg, tilt_deg, facing_deg)
 
-    def sun_above(self, day: date | str, place: int = 0) -> list[tuple[datetime, datetime]]:
+    def sun_above(
+        self, day: date | str, place: int | None = None
+    ) -> list[tuple[datetime, datetime]]:
         """Return the intervals during which part of the sun's disc is above one place's horizon.
 
-        The day is the 24 hours around noon of the mean sun at the eye. Refraction is that of the
-        standard atmosphere at the eye's elevation. An interval shorter than a minute may be missed.
-        Times are in UTC, to a tenth of a second.
+        ``place`` is its index, which may be left out if there is only one place. The day is the 24
+        hours around noon of the mean sun at the eye. Refraction is that of the standard atmosphere
+        at the eye's elevation. An interval shorter than a minute may be missed. Times are in UTC,
+        to a tenth of a second.
 
-        Raises `InputError` if PyEphem is not installed, the horizon is unknown at some azimuth, or
-        as `day_of`.
+        Raises `InputError` if PyEphem is not installed, the horizon is unknown at some azimuth, one
+        of several places is not chosen, or as `day_of`.
         """
         day = day_of(day)
+        place = self._chosen(place)
         azimuth, elevation = self.azimuth_deg[place], self.elevation_deg[place].astype(np.float64)
         if not np.isfinite(elevation).all():
             raise InputError(
@@ -131,11 +137,18 @@ class LocalHorizons(Rows):
         ends = [*times[:1] * bool(shines[0]), *turns, *times[-1:] * bool(shines[-1])]
         return list(zip(ends[::2], ends[1::2], strict=True))
 
-    def plot(self, place: int = 0, ax: Any = None) -> Any:
+    def plot(self, place: int | None = None, ax: Any = None) -> Any:
         """Draw one place's horizon over azimuth, and return the matplotlib axes.
 
-        ``ax`` are axes to draw on; by default a new figure is made.
+        ``place`` is its index, which may be left out if there is only one place. ``ax`` are axes to
+        draw on; by default a new figure is made. A warning names an id that no installed font
+        draws; the title then lacks it.
+
+        Raises `InputError` if one of several places is not chosen.
         """
+        from skyline.fonts import fonts_for  # noqa: PLC0415  (slow to load)
+
+        place = self._chosen(place)
         if ax is None:
             from matplotlib import pyplot  # noqa: PLC0415  (slow to load)
 
@@ -145,10 +158,15 @@ class LocalHorizons(Rows):
         ax.plot(azimuth, up, color="black", linewidth=1.0)
         if self.has_surface:
             ax.plot(azimuth, self.surface_deg[place], color="green", linewidth=1.0)
-        title = f"{self.id[place]}: " if self.id[place] else ""
+        name, (families,) = str(self.id[place]), fonts_for([str(self.id[place])])
+        if not families:
+            _log.warning("no installed font draws %s; the title of its horizon lacks it", name)
+            name = ""
+        title = f"{name}: " if name else ""
         title += f"lon {self.lon[place]:.5f}, lat {self.lat[place]:.5f}, "
         title += f"eye {self.eye_elevation_m[place]:.0f} m"
-        ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45), title=title)
+        ax.set_title(title, fontfamily=families or None, parse_math=False)
+        ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45))
         ax.set(xlabel="azimuth from true north (degrees)", ylabel="elevation (degrees)")
         return ax
 
@@ -166,8 +184,25 @@ class LocalHorizons(Rows):
         more = len(self) - _SHOWN
         return shown.getvalue() + (f"<p>and {more} more places</p>" if more > 0 else "")
 
-    def to_series(self, place: int = 0) -> Any:
+    def _chosen(self, place: int | None) -> int:
+        """Return the index of a place; raises `InputError` unless it is there, or the only one."""
+        if place is None and len(self) == 1:
+            return 0
+        if place is None or not -len(self) <= place < len(self):
+            given = "none is chosen" if place is None else f"place is {place}"
+            raise InputError(
+                f"there are {len(self)} places and {given}; give place=0 to {len(self) - 1}, or "
+                "take all with to_xarray()"
+            )
+        return place
+
+    def to_series(self, place: int | None = None) -> Any:
         """Return the horizon of one place in the form of pvlib's `get_pvgis_horizon`.
+
+        Parameters
+        ----------
+        place : int, optional
+            Its index, which may be left out if there is only one place; `to_xarray` has all.
 
         Returns
         -------
@@ -177,8 +212,9 @@ class LocalHorizons(Rows):
         Raises
         ------
         InputError
-            Pandas is not installed.
+            Pandas is not installed, or one of several places is not chosen.
         """
+        place = self._chosen(place)
         pandas = library("pandas", "a Series")
         index = pandas.Index(self.azimuth_deg[place], name="horizon_azimuth")
         elevation = self.elevation_deg[place].astype(np.float64)

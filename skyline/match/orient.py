@@ -42,7 +42,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     check_eye_elevation,
-    stand_at,
+    stand_at_one,
     stand_where_possible,
 )
 
@@ -210,7 +210,7 @@ class Orienter(Releasable):
         self.terrain, self.curvature = read_dem(dem), Curvature()
         self.frame = self.terrain.frame
         self._within_m = within_m
-        ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
+        ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._elevation_m, self._eye_height_m = elevation_m, DEFAULT_EYE_HEIGHT_M
         ring = within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)

@@ -21,7 +21,7 @@ from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, pano
 from skyline.report.peaks import Peaks, Sighting
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_at
+from skyline.terrain.viewpoints import stand_at_one
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"
@@ -83,7 +83,7 @@ def save_panorama(
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
     above_m, within_m = config.eye_height_m, config.summit_within_m
-    eye = stand_at(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
+    eye = stand_at_one(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
     view = panorama_view(terrain, eye, peaks, config, over)
     unnamed = save_view(view, path)
     if unnamed.no_font:

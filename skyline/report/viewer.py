@@ -35,7 +35,7 @@ from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
     at_elevation,
-    stand_at,
+    stand_at_one,
     stand_on,
 )
 
@@ -286,7 +286,7 @@ class Viewer(Releasable):
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
         """
-        ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
+        ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
         easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])

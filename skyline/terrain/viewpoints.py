@@ -126,6 +126,22 @@ def stand_at(
     )
 
 
+def stand_at_one(
+    field: HeightField,
+    *,
+    lon: float,
+    lat: float,
+    eye_height_m: float,
+    summit_within_m: float | None = None,
+) -> Viewpoints:
+    """Place a single eye, as `stand_at`; raises `InputError` for several."""
+    place = {"lon": lon, "lat": lat}
+    eye = stand_at(field, **place, eye_height_m=eye_height_m, summit_within_m=summit_within_m)
+    if len(eye) != 1:
+        raise InputError(f"{len(eye)} places are given; expected one: call this for each of them")
+    return eye
+
+
 def place_on(
     field: HeightField, lon_deg: ArrayLike, lat_deg: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
