@@ -3,7 +3,7 @@
 Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
 separated by the most frequent of comma, semicolon and tab in the header. With semicolons or tabs,
 numbers may have decimal commas, and points between thousands beside them. Lines before the header
-that begin with # are notes.
+that begin with # are notes. An apostrophe that keeps a text from being a formula is taken off.
 """
 
 import csv
@@ -14,14 +14,14 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TextIO, TypeGuard
 
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError, MissingFileError, printable
 
 STANDARD = "-"
 """The name of standard input and output among paths."""
@@ -37,6 +37,10 @@ _OTHER_NAMES = {
 }
 _DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
+_FORMULA = re.compile(r"'*[-=+@\uff0d\uff1d\uff0b\uff20]")
+"""How a text begins that spreadsheets take for a formula, perhaps after apostrophes: with a sign,
+which may have full width (OWASP, CSV injection)."""
+_LONE_NUMBER = re.compile(r"[-+]?[0-9]+(?:[.,][0-9]+)?(?:[eE][-+]?[0-9]+)?")
 _LONG = {"easting", "northing", "elevation", "height_m", "lowest_m", "highest_m"}
 """Columns of metres that may be thousands."""
 _SHOWN = 80
@@ -251,7 +255,7 @@ def read_table(
     found = []
     try:
         for record in reader:
-            cells = [cell.strip() for cell in record]
+            cells = [_as_it_was(cell.strip()) for cell in record]
             where = f"{path}, line {before + reader.line_num}"
             if not any(cells):
                 continue
@@ -279,6 +283,31 @@ def read_table(
     )
     rows = [Row(where, cells, has_commas) for where, cells in found]
     return Table(path, header, rows, lines[:before])
+
+
+def csv_lines(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV (RFC 4180) of printable texts, none a formula to a spreadsheet.
+
+    A text that would be one gets an apostrophe before it, which `read_table` takes off; a number
+    stays a number.
+    """
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerows([map(_cell, row) for row in rows])
+    return lines.getvalue()
+
+
+def _cell(value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    text = printable(value)
+    is_formula = _FORMULA.match(text) and not _LONE_NUMBER.fullmatch(text)
+    return f"'{text}" if is_formula else text
+
+
+def _as_it_was(cell: str) -> str:
+    """Return a cell without the apostrophe of `csv_lines`."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def _column(name: str, other_names: Mapping[str, str]) -> str:

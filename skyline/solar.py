@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.errors import InputError, entry_named, library, numbers_of
-from skyline.files import write_whole
+from skyline.files import csv_lines, write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import MAX_WIDTH, Horizons
@@ -503,8 +503,8 @@ def horizon_csv(horizons: LocalHorizons) -> str:
     np.savetxt(text, np.column_stack(columns), ",".join(digits), header=header, comments="")
     lines = text.getvalue().replace("nan", "").splitlines(keepends=True)
     if horizons.has_ids:
-        quoted = ['"{}"'.format(one.replace('"', '""')) for one in horizons.id]
-        ids = ["id", *np.repeat(quoted, bins)]
+        cells = [csv_lines([[one]]).rstrip("\n") for one in horizons.id.tolist()]
+        ids = ["id", *np.repeat(cells, bins)]
         lines = [f"{one},{line}" for one, line in zip(ids, lines, strict=True)]
     return "".join(lines)
 

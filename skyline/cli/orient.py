@@ -1,7 +1,5 @@
 """``skyline orient``, ``label`` and ``pixels``: cameras at known places, and what they see."""
 
-import csv
-import io
 import json
 import math
 from dataclasses import replace
@@ -29,7 +27,7 @@ from skyline.cli.console import (
 )
 from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, usable_queries
 from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
-from skyline.files import STANDARD, read_bytes, write_whole
+from skyline.files import STANDARD, csv_lines, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
@@ -143,12 +141,8 @@ def camera_place(at: str | None) -> Place | None:
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
     names = dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row)
-    writer = csv.DictWriter(text, list(names), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_lines([names, *([row.get(name) for name in names] for row in rows)])
 
 
 def label(

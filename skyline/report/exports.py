@@ -28,7 +28,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import STANDARD, has_locks, write_whole, write_with_folders
+from skyline.files import STANDARD, csv_lines, has_locks, write_whole, write_with_folders
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
@@ -372,10 +372,9 @@ def _read_csv(path: Path) -> list[tuple[str, str]]:
 
 
 def _append_csv(path: Path, row: Row) -> None:
-    line = io.StringIO()
-    csv.DictWriter(line, list(_COLUMN_TYPES), lineterminator="\n").writerow(row)
+    line = csv_lines([[row[name] for name in _COLUMN_TYPES]])
     with path.open("a", encoding="utf-8") as file:
-        file.write(line.getvalue())
+        file.write(line)
         file.flush()
         os.fsync(file.fileno())
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
-from skyline.errors import InputError, OffMapError, swapped_in_words
+from skyline.errors import InputError, OffMapError, printable, swapped_in_words
 from skyline.files import read_table
 from skyline.geodesy import GROUND_M
 from skyline.skylines import HEADINGS
@@ -302,7 +302,9 @@ def read_viewpoints(
     first, second, *height = (
         np.array([row.number(name) for row in table.rows]) for name in (*places, *eyes)
     )
-    labels = tuple(row.label for row in table.rows) if {*_LABELS} & {*table.header} else ()
+    labels = (
+        tuple(printable(row.label) for row in table.rows) if {*_LABELS} & {*table.header} else ()
+    )
     if places == ("lon", "lat"):
         first, second = place_on(field, first, second)
     elif is_inside(field, *field.frame.from_lonlat(first, second)).all():

@@ -10,7 +10,7 @@ import xml.etree.ElementTree as Xml
 from pathlib import Path
 
 import pytest
-from commands import assert_refused
+from commands import assert_refused, csv_of, lonlat_of
 
 NOT_UTF8 = os.fsdecode(b"b\xe4r")
 NAMES = {f"{NOT_UTF8}.jpg": r"b\xe4r.jpg", "a\n<i>\x1b[31m.jpg": r"a\n<i>\x1b[31m.jpg"}
@@ -63,6 +63,17 @@ def test_photos_of_any_name_are_matched_and_written(run, store, photos):
     assert "2 of 2 are there already" in again.err
 
 
+def test_ids_of_any_name_are_written(run, dem, tmp_path):
+    (tmp_path / "points.csv").write_bytes(
+        b"id,lon,lat\nb\xe4r," + "{},{}\n".format(*lonlat_of(dem)).encode()
+    )
+    common = "horizon", dem, "--points", tmp_path / "points.csv", "--step-deg", "45"
+    for name in ("out.csv", "out.json"):
+        run(*common, "-o", tmp_path / name).ok()
+    assert rows_of(tmp_path / "out.csv")[0]["id"] == r"b\xe4r"
+    assert json.loads((tmp_path / "out.json").read_text())["places"][0]["id"] == r"b\xe4r"
+
+
 def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     odd = f"{NOT_UTF8}.h5"
@@ -96,3 +107,34 @@ def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path)
     assert rb"b\xe4r.jpg (" in done.stdout
     assert done.stderr.startswith(rb"error: no\xe4.jpg does not exist")
     assert b"Traceback" not in done.stderr
+
+
+FORMULA = "=cmd|' /C calc'!A0"
+
+
+def rows_of(path):
+    with Path(path).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_no_name_is_a_formula_to_a_spreadsheet(run, dem, store, photo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(photo, "-2+3.jpg")
+    place = "{:.6f},{:.6f}".format(*lonlat_of(dem))
+    csv_of(Path("points.csv"), [f"{FORMULA},{place}"], "id,lon,lat")
+    csv_of(Path("list.csv"), [f"-2+3.jpg,{FORMULA},60"], "path,id,fov_deg")
+    run("horizon", dem, "--points", "points.csv", "-o", "horizon.csv").ok()
+    common = "list.csv", "--matcher", "unrefined"
+    found = json.loads(run("match", store, *common, "--results", "results.csv", "--json").ok().out)
+    run("orient", "list.csv", "--at", place, "--dem", dem, "--csv", "oriented.csv").ok()
+    assert found["id"] == FORMULA
+    for table in ("horizon.csv", "results.csv", "oriented.csv"):
+        row = rows_of(table)[0]
+        assert row["id"] == f"'{FORMULA}"
+        assert float(row["lon"]) == pytest.approx(found["candidates"][0]["lon"], abs=0.02)
+        if "query" in row:
+            assert row["query"] == "'-2+3.jpg"
+    # What is written is read as it was.
+    csv_of(Path("points.csv"), [f"{rows_of('horizon.csv')[0]['id']},{place}"], "id,lon,lat")
+    run("horizon", dem, "--points", "points.csv", "-o", "horizon.json").ok()
+    assert json.loads(Path("horizon.json").read_text())["places"][0]["id"] == FORMULA

@@ -1,5 +1,6 @@
 """CSV files as people have them: other separators, names and orders of columns."""
 
+import csv
 import io
 import os
 import sys
@@ -9,7 +10,7 @@ from threading import Thread
 import pytest
 
 from skyline.errors import InputError
-from skyline.files import is_table, read_table, write_whole
+from skyline.files import csv_lines, is_table, read_table, write_whole
 
 
 def places(path, text):
@@ -95,3 +96,41 @@ def test_links_stay_and_pipes_are_written(tmp_path):
     for pipe in (out, into):
         os.close(pipe)
     assert {one.name for one in tmp_path.iterdir()} == {"first.csv", "latest.csv", "pipe"}
+
+
+FORMULAS = [
+    "=1+1", "+A1", "-2+3", "@SUM(A1)", "=cmd|' /C calc'!A0", '=HYPERLINK("http://a";"b")', "-",
+    "-3.5 m", "+41 81 1", "\uff1d1+1", "'=1+1",
+]  # fmt: skip
+"""Names that spreadsheets would take for formulas, and one that has the guard already."""
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_formula_is_written_as_text_and_read_as_it_was(tmp_path, name):
+    path = tmp_path / "a.csv"
+    path.write_text(csv_lines([["name", "lon", "lat"], [name, -3.5, 46.0]]))
+    with path.open(newline="") as file:
+        assert list(csv.reader(file))[1] == [f"'{name}", "-3.5", "46.0"]
+    (row,) = read_table(path, "").rows
+    assert (row["name"], row.number("lon")) == (name, -3.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [("\t=1+1", r"\t=1+1"), ("a\r=1+1", r"a\r=1+1"), ("\n+1", r"\n+1"), ("b\udce4r", r"b\xe4r")],
+)
+def test_a_name_is_one_line_of_printable_letters(name, written):
+    assert list(csv.reader([csv_lines([[name, 1]])])) == [[written, "1"]]
+
+
+@pytest.mark.parametrize("text", ["-3.5", "+12", "-1e-05", "-3,5", "'a", "a=b", "", "山"])
+def test_numbers_and_other_texts_are_written_as_they_are(tmp_path, text):
+    (tmp_path / "a.csv").write_text(csv_lines([["id", "name"], ["1", text]]))
+    with (tmp_path / "a.csv").open(newline="") as file:
+        assert list(csv.reader(file))[1] == ["1", text]
+    (row,) = read_table(tmp_path / "a.csv", "").rows
+    assert row["name"] == text
+
+
+def test_a_number_that_another_program_has_guarded_is_read(tmp_path):
+    assert places(tmp_path / "a.csv", "name,lon,lat\nA,'-9.85,'+46.75\n") == [("A", -9.85, 46.75)]
