@@ -110,6 +110,15 @@ def suffix_of(path: str | Path, known: Iterable[str]) -> str:
     return suffix
 
 
+def check_suffix(path: str | Path, known: Iterable[str]) -> None:
+    """Raise `InputError` for a path whose suffix promises another format than the known ones.
+
+    A path without a suffix promises nothing.
+    """
+    if Path(path).suffix:
+        suffix_of(path, known)
+
+
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
     """Return a hint that coordinates were given in the wrong order, with the right one.
 

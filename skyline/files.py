@@ -25,6 +25,8 @@ from skyline.errors import InputError, MissingFileError, printable
 
 STANDARD = "-"
 """The name of standard input and output among paths."""
+GEOJSON = (".geojson", ".json")
+"""Suffixes of GeoJSON."""
 
 _SEPARATORS = ",;\t"
 _LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
@@ -43,6 +45,12 @@ which may have full width (OWASP, CSV injection)."""
 _LONE_NUMBER = re.compile(r"[-+]?[0-9]+(?:[.,][0-9]+)?(?:[eE][-+]?[0-9]+)?")
 _LONG = {"easting", "northing", "elevation", "height_m", "lowest_m", "highest_m"}
 """Columns of metres that may be thousands."""
+_OF_FILES = {
+    ".csv", ".geojson", ".gpkg", ".gpx", ".h5", ".hdf5", ".htm", ".html", ".jpeg", ".jpg", ".json",
+    ".kml", ".kmz", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".txt", ".zip",
+}  # fmt: skip
+"""Suffixes that no one gives to a folder."""
+_BEGINNING_BYTES = 1024
 _SHOWN = 80
 """Characters of a header that an error shows."""
 
@@ -102,6 +110,24 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
     with suppress(OSError):  # Then the file cannot be written either.
         path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
+
+
+def check_folder(path: Path) -> None:
+    """Raise `InputError` for a file, and for a new folder whose name promises a file."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} is a file; name a folder")
+    suffix = path.suffix.lower()
+    if suffix in _OF_FILES and not path.exists():
+        raise InputError(f"{path} would be a folder, and {suffix} promises a file; name a folder")
+
+
+def has_mark(path: Path, mark: bytes) -> bool:
+    """Return whether a mark is in the first kilobyte of a file."""
+    try:
+        with path.open("rb") as file:
+            return mark in file.read(_BEGINNING_BYTES)
+    except OSError:
+        return False
 
 
 def has_locks(path: Path) -> bool:

@@ -28,7 +28,7 @@ from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store.format import StoreHeader, attributes_digest, explained, refuse_mismatch
 from skyline.store.read import open_store, part_name, parts_folder
-from skyline.store.write import check_folder, merged_rows, whole_rows, write_store
+from skyline.store.write import check_store_path, merged_rows, whole_rows, write_store
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -144,9 +144,9 @@ def build_store(
     InputError, StoreMismatchError
         As `build_places`.
     """
-    work, header = plan.parts(terrain), plan.header(terrain)
     path = Path(path).resolve()
-    check_folder(path)
+    check_store_path(path)
+    work, header = plan.parts(terrain), plan.header(terrain)
     # Parts may be continued by another release, on a DEM that has moved.
     build = replace(header, dem_files=(), package_version="")
     folder = parts_folder(path) / attributes_digest(build.attributes)[:12]

@@ -25,13 +25,14 @@ from skyline.cli.console import (
     progress_bar,
     read_terrain,
 )
-from skyline.errors import InputError
+from skyline.errors import InputError, suffix_of
+from skyline.files import check_folder
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import check_folder
+from skyline.store.write import check_store_path
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -173,6 +174,11 @@ def render(
     """Render views to grid north, east, south and west into a store, for the paper's matcher."""
     if (viewpoints is None) == (grid is None and planner is None):
         raise InputError("give one of --viewpoints FILE.csv, --grid SPACING_M and --planner NAME")
+    check_store_path(output.resolve())
+    if drawn is not None:
+        suffix_of(drawn, [".png"])
+    if depth_images is not None:
+        check_folder(depth_images)
     config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k))
     corners = None if bounds is None else parse_bounds(bounds)
     of_planners = {
@@ -207,12 +213,14 @@ def render(
         plan = RenderingPlan.given(eyes, config)
     else:
         plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
+    if depth_images is not None:
+        from skyline.report import plan_pictures  # noqa: PLC0415  (slow to load)
+
+        plan_pictures.check_depth_folder(depth_images, len(plan.viewpoints), labels)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
-        from skyline.report.plan_pictures import save_depth_pictures  # noqa: PLC0415  (slow to load)
-
-        save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
+        plan_pictures.save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
     _print_built(result, output, "renderings")
 
 
@@ -268,7 +276,7 @@ def _print_finds(classes: Sequence[tuple[float, float, float]]) -> None:
 
 def _advise_to_continue(store: Path) -> None:
     """Check a store's folder; after Ctrl-C the error says that a build with parts continues."""
-    check_folder(store.resolve())
+    check_store_path(store.resolve())
     on_interrupt(
         "what was built is kept, and the same command continues from there",
         lambda: any(parts_folder(store.resolve()).glob("*/*.h5")),

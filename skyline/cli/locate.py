@@ -15,6 +15,7 @@ from skyline.fetch.dem_tiles import SOURCES
 from skyline.match.areas import cached_files, prepare_area
 from skyline.match.locate import NOTED_KM, area_of
 from skyline.match.queries import Query, listed
+from skyline.report.folder import check_report_folder
 from skyline.report.peaks import find_place
 
 
@@ -73,8 +74,7 @@ def locate(
     usable = usable_queries(queries)
     if peaks is not None and not peaks.is_file():
         raise MissingFileError(f"{peaks} does not exist; expected peaks to name")
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output} is a file; name a folder for the report")
+    check_report_folder(output)
     area, narrowing = area_of([one.path for one in usable], narrowing)
     before = cached_files()
     on_interrupt(

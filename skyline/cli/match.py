@@ -45,6 +45,7 @@ from skyline.match.prior import Narrowing
 from skyline.match.queries import Query, listed, match_here, match_many
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, RESULTS, ResultsFile, export_matches
+from skyline.report.folder import check_report_folder
 from skyline.report.peaks import read_peaks
 from skyline.terrain.rasters import absolute_name, without_folders
 
@@ -130,10 +131,6 @@ def match(
     entry_named("matcher", matcher, dict.fromkeys(_CHOICES))
     for is_wrong, error in (
         (not photos, f"{', '.join(map(str, stores))} are stores; name photos to find in them"),
-        (
-            report is not None and report.exists() and not report.is_dir(),
-            f"{report} is a file; name a folder for the report",
-        ),
         (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),
         (
             use_gps and matcher == _UNREFINED,
@@ -223,6 +220,8 @@ def _check_files(
         raise InputError(
             f"--report {report} is a folder of photos to match; name another one for the report"
         )
+    if report is not None:
+        check_report_folder(report)
     for path in exports:
         suffix_of(path, EXPORTS)
 

@@ -26,7 +26,14 @@ from skyline.cli.console import (
     read_terrain,
 )
 from skyline.cli.photo import FieldOfView, PhotoFile, PhotoProjection, usable_queries
-from skyline.errors import InputError, SkylineError, numbers_of, printable, suffix_of
+from skyline.errors import (
+    InputError,
+    SkylineError,
+    check_suffix,
+    numbers_of,
+    printable,
+    suffix_of,
+)
 from skyline.files import STANDARD, csv_lines, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
@@ -92,6 +99,8 @@ def orient(
     place = camera_place(at)
     queries = list(listed(photo, Query("", fov_deg, None, projection)))
     check_outputs([csv_file], [*photo, *(Path(one.path) for one in queries)])
+    if csv_file is not None:
+        check_suffix(csv_file, [".csv"])
     usable_queries(queries)  # Refused before the DEM is read, if none is usable
     terrain = read_terrain(dem, crs, reproject)
     found: list[dict[str, Any]] = []

@@ -17,11 +17,11 @@ from skyline.cli.console import (
     panel,
     print_written,
 )
-from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.errors import InputError, MissingFileError, SkylineError, check_suffix, suffix_of
 from skyline.match.queries import Query
 from skyline.photo.query import Projection
-from skyline.photo.read import extract_photo, write_overlay
-from skyline.photo.trace import write_trace
+from skyline.photo.read import OVERLAYS, extract_photo, write_overlay
+from skyline.photo.trace import TRACES, write_trace
 from skyline.store.read import is_store
 
 FieldOfView = Annotated[
@@ -52,6 +52,9 @@ def extract(
 ) -> None:
     """Find the skyline in a photo and write it as a trace that a person can correct."""
     check_outputs([output, overlay], [photo])
+    check_suffix(output, TRACES)
+    if overlay is not None:
+        suffix_of(overlay, OVERLAYS)
     image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
     if overlay is not None:
         write_overlay(image, skyline, overlay)

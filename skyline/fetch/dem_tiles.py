@@ -27,7 +27,7 @@ from rasterio.windows import transform as transform_of
 from skyline.arrays import BoolArray, Progress
 from skyline.errors import InputError
 from skyline.fetch.remote import AbsentError, with_remote
-from skyline.files import for_gdal, write_whole
+from skyline.files import check_folder, for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.rasters import without_secrets
 
@@ -106,8 +106,7 @@ def fetch_dem(
     _check_template(template)
     corners = tile_corners(bounds_deg)
     for_gdal(str(folder.absolute()))
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is not a folder; name a folder to write the tiles to")
+    check_folder(folder)
     cuts: list[_Cut] = []
     files: list[Path] = []
     missing: list[str] = []

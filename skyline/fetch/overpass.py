@@ -10,9 +10,9 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
-from skyline.errors import FetchError, InputError, printable
+from skyline.errors import FetchError, InputError, printable, suffix_of
 from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
-from skyline.files import write_whole
+from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.rasters import without_secrets
 
@@ -24,10 +24,12 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
     address of an Overpass interpreter. A failed request is repeated up to `RETRIES` times; the
     whole answer must arrive within `TIMEOUT_S` seconds.
 
-    Raises `InputError` where the bounds are not in order, the server is no http address, or the
-    file cannot be written, and `FetchError` where the server fails, is too slow, or its answer is
-    not a list of peaks in the box.
+    Raises `InputError` where the suffix is not that of GeoJSON, the bounds are not in order, the
+    server is no http address, or the file cannot be written, and `FetchError` where the server
+    fails, is too slow, or its answer is not a list of peaks in the box.
     """
+    if str(path) != STANDARD:
+        suffix_of(path, GEOJSON)
     west, south, east, north = check_bounds(bounds_deg)
     if urlsplit(server).scheme not in ("http", "https") or not urlsplit(server).hostname:
         raise InputError(

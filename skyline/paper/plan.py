@@ -24,7 +24,7 @@ from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS, Views
 from skyline.store.format import StoreHeader
-from skyline.store.write import check_folder, sorted_once, write_store
+from skyline.store.write import check_store_path, sorted_once, write_store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
@@ -142,7 +142,7 @@ def build_planned(
         "bounds_deg": bounds_deg,
     }
     header = rendering_header(terrain, settings, config)
-    check_folder(path)
+    check_store_path(path)
     if _is_planned(path, header):
         return None
     with HorizonRenderer(terrain, config) as renderer:

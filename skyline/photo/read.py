@@ -41,6 +41,8 @@ MAX_JPEG_PIXELS = 400_000_000
 Picture = str | Path | Image.Image | UInt8Array
 """A photo, a sky mask or a trace: its file, ``-`` for standard input, or its pixels."""
 
+OVERLAYS = (".png",)
+"""The suffix of overlays."""
 _EXPECTED = "expected a photo, a sky mask or a trace"
 _size_limit = Lock()
 
@@ -237,7 +239,7 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     skyline belongs to an image of another size, the file is not named .png, or it cannot be
     written.
     """
-    suffix_of(path, [".png"])
+    suffix_of(path, OVERLAYS)
     check_of_image(query, photo.shape)
     drawn = photo.copy()
     thickness = max(1, round(query.width_px / 1000))

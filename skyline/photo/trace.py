@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError
+from skyline.errors import InputError, check_suffix
 from skyline.files import Row, Table, read_table, write_whole
 from skyline.photo.query import Lens, Projection, QuerySkyline
 
+TRACES = (".csv",)
+"""The suffix of traces: files of others are photos."""
 _MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 _MAX_SIDE_PX = 100_000
@@ -24,8 +26,10 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     """Write a skyline as CSV: one row per trusted column, one break per run of masked columns.
 
     A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
-    `read_trace` returns the same rows, bit for bit, the field of view and the projection.
+    `read_trace` returns the same rows, bit for bit, the field of view and the projection. Raises
+    `InputError` where the suffix is not .csv, or the file cannot be written.
     """
+    check_suffix(path, TRACES)
     lines = [f"# width={query.width_px} height={query.height_px}"]
     if query.projection.is_panorama:
         lines.append(f"# projection={query.projection}")

@@ -3,16 +3,20 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Generic
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
 from skyline.report.peaks import S
 
+_MARK = "Software", "Skyline"
+"""A text in the PNG files that are written here, and its name."""
 _OPTIONS: dict[str, dict[str, Any]] = {
-    "png": {"pil_kwargs": {"compress_level": 4}},
+    "png": {"pil_kwargs": {"compress_level": 4}, "metadata": dict([_MARK])},
     "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
 }
 """Options of JPEG: without optimization a file has a tenth more bytes, but takes half the time; at
@@ -26,6 +30,11 @@ def encode_figure(figure: Figure, kind: str = "png") -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
     return picture.getvalue()
+
+
+def is_figure(path: Path) -> bool:
+    """Return whether a file is a PNG of `encode_figure`."""
+    return has_mark(path, b"\0".join(text.encode() for text in _MARK))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
 from skyline.report.figures import Unnamed, encode_figure
+from skyline.report.folder import CANDIDATES, PAGE, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
@@ -43,7 +44,7 @@ def report_matches(
     Parameters
     ----------
     folder : str or Path
-        Made if it is missing; files of the same names are replaced.
+        Made if it is missing. Files of an earlier report are replaced.
     matcher : Matcher
         The matcher that made the results. Relief and the candidates' skylines are drawn from its
         terrain, or else from the DEM that its store names; without either they are left out.
@@ -61,9 +62,11 @@ def report_matches(
     Raises
     ------
     InputError
-        A photo cannot be read, or a file cannot be written.
+        A photo cannot be read, a file cannot be written, or a file of another origin would be
+        replaced.
     """
     folder, results = Path(folder), listed(results)
+    check_report_folder(folder)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
@@ -80,12 +83,13 @@ def report_matches(
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"
     whole = page("Where the photos were taken", lead, sections, made_by)
-    is_new, path = not folder.exists(), folder / "index.html"
+    is_new, path = not folder.exists(), folder / PAGE
     try:
+        # The page first: its mark says whose the other files are, should this be stopped.
+        write_with_folders(path, whole)
         for name, content in pictures.items():
             write_with_folders(folder / name, content)
-        export_matches(folder / "matches.geojson", results, matcher.frame)
-        write_with_folders(path, whole)
+        export_matches(folder / CANDIDATES, results, matcher.frame)
     except InputError:
         if is_new:
             shutil.rmtree(folder, ignore_errors=True)

@@ -23,7 +23,7 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
-from skyline.files import Row, read_bytes, read_table
+from skyline.files import GEOJSON, Row, read_bytes, read_table
 from skyline.geodesy import GROUND_M, Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sightlines import edge_crossings_m
@@ -35,7 +35,6 @@ SUMMIT_RADIUS_M = 150.0
 not hide the summit."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
-_GEOJSON = (".geojson", ".json")
 _FOOT_M, _INCH_M = 0.3048, 0.0254
 _METRES = {
     **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
@@ -159,7 +158,7 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
     """Return printable names, coordinates with heights (3, N), and whether they are in degrees."""
     is_lonlat = True
-    if Path(path).suffix.lower() in _GEOJSON:
+    if Path(path).suffix.lower() in GEOJSON:
         points = _of_geojson(path)
     else:
         table = read_table(path, _EXPECTED, _HEIGHTS)

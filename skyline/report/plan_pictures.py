@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.files import write_whole, write_with_folders
+from skyline.errors import InputError
+from skyline.files import check_folder, write_whole, write_with_folders
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
-from skyline.report.figures import encode_figure
+from skyline.report.figures import encode_figure, is_figure
 from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.heightfield import HeightField
@@ -42,19 +43,44 @@ def save_depth_pictures(
     """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
 
     The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order; after
-    the number comes the viewpoint's label, if it has one.
+    the number comes the viewpoint's label, if it has one. Raises as `check_depth_folder`.
     """
+    check_depth_folder(folder, len(viewpoints), labels)
     folder.mkdir(parents=True, exist_ok=True)
     with DepthRenderer(terrain, config.width, config.curvature) as renderer:
         for index in range(len(viewpoints)):
             images = renderer.depth_images(viewpoints, index)
-            label = _UNSAFE.sub("-", labels[index]) if labels else ""
-            stem = f"{index:04d}{label and '_'}{label}"
+            views = renderer.render(viewpoints[index : index + 1])
+            stem = _stem(index, labels)
+            # The picture first: its mark says whose the others are, should this be stopped.
+            write_whole(folder / f"{stem}.png", encode_figure(_depth_figure(images, views)))
             for heading in HEADINGS:
                 picture = cv2.imencode(".tif", images[heading])[1].tobytes()
                 write_whole(folder / f"{stem}_heading_{heading}.tif", picture)
-            views = renderer.render(viewpoints[index : index + 1])
-            write_whole(folder / f"{stem}.png", encode_figure(_depth_figure(images, views)))
+
+
+def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> None:
+    """Check that depth images in a folder would replace no files but earlier ones.
+
+    Raises `InputError` as `check_folder`, and for a file that would be replaced.
+    """
+    check_folder(folder)
+    for stem in (_stem(index, labels) for index in range(count)):
+        picture, *images = (
+            folder / f"{stem}{end}"
+            for end in (".png", *(f"_heading_{heading}.tif" for heading in HEADINGS))
+        )
+        there = next((path for path in (picture, *images) if path.exists()), None)
+        if there is not None and not is_figure(picture):
+            raise InputError(
+                f"{there} is no depth image of Skyline and would be replaced; name another folder"
+            )
+
+
+def _stem(index: int, labels: Sequence[str]) -> str:
+    """Return how the names of a viewpoint's files begin."""
+    label = _UNSAFE.sub("-", labels[index]) if labels else ""
+    return f"{index:04d}{label and '_'}{label}"
 
 
 def _depth_figure(images: Float32Array, views: Views) -> Figure:

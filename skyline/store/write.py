@@ -33,7 +33,7 @@ import h5py
 import numpy as np
 
 from skyline.arrays import IntArray
-from skyline.errors import InputError, MissingFileError, SkylineError, StoreError
+from skyline.errors import InputError, MissingFileError, SkylineError, StoreError, check_suffix
 from skyline.files import STANDARD
 from skyline.geodesy import Bounds
 from skyline.store.format import (
@@ -50,6 +50,8 @@ from skyline.store.read import Store, open_hdf5, open_store
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
+SUFFIXES = (".h5", ".hdf5")
+"""Suffixes that the file of a store may have."""
 _LIBVER = ("v110", "v110")
 """Pinned, so that every release of HDF5 since 1.10 reads the file, and its bytes stay the same."""
 
@@ -88,7 +90,7 @@ def write_store(
     folder for the file, and `StoreError` where it cannot be written.
     """
     path = Path(path).resolve()
-    check_folder(path)
+    _check_place(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
@@ -116,8 +118,17 @@ def write_store(
     return len(order)
 
 
-def check_folder(path: Path) -> None:
-    """Raise `MissingFileError` unless there is a folder for a store, `InputError` for ``-``."""
+def check_store_path(path: Path) -> None:
+    """Check the path of a store that is to be written.
+
+    Raises `InputError` for ``-`` and for the suffix of another format, `MissingFileError` where
+    there is no folder for it.
+    """
+    check_suffix(path, SUFFIXES)
+    _check_place(path)
+
+
+def _check_place(path: Path) -> None:
     if path.name == STANDARD:
         raise InputError("a store cannot be written to standard output; name a file")
     if not path.parent.is_dir():
@@ -455,7 +466,7 @@ def _joined(found: list[Damage]) -> tuple[Damage, ...]:
 def _new(out: str | os.PathLike[str]) -> Path:
     """Return the path of a store that is to be written and must not be there yet."""
     out = Path(out).resolve()
-    check_folder(out)
+    check_store_path(out)
     if out.exists():
         raise StoreError(
             f"store {out} cannot be created: it exists already; remove it, or choose another name"

@@ -57,7 +57,8 @@ def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
         (renderings, (), "holds renderings, not places"),
         (store, paper, "holds places, not renderings"),
         (renderings, (*paper, *heading), "only the full matcher can narrow its search"),
-        (store, ("--report", store), "is a file; name a folder for the report"),
+        (store, ("--report", store), "is an input; choose another name for the output"),
+        (store, ("--report", __file__), "is a file; name a folder"),
         (store, ("--use-gps", "--matcher", "unrefined"), "--use-gps acts in refinement"),
     ):
         assert_refused(run("match", searched, photo, "--fov-deg", "60", *options), message)

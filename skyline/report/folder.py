@@ -1,0 +1,28 @@
+"""The folder of a report: the names of its files, and whose files they are."""
+
+import re
+from pathlib import Path
+
+from skyline.errors import InputError
+from skyline.files import check_folder
+from skyline.report.html import is_page
+
+PAGE, CANDIDATES = "index.html", "matches.geojson"
+_FILES = re.compile(rf"{PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")
+
+
+def check_report_folder(folder: Path) -> None:
+    """Check that a report in a folder would replace no file but those of an earlier report.
+
+    The page of a report has a mark; where there is none, no file is an earlier report's. Raises
+    `InputError` as `check_folder`, and for a file that would be replaced.
+    """
+    check_folder(folder)
+    if not folder.exists() or is_page(folder / PAGE):
+        return
+    for path in sorted(folder.iterdir()):
+        if _FILES.fullmatch(path.name):
+            raise InputError(
+                f"{path} is no file of a report of Skyline and would be replaced; name another "
+                "folder for the report"
+            )
