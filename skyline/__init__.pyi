@@ -41,6 +41,7 @@ from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
 from .render.horizon import render_views as render_views
 from .report.exports import export_matches as export_matches
+from .report.figures import UnnamedPeaks as UnnamedPeaks
 from .report.labelled_panorama import save_panorama as save_panorama
 from .report.landscape import PanoramaConfig as PanoramaConfig
 from .report.located import write_located as write_located

@@ -174,7 +174,7 @@ def label(
     The camera is oriented by the skyline at its place, unless its pose is given.
     Summits that terrain hides are left out; if none is in view, the photo is written without names.
     """
-    from skyline.report.figures import Unnamed, some_of  # noqa: PLC0415  (slow to load)
+    from skyline.report.figures import UnnamedPeaks, some_of  # noqa: PLC0415  (slow to load)
     from skyline.report.overlay import draw_labels  # noqa: PLC0415
 
     kind = _LABEL_FILES[suffix_of(output, _LABEL_FILES)]
@@ -201,7 +201,7 @@ def label(
         with note_if_slow("looking for summits"):
             seen = viewer.summits(camera, query)
             sight = viewer.look(camera, query) if ridges and kind != "json" else None
-    unnamed = Unnamed()
+    unnamed = UnnamedPeaks()
     if kind == "json":
         names = ("name", "column_px", "row_px", "distance_m", "elevation_m")
         records = [{name: getattr(one, name) for name in names} for one in seen]

@@ -116,13 +116,19 @@ def place_labels(
 
 
 @dataclass(frozen=True, slots=True)
-class Unnamed:
-    """The peaks in a picture whose names are not on it, by the reason."""
+class UnnamedPeaks:
+    """The peaks in a picture whose names are not on it.
+
+    Attributes
+    ----------
+    no_room : int
+        Number of peaks whose names would overlap others.
+    no_font : tuple of str
+        Names that no installed font draws.
+    """
 
     no_room: int = 0
-    """Their number, where names would overlap."""
     no_font: tuple[str, ...] = ()
-    """Their names, which no installed font draws."""
 
     @property
     def counted(self) -> str:

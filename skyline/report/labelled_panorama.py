@@ -16,7 +16,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
-from skyline.report.figures import Label, Unnamed, encode_figure, labels_of, place_labels
+from skyline.report.figures import Label, UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count
 from skyline.report.peaks import Peaks, Sighting
 from skyline.terrain.dem import Dem, read_surface
@@ -30,7 +30,7 @@ _WIDTH_IN, _MARGIN_IN, _SCALE_IN, _TITLE_IN = 16.0, 0.45, 0.7, 0.45
 _NAMES_APART_IN = 0.015
 _DPI = 150
 _BELOW_DEG, _LEAST_DEG = 7.0, 12.0
-_FONT_PT = 8.0
+_FONT_PT, _TITLE_PT = 8.0, 11.0
 _LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
 """Direction of the light: over the viewer's left shoulder in every direction of view."""
 _ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
@@ -91,14 +91,14 @@ def save_panorama(
     return len(view.sightings)
 
 
-def save_view(view: PanoramaView, path: str | Path) -> Unnamed:
+def save_view(view: PanoramaView, path: str | Path) -> UnnamedPeaks:
     """Draw a view as a panorama; return the peaks without their names."""
     figure, unnamed = draw_panorama(view)
     write_whole(Path(path), encode_figure(figure, suffix_of(path, PANORAMA_SUFFIXES)[1:]))
     return unnamed
 
 
-def draw_panorama(view: PanoramaView) -> tuple[Figure, Unnamed]:
+def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
     """Draw a panorama in rows, with one scale for azimuth and elevation.
 
     Returns the figure and the peaks without their names.
@@ -118,9 +118,11 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, Unnamed]:
         _draw_row(axis, view, row, colours)
         no_room -= _draw_names(axis, row)
         top_in = bottom_in - _SCALE_IN
-    unnamed = Unnamed(no_room, no_font)
-    title = _title(view) + unnamed.counted
-    figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
+    unnamed = UnnamedPeaks(no_room, no_font)
+    words = _title(view) + unnamed.counted
+    title = figure.text(left, 1.0 - 0.3 / total_in, words, fontsize=_TITLE_PT, va="baseline")
+    share = wide * figure.bbox.width / title.get_window_extent().width
+    title.set_fontsize(_TITLE_PT * min(share, 1.0))
     return figure, unnamed
 
 

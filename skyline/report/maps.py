@@ -25,7 +25,7 @@ from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
-from skyline.report.figures import Label, Unnamed, labels_of
+from skyline.report.figures import Label, UnnamedPeaks, labels_of
 from skyline.report.peaks import Sighting
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -116,7 +116,7 @@ def draw_match_map(
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
     title = f"{shown:,} of the store's viewpoints (dots)"
-    title += Unnamed(max(0, len(labels) - _MOST_PEAKS), no_font).counted.replace("; ", "\n", 1)
+    title += UnnamedPeaks(max(0, len(labels) - _MOST_PEAKS), no_font).counted.replace("; ", "\n", 1)
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 

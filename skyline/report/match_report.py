@@ -15,7 +15,7 @@ from skyline.match.matcher import Matcher, terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
-from skyline.report.figures import Unnamed, encode_figure
+from skyline.report.figures import UnnamedPeaks, encode_figure
 from skyline.report.folder import CANDIDATES, PAGE, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
@@ -196,7 +196,7 @@ def _map_links(candidate: Candidate) -> list[tuple[str, str]]:
 
 
 def _overlay_caption(
-    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: Unnamed
+    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: UnnamedPeaks
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"

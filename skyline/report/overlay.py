@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from skyline.arrays import UInt8Array
 from skyline.match.candidate import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.figures import Unnamed, encode_figure, labels_of, place_labels
+from skyline.report.figures import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.report.viewer import SeenPeak, Sight
 
 _FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
@@ -36,7 +36,7 @@ def draw_overlay(
     pose: Candidate | None,
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
-) -> tuple[bytes, Unnamed]:
+) -> tuple[bytes, UnnamedPeaks]:
     """Draw skylines and peaks over a query's picture, with the arguments of `draw_labels`.
 
     Returns a JPEG and the peaks without their names. Without a photo the canvas is blank; ``pose``
@@ -64,7 +64,7 @@ def draw_labels(
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
     kind: str = "png",
-) -> tuple[bytes, Unnamed]:
+) -> tuple[bytes, UnnamedPeaks]:
     """Draw a photo with the names and distances of the peaks in it.
 
     Parameters
@@ -80,7 +80,7 @@ def draw_labels(
 
     Returns
     -------
-    bytes, Unnamed
+    bytes, UnnamedPeaks
         The picture, the photo at most 1600 px wide and high; and the peaks without their names,
         because names would overlap or no installed font draws them.
     """
@@ -102,7 +102,7 @@ def _draw_picture(
     peaks: Sequence[SeenPeak],
     texts: Sequence[str],
     foot_px: float = 0.0,
-) -> tuple[Figure, Axes, Unnamed]:
+) -> tuple[Figure, Axes, UnnamedPeaks]:
     """Draw the photo, or a blank canvas, with the peaks' texts above it, over an empty foot.
 
     Names that no font draws are counted in a line below the photo. Returns the figure, axes in
@@ -121,7 +121,7 @@ def _draw_picture(
         width,
         _MOST_ROWS,
     )
-    unnamed = Unnamed(len(labels) - len(placed), no_font)
+    unnamed = UnnamedPeaks(len(labels) - len(placed), no_font)
     band = max((_ROW_PX * (1 + place.row) + 10.0 for place in placed), default=0.0)
     foot_px += _ROW_PX if no_font else 0.0
     figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)
@@ -151,7 +151,7 @@ def _draw_picture(
         )
         axis.text(middle, foot, label.text, **font, **label.style)
     if no_font:
-        note = Unnamed(no_font=no_font).counted.removeprefix("; ")
+        note = UnnamedPeaks(no_font=no_font).counted.removeprefix("; ")
         axis.text(width / 2.0 / scale - 0.5, bottom + _ROW_PX / scale, note, **font)
     return figure, axis, unnamed
 

@@ -65,7 +65,7 @@ def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> 
     Raises `InputError` as `check_folder`, and for a file that would be replaced.
     """
     check_folder(folder)
-    for stem in (_stem(index, labels) for index in range(count)):
+    for stem in (_stem(index, labels) for index in range(count if folder.exists() else 0)):
         picture, *images = (
             folder / f"{stem}{end}"
             for end in (".png", *(f"_heading_{heading}.tif" for heading in HEADINGS))

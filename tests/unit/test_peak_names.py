@@ -10,7 +10,7 @@ from scenes import candidate_at, field_from
 from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
 from skyline.build.plans import uniform_grid
 from skyline.photo.query import QuerySkyline
-from skyline.report.figures import Unnamed, encode_figure
+from skyline.report.figures import UnnamedPeaks, encode_figure
 from skyline.report.labelled_panorama import draw_panorama
 from skyline.report.landscape import panorama_view
 from skyline.report.maps import detail_area, draw_match_map
@@ -39,7 +39,7 @@ SEEN = [
     )
     for at, name in enumerate(NAMES)
 ]  # fmt: skip
-WITHOUT = Unnamed(no_font=(NAMES[1],))
+WITHOUT = UnnamedPeaks(no_font=(NAMES[1],))
 
 
 def panorama(kind):
@@ -59,7 +59,7 @@ def match_map(kind):
     counted = "no installed font draws 1 name" in words
     return words + "".join(
         text.get_text() for text in axis.texts
-    ), WITHOUT if counted else Unnamed()
+    ), WITHOUT if counted else UnnamedPeaks()
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_name_is_drawn_by_the_font_that_has_it_or_counted(install_font, draw, 
     assert "no installed font draws 1 name" in texts
     install_font("Tiny", UNDRAWN)
     texts, unnamed = draw(kind)  # Matplotlib's warning of a missing letter would be an error.
-    assert unnamed == Unnamed()
+    assert unnamed == UnnamedPeaks()
     assert NAMES[1] in texts
     assert "no installed font" not in texts
 
@@ -86,8 +86,8 @@ def test_names_on_a_photo_are_drawn_by_the_fonts_that_have_them(install_font, ki
     assert draw_overlay(QUERY, PHOTO, None, peaks=SEEN)[1] == WITHOUT
     install_font("Tiny", UNDRAWN)
     named, unnamed = draw_labels(QUERY, PHOTO, SEEN, kind=kind)
-    assert unnamed == Unnamed()
-    assert draw_overlay(QUERY, PHOTO, None, peaks=SEEN)[1] == Unnamed()
+    assert unnamed == UnnamedPeaks()
+    assert draw_overlay(QUERY, PHOTO, None, peaks=SEEN)[1] == UnnamedPeaks()
     if kind == "svg":
         assert NAMES[1] not in bare.decode()
         assert "no installed font draws 1 name" in bare.decode()
@@ -95,10 +95,27 @@ def test_names_on_a_photo_are_drawn_by_the_fonts_that_have_them(install_font, ki
         assert "no installed font" not in named.decode()
 
 
+def test_a_title_that_counts_all_that_is_missing_fits_the_picture():
+    crowd = 40
+    peaks = Peaks(
+        names=tuple(f"Summit {index}" for index in range(crowd)) + (UNDRAWN,) * crowd,
+        easting_m=np.full(2 * crowd, 600.0), northing_m=np.full(2 * crowd, 1500.0),
+        height_m=np.full(2 * crowd, math.nan),
+    )  # fmt: skip
+    figure, unnamed = draw_panorama(panorama_view(FIELD, EYE, peaks, NORTH, FIELD))
+    assert unnamed.no_room == crowd - 1
+    assert len(unnamed.no_font) == crowd
+    (title,) = figure.texts
+    words = title.get_text()
+    assert words.count("; ") == 4, words
+    assert title.get_window_extent().x1 <= figure.bbox.x1
+    assert title.get_fontsize() > 8.0
+
+
 def test_peaks_without_a_name_in_words():
-    assert Unnamed().named == ""
-    assert Unnamed(2).named == Unnamed(2).counted == "; 2 peaks have no room for a name"
-    both = Unnamed(1, tuple(f"{UNDRAWN} {index}" for index in range(7)))
+    assert UnnamedPeaks().named == ""
+    assert UnnamedPeaks(2).named == UnnamedPeaks(2).counted == "; 2 peaks have no room for a name"
+    both = UnnamedPeaks(1, tuple(f"{UNDRAWN} {index}" for index in range(7)))
     assert both.counted == "; 1 peak has no room for a name; no installed font draws 7 names"
     listed = ", ".join(both.no_font[:5])
     assert both.named == f"{both.counted}: {listed} and 2 more"
