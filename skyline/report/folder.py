@@ -23,6 +23,6 @@ def check_report_folder(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         if _FILES.fullmatch(path.name):
             raise InputError(
-                f"{path} is no file of a report of Skyline and would be replaced; name another "
-                "folder for the report"
+                f"{path} would be replaced, and {folder} has no {PAGE} that is marked as "
+                "Skyline's; name another folder for the report"
             )

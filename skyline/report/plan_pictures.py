@@ -73,7 +73,8 @@ def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> 
         there = next((path for path in (picture, *images) if path.exists()), None)
         if there is not None and not is_figure(picture):
             raise InputError(
-                f"{there} is no depth image of Skyline and would be replaced; name another folder"
+                f"{there} would be replaced, and {picture} is not marked as Skyline's; name "
+                "another folder"
             )
 
 

@@ -84,7 +84,7 @@ def test_a_report_replaces_no_file_of_other_origin(
     page.mkdir()
     (page / name).write_text("mine")
     (page / "photo.jpg").write_text("mine")
-    message = f"page/{name} is no file of a report of Skyline and would be replaced"
+    message = f"page/{name} would be replaced, and page has no index.html that is marked"
     assert_refused(run(*words(command)), message)
     assert (page / name).read_text() == "mine"
     assert len(list(page.iterdir())) == 2
@@ -109,7 +109,7 @@ def test_depth_images_replace_earlier_ones_alone(run, words, tmp_path):
     render = "render {dem} --grid 3000 --width 32 -o views.h5 --depth-images frames"
     Image.new("RGB", (9, 9)).save(folder / "0000.png")
     mine = (folder / "0000.png").read_bytes()
-    assert_refused(run(*words(render)), "frames/0000.png is no depth image of Skyline")
+    assert_refused(run(*words(render)), "0000.png would be replaced, and")
     assert (folder / "0000.png").read_bytes() == mine
     assert [path.name for path in (tmp_path / "here").iterdir()] == ["frames"]
     (folder / "0000.png").unlink()
