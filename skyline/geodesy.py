@@ -126,6 +126,13 @@ def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 
+def distance_in_words(distance_m: float) -> str:
+    """Return a distance in metres, or in kilometres from 10 km on."""
+    if distance_m < 10_000.0:
+        return f"{distance_m:.0f} m"
+    return f"{distance_m / 1000.0:,.0f} km"
+
+
 def is_upright(crs: CRS) -> bool:
     """Return whether the map of a CRS is neither mirrored nor upside down.
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +10,9 @@ import numpy as np
 from pyproj import Geod
 
 from skyline.errors import InputError, library, printable
-from skyline.geodesy import in_turn
+from skyline.geodesy import distance_in_words, in_turn
 from skyline.match.candidate import COLUMNS, ROUGHLY_WITHIN_M, Candidate
+from skyline.match.prior import Narrowing
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.query import QuerySkyline
 
@@ -58,6 +59,8 @@ class MatchResult:
         The query's file, as it was given to the matcher; empty for a `QuerySkyline`.
     id : str
         The ``id`` or ``name`` that a list of queries gives it; else empty.
+    narrowing : Narrowing or None
+        What was known about the pose in a search of this query alone; None where there was none.
     """
 
     query: QuerySkyline
@@ -67,6 +70,7 @@ class MatchResult:
     within_m: float | None = None
     name: str = ""
     id: str = ""
+    narrowing: Narrowing | None = None
 
     @property
     def best(self) -> Candidate | None:
@@ -82,6 +86,18 @@ class MatchResult:
     def confidence(self) -> float | None:
         """The estimated probability that the answer is right within `within_m`, if there is one."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
+
+    def chosen(self, rank: int) -> "MatchResult":
+        """Return the result with the candidate of a rank first, as chosen by a person.
+
+        It is the answer only if it was the answer of the search.
+        """
+        if rank == 1:
+            return self
+        first = self.candidates[rank - 1]
+        others = (one for one in self.candidates if one is not first)
+        refusal = self.refusal or "chosen by a person"
+        return replace(self, candidates=(first, *others), refusal=refusal, within_m=None)
 
     @property
     def summary(self) -> str:
@@ -99,9 +115,10 @@ class MatchResult:
         if self.answer is not None and self.within_m is not None:
             place += f", right within {self.within_m:g} m"
         if best.rank is None:
-            failed = ", and the fit has failed" if best.refined and self.refusal else ""
+            if best.refined and self.refusal:
+                return f"Fitted, and the fit has failed: {place}; {self.refusal}."
             residual = best.residual_in_words
-            return f"{best.origin.capitalize()}{failed}: {place}{residual and f'; {residual}'}."
+            return f"{best.origin.capitalize()}: {place}{residual and f'; {residual}'}."
         if best.rank > 1:
             return f"Candidate {best.rank}, chosen by a person: {place}."
         if self.refusal:
@@ -158,10 +175,7 @@ class MatchResult:
         it = "the answer" if self.answer is not None or best is None else best.name
         if exif["lat"] is not None:
             where = f"lat {exif['lat']:.5f} lon {exif['lon']:.5f}" if with_place else "a place"
-            distance_m = exif["distance_m"] or 0.0
-            distance = f"{distance_m:.0f} m"
-            if distance_m >= 10_000.0:
-                distance = f"{distance_m / 1000.0:,.0f} km"
+            distance = distance_in_words(exif["distance_m"] or 0.0)
             off = "" if best is None else f", {distance} from {it}"
             accuracy = (
                 "" if exif["accuracy_m"] is None else f" (good to {exif['accuracy_m']:.0f} m)"

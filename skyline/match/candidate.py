@@ -87,7 +87,7 @@ class Candidate:
         Harmonic mean distance of the rendered skyline, in the query's columns.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
-        found.
+        found. A pose that was fitted better than a candidate, in its place, has its rank.
     """
 
     lon: float
@@ -148,6 +148,18 @@ class Candidate:
     def grid_heading_deg(self) -> float:
         """Grid azimuth of the optical axis, in [0, 360), as renderers take it."""
         return (self.heading_deg - self.convergence_deg) % 360.0
+
+    def distance_m(self, other: "Candidate") -> float:
+        """Return the horizontal distance of another pose of the same frame, metres."""
+        return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
+
+    def is_same_answer(self, other: "Candidate") -> bool:
+        """Return whether another pose of the same frame is the same answer: near, and looks alike.
+
+        A confidence is of an answer.
+        """
+        turn_deg = abs(float(in_turn(self.heading_deg - other.heading_deg)))
+        return self.distance_m(other) <= RIGHT_WITHIN_M and turn_deg <= SAME_VIEW_DEG
 
     @property
     def residual_in_words(self) -> str:

@@ -23,13 +23,14 @@ The camera's tilt is not a figure, since synthetic queries tilt less than photos
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
+from skyline.geodesy import distance_in_words
 from skyline.match.candidate import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
@@ -393,11 +394,50 @@ def _of_a_slope(candidates: Sequence[Candidate]) -> str:
     )
 
 
-def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
-    """Return why a fit has failed: poses that fit as badly are seldom right; None if it has not.
+def found_again(
+    candidates: Sequence[Candidate], start: Candidate, fitted: Candidate | None
+) -> Candidate | None:
+    """Return the candidate of a search to which a fit has led; None if it led elsewhere.
 
-    The confidence of ``fitted`` is that of its stage, `FITTED`.
+    The fit leads to the nearest candidate of the same answer, or back to the one that it started
+    from, whichever fits better. A pose that fits better than both replaces the nearest candidate:
+    it gets the rank and the confidences, which are of the answer. But where a pose fits better than
+    all candidates, only the best one's answer can be its own; the search did not know of others.
+
+    Scores compare, since a fit ends with the query and the prior of the search. Of two poses of one
+    answer neither fits better if their odds are less than e to 1.
     """
+
+    def nearest(pose: Candidate) -> Candidate | None:
+        alike = filter(pose.is_same_answer, candidates)
+        return min(alike, key=pose.distance_m, default=None)
+
+    left = nearest(start)
+    if fitted is None:
+        return left
+    near = nearest(fitted)
+    standing = [one for one in (near, left) if one and one.score < fitted.score + TEMPERATURE]
+    if standing:
+        return min(standing, key=lambda one: one.score)
+    if near is None or (near is not candidates[0] and fitted.score < candidates[0].score):
+        return None
+    return replace(
+        fitted,
+        rank=near.rank,
+        confidence=near.confidence,
+        confidence_1km=near.confidence_1km,
+    )
+
+
+def misfit(fitted: Candidate, config: MatchConfig, answer: Candidate | None = None) -> str | None:
+    """Return why a fit away from a search's candidates has failed; None if it has not.
+
+    It has failed where the answer of the search fits better, and where poses that fit as badly are
+    seldom right. The confidence of ``fitted`` is that of its stage, `FITTED`.
+    """
+    if answer is not None and answer.score <= fitted.score:
+        away = f"{distance_in_words(answer.distance_m(fitted))} away"
+        return f"{fitted.residual_in_words}; {answer.name}, {away}, fits better"
     sure, least = fitted.confidence_1km or 0.0, min(_LEAST_OF_FIT, config.min_confidence)
     if sure >= least:
         return None

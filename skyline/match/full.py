@@ -127,22 +127,28 @@ class FullMatcher:
         return found, poses
 
     @one_blas_thread()
-    def fitted(self, query: QueryRays, start: Candidate) -> Candidate | None:
+    def fitted(
+        self, query: QueryRays, start: Candidate, prior: Prior, about_start: QueryRays
+    ) -> Candidate | None:
         """Return a pose refined by rendering; None where nothing near it fits.
 
-        The eye keeps its height above the ground. The confidence is that of
-        `confidence.FITTED`. Raises `InputError` without a scene, and for a pose off the map or on a
-        hole.
+        A start farther off is fitted with ``about_start``, the query's rays about the start's field
+        of view, while the eye keeps its height above the ground. The pose is then fitted as in a
+        search, so its score compares with those of a search with the same query and prior. The
+        confidence is that of `confidence.FITTED`. Raises `InputError` without a scene, and for a
+        pose off the map or on a hole.
         """
         scene, pose = self._needed_scene(), hypothesis_of(start)
-        above_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
-        if not np.isfinite(above_m).all():
+        off_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
+        if not np.isfinite(off_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
-        effort = replace(WHOLE, restarts=1)
-        prior = Prior(Narrowing(eye_height_m=max(0.0, float(above_m[0]))))
-        poses = Refinement(query, scene, effort, prior).run(pose)[:1]
+        above_m, effort = max(0.0, float(off_m[0])), replace(WHOLE, restarts=1)
+        held = Prior(Narrowing(eye_height_m=above_m))
+        poses = Refinement(about_start, scene, effort, held).run(pose)
+        poses = Refinement(query, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])
         if not len(poses):
             return None
+        poses = poses[:1]
         figures = confidence.pose_figures(poses, query)
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
         return candidates_of(self.frame, poses, near, roughly)[0]

@@ -19,6 +19,7 @@ from skyline.match.answer import TOP, JointResult, MatchResult
 from skyline.match.candidate import Candidate, candidates_of
 from skyline.match.confidence import (
     MatchConfig,
+    found_again,
     misfit,
     refusal_of,
     sure_within_m,
@@ -194,7 +195,8 @@ class Matcher(Releasable):
             refusal = refusal_of(candidates, self._config, query, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         seconds = time.perf_counter() - started
-        return MatchResult(query, candidates, seconds, refusal, within_m, name)
+        known = narrowing or Narrowing()
+        return MatchResult(query, candidates, seconds, refusal, within_m, name, narrowing=known)
 
     def match_together(
         self,
@@ -270,37 +272,69 @@ class Matcher(Releasable):
         )
         return JointResult(results, seconds, refusal)
 
-    def fit(self, query: QuerySkyline, start: Candidate) -> MatchResult:
-        """Refine a pose by rendering, without a search.
+    def fit(
+        self,
+        query: QuerySkyline | MatchResult,
+        start: Candidate,
+        narrowing: Narrowing | None = None,
+    ) -> MatchResult:
+        """Refine a pose by rendering, as a search refines the poses that it finds.
 
-        The result's one candidate holds the difference between the skylines. It has no confidence,
+        The result of a search is taken into account. A fit that leads to one of its candidates is
+        that candidate, with the search's verdict. A fit that leads to the same answer but fits
+        better than the candidate replaces it: its pose gets the candidate's rank and confidences.
+
+        Elsewhere, and without a search, the result's one candidate has no rank and no confidence,
         since no other place was tried. The fit has failed, and there is no answer, if poses that
-        fit as badly are seldom right; the candidate then has no covariance. There is no candidate
-        where the pose does not fit at all.
+        fit as badly are seldom right, or if the answer of the search fits better; the candidate
+        then has no covariance. There is no candidate where the pose does not fit at all.
 
         Parameters
         ----------
-        query : QuerySkyline
+        query : QuerySkyline or MatchResult
+            A skyline, or the result of `match` for it, which has its narrowing.
         start : Candidate
-            A pose at most some 100 m and 5 degrees of heading from the true one. Its field of view
-            is right within the matcher's slack. The eye keeps its height above the ground.
+            A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
+            from the true one.
+        narrowing : Narrowing, optional
+            Its eye height and its use of GPS count; the place may lie anywhere.
 
         Raises
         ------
         InputError
-            The matcher does not render, or the pose is off the map.
+            The matcher does not render, the pose is off the map, or the result is not that of a
+            search of one query.
         """
         started = time.perf_counter()
-        rays, _ = self._rays_and_prior(query.with_fov(start.fov_deg), None)
-        pose = self._full().fitted(rays, start)
-        if pose is None:
-            seconds = time.perf_counter() - started
-            return MatchResult(query, (), seconds, "nothing near this pose fits")
-        refusal = misfit(pose, self._config)
-        pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
-        if refusal is not None:
-            pose = replace(pose, covariance_m2=None)
-        return MatchResult(query, (pose,), time.perf_counter() - started, refusal)
+        searched = None
+        if isinstance(query, MatchResult):
+            if query.narrowing is None or narrowing is not None:
+                raise InputError("a fit takes a query and a narrowing, or the result of `match`")
+            searched, narrowing = query, query.narrowing
+            query = searched.query
+        pose = self._fitted(query, start, narrowing)
+        found = found_again(searched.candidates, start, pose) if searched else None
+        if searched and found:
+            result = replace(searched.chosen(found.rank or 1), candidates=(found,))
+        elif pose is None:
+            result = MatchResult(query, (), 0.0, "nothing near this pose fits")
+        else:
+            refusal = misfit(pose, self._config, searched.answer if searched else None)
+            pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
+            if refusal is not None:
+                pose = replace(pose, covariance_m2=None)
+            result = MatchResult(query, (pose,), 0.0, refusal)
+        return replace(result, seconds=time.perf_counter() - started, narrowing=None)
+
+    def _fitted(
+        self, query: QuerySkyline, start: Candidate, narrowing: Narrowing | None
+    ) -> Candidate | None:
+        about_start = query.with_fov(start.fov_deg)
+        if query.projection.is_panorama and query.fov_deg is None:
+            query = about_start  # No search finds a panorama's field of view.
+        rays, prior = self._rays_and_prior(query, narrowing)
+        rays_about_start, _ = self._rays_and_prior(about_start, None)
+        return self._full().fitted(rays, start, prior, rays_about_start)
 
     def _full(self) -> FullMatcher:
         if not isinstance(self._ranker, FullMatcher):

@@ -156,7 +156,7 @@ class Refinement:
     """The refinement of one query.
 
     The height of the eye above the ground is solved for, about the usual one, unless the prior's
-    narrowing gives it.
+    narrowing gives it. It starts at ``first_eye_height_m``, by default at the usual one.
     """
 
     def __init__(
@@ -166,8 +166,10 @@ class Refinement:
         effort: Effort,
         prior: Prior = NOTHING_KNOWN,
         usual_eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+        first_eye_height_m: float | None = None,
     ) -> None:
         self._scene, self.effort = scene, effort
+        self._first_eye_height_m = first_eye_height_m
         eye = EyeHeightPrior(usual_eye_height_m, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
@@ -216,7 +218,10 @@ class Refinement:
     def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
         """Return particles at hypotheses, their attitudes solved from there."""
         place_m = hypotheses.easting_m + 1j * hypotheses.northing_m
-        return self.arrived(solver, place_m, solver.start(hypotheses))
+        fit = solver.start(hypotheses)
+        if self._first_eye_height_m is not None:
+            fit = solver.at_height(fit, np.full(len(hypotheses), self._first_eye_height_m))
+        return self.arrived(solver, place_m, fit)
 
     def reweighted(self, particles: Particles) -> Particles:
         """Return particles fitted with correlated errors, until the chosen errors have settled."""

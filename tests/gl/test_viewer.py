@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline import Matcher, OffMapError, Viewer, read_dem, read_query
+from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_query
 from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.report.viewer import sight_of
@@ -118,6 +118,44 @@ def test_a_bad_fit_has_failed(matcher, query):
     said = f"{found.residual_deg:.2f} degrees apart (rms) over {100 * found.terrain_share:.0f} %"
     assert said in fit.refusal
     assert "75 % are needed" in fit.refusal
+
+
+def test_a_fit_at_a_candidate_of_a_search_is_that_candidate(matcher, photo):
+    """Whether the pose was moved a little or not, and also with an unknown field of view."""
+    for query in (read_query(photo, 60.0), read_query(photo)):
+        searched = matcher.match(query)
+        for one in searched.candidates[:2]:
+            moved = replace(one, easting_m=one.easting_m + 20.0, heading_deg=one.heading_deg + 1.0)
+            for start in (one, moved):
+                fit = matcher.fit(searched, start)
+                again = searched.candidates[fit.best.rank - 1]
+                assert fit.best.confidence == again.confidence
+                assert fit.best.confidence_1km == again.confidence_1km
+                assert fit.best.score <= again.score
+                assert (fit.refusal, fit.within_m) == (
+                    (searched.refusal, searched.within_m)
+                    if again.rank == 1
+                    else (searched.refusal or "chosen by a person", None)
+                )
+
+
+def test_a_fit_is_to_what_is_known(matcher, query):
+    with Viewer(matcher.terrain) as viewer:
+        start = true_pose(viewer, matcher.frame, eye_height_m=30.0)
+        known = matcher.fit(query, start, Narrowing(eye_height_m=30.0)).best
+        found = matcher.fit(query, start).best
+
+    def above_m(pose):
+        place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
+        return pose.eye_elevation_m - float(matcher.terrain.height_at(**place))
+
+    assert above_m(known) == pytest.approx(30.0, abs=1e-3)
+    assert above_m(found) == pytest.approx(2.0, abs=3.0)
+    assert found.residual_deg < known.residual_deg
+    searched = matcher.match(query)
+    for wrong, narrowing in ((searched, Narrowing()), (matcher.fit(query, start), None)):
+        with pytest.raises(InputError, match="the result of `match`"):
+            matcher.fit(wrong, start, narrowing)
 
 
 def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, query):
