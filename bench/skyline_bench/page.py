@@ -58,9 +58,9 @@ _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False
 
 
 @contextmanager
-def serving(*arguments: object) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Run ``skyline serve`` on any free port; yields the page's address and the process."""
-    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+def serving(*arguments: object, port: int = 0) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Run ``skyline serve``, by default on any free port; yields its address and the process."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", str(port)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as run:
         try:

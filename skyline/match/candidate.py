@@ -153,13 +153,17 @@ class Candidate:
         """Return the horizontal distance of another pose of the same frame, metres."""
         return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
 
+    def turn_deg(self, other: "Candidate") -> float:
+        """Return the angle between the headings of two poses, 0 to 180 degrees."""
+        return abs(float(in_turn(self.heading_deg - other.heading_deg)))
+
     def is_same_answer(self, other: "Candidate") -> bool:
         """Return whether another pose of the same frame is the same answer: near, and looks alike.
 
         A confidence is of an answer.
         """
-        turn_deg = abs(float(in_turn(self.heading_deg - other.heading_deg)))
-        return self.distance_m(other) <= RIGHT_WITHIN_M and turn_deg <= SAME_VIEW_DEG
+        near = self.distance_m(other) <= RIGHT_WITHIN_M
+        return near and self.turn_deg(other) <= SAME_VIEW_DEG
 
     @property
     def residual_in_words(self) -> str:

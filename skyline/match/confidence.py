@@ -436,8 +436,10 @@ def misfit(fitted: Candidate, config: MatchConfig, answer: Candidate | None = No
     seldom right. The confidence of ``fitted`` is that of its stage, `FITTED`.
     """
     if answer is not None and answer.score <= fitted.score:
-        away = f"{distance_in_words(answer.distance_m(fitted))} away"
-        return f"{fitted.residual_in_words}; {answer.name}, {away}, fits better"
+        away, turn_deg = distance_in_words(answer.distance_m(fitted)), answer.turn_deg(fitted)
+        if turn_deg > SAME_VIEW_DEG:
+            away += f" and {turn_deg:.0f} degrees of heading"
+        return f"{fitted.residual_in_words}; {answer.name}, {away} away, fits better"
     sure, least = fitted.confidence_1km or 0.0, min(_LEAST_OF_FIT, config.min_confidence)
     if sure >= least:
         return None

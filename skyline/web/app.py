@@ -22,7 +22,15 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from skyline import InputError, SkylineError, read_trace
 from skyline.web.engine import Engine, shown_name
-from skyline.web.requests import chosen_of, narrowing_of, number, pose_of, query_of, strokes_of
+from skyline.web.requests import (
+    chosen_of,
+    known_of,
+    narrowing_of,
+    number,
+    pose_of,
+    query_of,
+    strokes_of,
+)
 from skyline.web.session import (
     KINDS,
     MAX_SESSION_BYTES,
@@ -32,8 +40,9 @@ from skyline.web.session import (
     PagePhoto,
     Session,
     Sessions,
-    candidate_json,
+    outcome_json,
     saved,
+    trace_of,
     version_of,
 )
 
@@ -54,11 +63,14 @@ class TooLargeError(InputError):
 
 
 class PageApp:
-    """The web application of an engine; ``started`` is called once it answers requests."""
+    """The web application of an engine; ``started`` is called once it answers requests.
 
-    def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
+    ``machine`` names the machine to which the photos of others go, None if there are no others.
+    """
+
+    def __init__(self, engine: Engine, machine: str | None, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
-        self._started = started
+        self._machine, self._started = machine, started
 
     def app(self) -> Starlette:
         """Return the application, with all addresses of the page."""
@@ -81,7 +93,8 @@ class PageApp:
             Route(of_photo, self._remove, methods=["DELETE"]),
             Route(f"{of_photo}/picture", self._picture),
             Route(f"{of_photo}/skyline", self._skyline, methods=["POST"]),
-            Route(f"{of_photo}/trace", self._trace, methods=["POST"]),
+            Route(f"{of_photo}/trace", self._trace),
+            Route(f"{of_photo}/trace", self._load_trace, methods=["POST"]),
             Route(f"{of_photo}/match", self._match, methods=["POST"]),
             Route(f"{of_photo}/match", self._cancel, methods=["DELETE"]),
             Route(f"{of_photo}/fit", self._fit, methods=["POST"]),
@@ -106,7 +119,7 @@ class PageApp:
             await asyncio.to_thread(self._sessions.sweep)
 
     async def _state(self, _: Request) -> Response:
-        return JSONResponse(self._engine.about())
+        return JSONResponse(self._engine.about() | {"machine": self._machine})
 
     async def _relief(self, request: Request) -> Response:
         at = (request.path_params[name] for name in ("zoom", "x", "y"))
@@ -182,6 +195,11 @@ class PageApp:
         return _lines(photo)
 
     async def _trace(self, request: Request) -> Response:
+        photo, path = self._photo(request), self._session(request).path_for("trace.csv")
+        text = await self._engine.work("files", trace_of, photo, path)
+        return Response(text, media_type="text/csv")
+
+    async def _load_trace(self, request: Request) -> Response:
         session, photo = self._session(request), self._photo(request)
         path = session.path_for("trace.csv")
         body = await _body(request, _MAX_JSON_BYTES, "the trace", "use a trace with fewer points")
@@ -214,21 +232,27 @@ class PageApp:
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
         query, start = photo.query, pose_of(asked.get("pose"), self._engine.viewer)
-        found = self._engine.matcher.fit(query, start)
+        known = known_of(asked)
+        searched, fit = photo.result_of(known), self._engine.matcher.fit
+        if searched is None:
+            found = fit(query_of(known, query), start, narrowing_of(known))
+        else:
+            found = fit(searched, start)
         if not found.candidates:
             raise InputError(f"{found.refusal}; bring the two skylines closer by hand")
         with photo.lock:
             photo.fitted = found if photo.query is query else None
-        return {**candidate_json(found.candidates[0], self._engine), "refusal": found.refusal}
+        return outcome_json(found, self._engine)
 
     async def _save(self, request: Request) -> Response:
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine)
-        arguments = kind, self._engine, photo, candidates, session.folder
-        content = await self._engine.work("files", saved, *arguments)
+        result = chosen_of(asked, photo, self._engine)
+        content = await self._engine.work(
+            "files", saved, kind, self._engine, photo, result, session.folder
+        )
         return Response(content, media_type="application/octet-stream")
 
     def _session(self, request: Request) -> Session:
@@ -367,6 +391,7 @@ def _load_trace(photo: PagePhoto, path: Path) -> None:
     """Take a photo's skyline from a trace; an error of the file calls it the trace."""
     try:
         photo.solve((), read_trace(path))
+        photo.trace_text = path.read_text(errors="replace")
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
 

@@ -4,7 +4,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
+from skyline import (
+    Candidate,
+    InputError,
+    MatchResult,
+    Narrowing,
+    QuerySkyline,
+    Stroke,
+    StrokeKind,
+    Viewer,
+)
 from skyline.web.engine import Engine
 from skyline.web.session import POSE, PagePhoto
 
@@ -45,6 +54,14 @@ def strokes_of(asked: Any) -> list[Stroke]:
     return strokes
 
 
+def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what the user knows, as a search is asked for with it; nothing by default."""
+    known = asked.get("known", {})
+    if not isinstance(known, Mapping):
+        raise InputError("what is known is no JSON object; reload the page")
+    return known
+
+
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
     """Return the narrowing of a request; null stands for unknown."""
     return Narrowing(
@@ -83,24 +100,24 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     )
 
 
-def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> tuple[Candidate, ...]:
-    """Return the pose that a request chooses, then the other candidates of the same search.
+def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> MatchResult:
+    """Return the result whose first candidate is the pose that a request chooses.
 
-    The pose is a ``pose`` set by hand, the last fit if ``fitted`` is true, or else the candidate
-    with the index ``rank``, 0 by default.
+    The pose is a ``pose`` set by hand, that of the last fit if ``fitted`` is true, or else the
+    candidate with the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None:
-        return (pose_of(asked["pose"], engine.viewer),)
+        pose = pose_of(asked["pose"], engine.viewer)
+        return MatchResult(photo.query, (pose,), 0.0, "chosen by a person", name=photo.name)
     if asked.get("fitted"):
         if photo.fitted is None:
             raise InputError("the skyline has changed since this fit; fit again")
-        return photo.fitted.candidates
+        return replace(photo.fitted, name=photo.name)
     if photo.result is not None and photo.current_result is None:
         raise InputError("the skyline has changed since this search; find the place again")
     if photo.result is None or not photo.result.candidates:
-        return ()
-    candidates = photo.result.candidates
-    rank = asked.get("rank") or 0
-    if not isinstance(rank, int) or not 0 <= rank < len(candidates):
-        raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {len(candidates) - 1}")
-    return (*candidates[rank : rank + 1], *candidates[:rank], *candidates[rank + 1 :])
+        raise InputError("there is no place to save yet; find one, or place the camera by hand")
+    count, rank = len(photo.result.candidates), asked.get("rank") or 0
+    if not isinstance(rank, int) or not 0 <= rank < count:
+        raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {count - 1}")
+    return replace(photo.result.chosen(rank + 1), name=photo.name)

@@ -8,6 +8,7 @@ import contextlib
 import ipaddress
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
@@ -30,6 +31,8 @@ _POLICY = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+_FAMILIES = {4: (socket.AF_INET, "192.0.2.1"), 6: (socket.AF_INET6, "2001:db8::1")}
+"""For each version of IP its sockets, and an address of the networks reserved for documentation."""
 _MAX_MESSAGE_BYTES = 1_000_000
 _ENDS_S = 3
 
@@ -42,10 +45,12 @@ def serve(make_engine: Callable[[], Engine], host: str, port: int) -> None:
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as opened:
         # Connections from now on wait until the server is ready.
         listening = opened.enter_context(_listening(host, port))
-        port = listening.getsockname()[1]
+        address, port = listening.getsockname()[:2]
+        reach = Reach.of(host, address)
         engine = opened.enter_context(contextlib.closing(make_engine()))
+        app = PageApp(engine, reach.machine, lambda: _print_ready(reach.in_words(port)))
         config = uvicorn.Config(
-            Guard(PageApp(engine, lambda: _print_ready(host, port)).app(), host, port),
+            Guard(app.app(), host, port),
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -55,11 +60,72 @@ def serve(make_engine: Callable[[], Engine], host: str, port: int) -> None:
         uvicorn.Server(config).run(sockets=[listening])
 
 
-def _print_ready(host: str, port: int) -> None:
-    """Print the page's address; from here on Ctrl-C ends the server."""
-    name = f"[{host}]" if ":" in host else host
+@dataclass(frozen=True)
+class Reach:
+    """The hosts by which browsers reach the page.
+
+    Attributes
+    ----------
+    here : str
+        A host that opens the page on this machine.
+    elsewhere : tuple of str
+        Hosts that open it on other machines; none if only this machine can open it.
+    machine : str or None
+        The name of this machine, where photos of other machines go; None if there are none.
+    """
+
+    here: str
+    elsewhere: tuple[str, ...] = ()
+    machine: str | None = None
+
+    @classmethod
+    def of(cls, host: str, address: str) -> "Reach":
+        """Return the reach of a server that was given a host and listens on a numeric address."""
+        listens = ipaddress.ip_address(address)
+        if listens.is_loopback:
+            return cls(host)
+        if not listens.is_unspecified:
+            return cls(host, (host,), socket.gethostname())
+        loopback = "::1" if listens.version == 6 else "127.0.0.1"
+        # A server that listens on all addresses of IPv6 listens on those of IPv4, too.
+        versions = (4, 6) if listens.version == 6 else (4,)
+        own = [one for version in versions for one in own_addresses(version)]
+        return cls(loopback, tuple(own) or (socket.gethostname(),), socket.gethostname())
+
+    def in_words(self, port: int) -> str:
+        """Return the line that tells where the page is; from then on Ctrl-C ends the server."""
+
+        def url(host: str) -> str:
+            return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
+
+        words = f"The page is at {url(self.here)}"
+        others = [url(one) for one in self.elsewhere if one != self.here]
+        if others:
+            words += f" on this machine, and at {', '.join(others)} on others"
+        return f"{words} (Ctrl-C ends it)"
+
+
+def own_addresses(version: int) -> list[str]:
+    """Return this machine's addresses of a version of IP, as other machines reach it; maybe none.
+
+    The first is that of the route to other networks.
+    """
+    family, elsewhere = _FAMILIES[version]
+    found = []
+    with socket.socket(family, socket.SOCK_DGRAM) as routed, contextlib.suppress(OSError):
+        routed.connect((elsewhere, 9))  # Nothing is sent.
+        found.append(routed.getsockname()[0])
+    with contextlib.suppress(OSError):
+        found += [str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None, family)]
+    addresses = [ipaddress.ip_address(one) for one in found]
+    return list(
+        dict.fromkeys(str(one) for one in addresses if not (one.is_loopback or one.is_link_local))
+    )
+
+
+def _print_ready(words: str) -> None:
     with contextlib.suppress(BrokenPipeError):  # The server goes on if its output is closed.
-        print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
+        print(words, flush=True)
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -53,10 +53,10 @@ POSE = {
 }  # fmt: skip
 """The numbers of a pose: their names on the page and in Skyline."""
 KINDS = {
-    "geojson": "geojson", "kml": "kml", "kmz": "kmz", "gpx": "gpx", "trace": "csv",
+    "geojson": "geojson", "kml": "kml", "kmz": "kmz", "gpx": "gpx",
     "report": "html", "photo": "jpg", "names": "png",
 }  # fmt: skip
-"""Suffix of each kind of file that the page saves."""
+"""Suffix of each kind of file that is saved with a place."""
 
 
 class GoneError(InputError):
@@ -73,9 +73,12 @@ class PagePhoto:
     def __init__(self, path: Path, name: str) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path, self.name = path, shown_name(name)
+        with path.open("rb") as file:
+            self.content = hashlib.file_digest(file, "sha256").hexdigest()
         self.query = opened(self)[1].solve()
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: QuerySkyline | None = None
+        self.trace_text: str | None = None
         self.result: MatchResult | None = None
         self.result_json: dict[str, Any] | None = None
         self.fitted: MatchResult | None = None
@@ -89,6 +92,7 @@ class PagePhoto:
         return {
             "id": self.id,
             "name": self.name,
+            "content": self.content,
             "state": "matching" if self.match and not self.match.done else state,
             "width": query.width_px,
             "height": query.height_px,
@@ -101,7 +105,7 @@ class PagePhoto:
                 {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
                 for one in self.strokes
             ],
-            "trusted": float(query.trusted.mean()),
+            "trace": self.trace_text,
             "result": self.result_json,
         }
 
@@ -135,6 +139,11 @@ class PagePhoto:
         """The result of the search, None once the skyline has changed since."""
         searched = self.result_json
         return self.result if searched and searched["skyline"] == version_of(self.query) else None
+
+    def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
+        """Return the result of a search, None unless the same one would be made now."""
+        searched = self.result_json
+        return self.current_result if searched and searched["asked"] == asked else None
 
     def cancel(self) -> None:
         """End the photo's match, if one runs, at its next report of progress."""
@@ -195,7 +204,7 @@ class Match:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
             self.photo.result = result
-            self.photo.result_json = self._question | _outcome(result, engine)
+            self.photo.result_json = self._question | outcome_json(result, engine)
         finally:
             self.step, self.share, self.done = "done", 1.0, True
 
@@ -215,7 +224,8 @@ class Match:
             raise _CancelledError
 
 
-def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
+def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
+    """Return the candidates of a search or a fit, and its verdict, as JSON for the page."""
     lens = "" if result.query.lens is None else result.query.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],
@@ -233,6 +243,7 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
     return {name: getattr(candidate, field) for name, field in POSE.items()} | {
         "distortion": candidate.distortion,
         "wander": candidate.wander,
+        "rank": candidate.rank,
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": engine.eye_height_m(candidate),
         "confidence": candidate.confidence,
@@ -243,28 +254,31 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
     }
 
 
-def saved(
-    kind: str, engine: Engine, photo: PagePhoto, candidates: Sequence[Candidate], folder: Path
-) -> bytes:
+def trace_of(photo: PagePhoto, path: Path) -> bytes:
+    """Return a photo's skyline as a trace; it is written to ``path`` and read back."""
+    try:
+        write_trace(photo.query, path)
+        return path.read_bytes()
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, folder: Path) -> bytes:
     """Return the content of a file of one of `KINDS`; it is written in a folder and read back.
 
-    The first candidate is the pose to save. Raises `InputError` if there is nothing to save yet.
+    The first candidate of the result is the pose to save.
     """
-    if kind != "trace" and not candidates:
-        raise InputError("there is no place to save yet; find one, or place the camera by hand")
-    path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
+    path, pose = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}", result.candidates[0]
     matcher, beside = engine.matcher, path.with_suffix("")
     try:
-        if kind == "trace":
-            write_trace(photo.query, path)
-        elif kind == "photo":
-            write_located(photo.path, path, candidates[0])
+        if kind == "photo":
+            write_located(photo.path, path, pose)
         elif kind == "names":
-            path.write_bytes(_named(engine, photo, candidates[0]))
+            path.write_bytes(_named(engine, photo, pose))
         else:
-            result, photos = _result(photo, candidates), [opened(photo)[0].rgb]
+            photos = [opened(photo)[0].rgb]
             if kind == "report":
-                done = f"{candidates[0].origin.capitalize()} on the page."
+                done = f"{pose.origin.capitalize()} on the page."
                 report_matches(beside, matcher, [result], engine.peaks, photos, done).rename(path)
             else:
                 export_matches(path, [result], matcher.frame, photos)
@@ -281,23 +295,6 @@ def _named(engine: Engine, photo: PagePhoto, pose: Candidate) -> bytes:
     picture = opened(photo)[0]
     seen = engine.viewer.summits(pose, picture.blank)
     return draw_labels(picture.blank, picture.rgb, seen)[0]
-
-
-def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
-    """Return the photo's result with these candidates, in this order."""
-    results = photo.current_result, photo.fitted
-    judged = (one for one in results if one and candidates[0] in one.candidates)
-    found = next(judged, MatchResult(photo.query, (), 0.0))
-    # Only the answer itself is an answer; other candidates of its search are not.
-    is_answer = candidates[0] == found.answer
-    return MatchResult(
-        photo.query,
-        tuple(candidates),
-        found.seconds,
-        None if is_answer else found.refusal or "chosen by a person",
-        found.within_m if is_answer else None,
-        photo.name,
-    )
 
 
 class Session:
@@ -326,7 +323,7 @@ class Session:
     def photo(self, photo_id: str) -> PagePhoto:
         """Return the photo of an id; raises `GoneError` if there is none."""
         if photo_id not in self.photos:
-            raise GoneError("this photo is no longer on the page; reload it")
+            raise GoneError("the server does not have this photo; remove it and add it again")
         return self.photos[photo_id]
 
     def remove(self, photo: PagePhoto) -> None:

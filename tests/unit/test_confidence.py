@@ -98,8 +98,8 @@ def test_a_fit_of_another_answer_is_none_of_the_candidates(fitted_m, score, head
 
 
 def test_a_fit_fails_where_few_such_fits_are_right_or_the_answer_fits_better():
-    def said(answer=None, sure=0.76, score=-900.0):
-        fitted = candidate(2400.0, score, rank=None, sure=sure)
+    def said(answer=None, sure=0.76, score=-900.0, heading_deg=90.0):
+        fitted = candidate(2400.0, score, heading_deg, rank=None, sure=sure)
         fitted = replace(fitted, residual_deg=0.1, terrain_share=0.5)
         return confidence.misfit(fitted, confidence.MatchConfig(), answer)
 
@@ -109,6 +109,8 @@ def test_a_fit_fails_where_few_such_fits_are_right_or_the_answer_fits_better():
     assert said(sure=0.74) == said(FOUND[0], 0.74, -1001.0) == few
     # No share is named beside the confidence of a better candidate.
     assert said(FOUND[0]) == said(FOUND[0], 0.74) == apart + "candidate 1, 2400 m away, fits better"
+    turned = said(FOUND[0], heading_deg=260.0)
+    assert turned == apart + "candidate 1, 2400 m and 170 degrees of heading away, fits better"
 
 
 def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():

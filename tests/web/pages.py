@@ -50,9 +50,9 @@ SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
 
 
 @contextmanager
-def serving(*arguments):
-    """Run ``skyline serve`` on any free port."""
-    with page.serving(*arguments) as (address, process):
+def serving(*arguments, port=0):
+    """Run ``skyline serve``, by default on any free port."""
+    with page.serving(*arguments, port=port) as (address, process):
         yield Served(urlsplit(address).netloc, process)
 
 
@@ -109,7 +109,7 @@ class Page:
         self.browser, self.server = browser, server
         self.resize(*size)
         browser.get(f"http://{server.address}/")
-        browser.execute_script("sessionStorage.clear()")
+        browser.execute_script("sessionStorage.clear(); localStorage.clear()")
         browser.get_log("browser")
         browser.get_log("performance")
         browser.get(f"http://{server.address}/")

@@ -140,23 +140,52 @@ def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
         assert "sure" not in answer + said
     check_origin(page, downloads, "set by hand", "Set by hand: latitude")
 
-    page.all("#candidates button")[0].click()
-    page.settled()
-    page.click("#fit")
-    page.until(lambda: page.find("#status").text == "Fitted")
-    answer, said = verdict(page)
-    assert "Found" not in answer
-    assert re.match(
-        r"Fitted: the skylines are 0\.\d\d degrees apart \(rms\) over \d+ % of the", said
-    )
-    check_origin(page, downloads, "fitted", "Fitted: latitude")
     type_into(page, "#hand-heading-number", "320")
     page.click("#fit")
     page.until(lambda: page.find("#status").text == "The fit has failed")
     answer, said = verdict(page)
     assert "Found" not in answer
-    assert re.match(r"The fit has failed: the skylines are \d\.\d\d degrees apart \(rms\)", said)
+    assert re.match(
+        r"The fit has failed: the skylines are \d\.\d\d degrees apart \(rms\) over \d+ % of the "
+        r"skyline; candidate 1, \d+ m and \d+ degrees of heading away, fits better\. ",
+        said,
+    )
     check_origin(page, downloads, "fitted", "Fitted, and the fit has failed: latitude")
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_fit_at_a_candidate_has_its_verdict(page, photo, downloads, moved):
+    page.open(photo)
+    page.match()
+    found, _ = verdict(page)
+    best = page.state("state.photo.result.candidates[0]")
+    if moved:
+        page.drag(".camera", 3, 2, steps=2)
+        type_into(page, "#hand-heading-number", f"{best['heading'] + 1.0:.1f}")
+        assert "Found" not in verdict(page)[0]
+    page.settled()
+    page.click("#fit")
+    page.until(lambda: page.find("#status").text == "Fitted")
+    answer, said = verdict(page)
+    assert answer == found
+    assert re.match(
+        r"Fitted: this is candidate 1 of the search; the skylines are 0\.\d\d degrees apart", said
+    )
+    assert page.find("#candidates [aria-current=true]").get_attribute("data-rank") == "0"
+    features = json.loads(saved(page, downloads, "geojson", ".geojson").read_text())["features"]
+    assert features[0]["properties"]["origin"] == "found, rank 1"
+    assert features[0]["properties"]["confidence"] == best["confidence"]
+    report = saved(page, downloads, "report", ".html").read_text()
+    assert re.search(r"Taken at latitude [^;]*, confidence 99\xa0%, right within 200 m\.", report)
+    # What is known has changed, so no search stands, and the fit is judged alone.
+    page.script("document.getElementById('known').open = true")
+    page.click("#heading-known")
+    assert verdict(page) == (
+        "The skyline, or what you know, has changed since the last search. Find the place again.",
+        "",
+    )
+    page.click("#fit")
+    page.until(lambda: "No search has judged this pose" in verdict(page)[1])
 
 
 def check_origin(page, downloads, origin, report):

@@ -95,7 +95,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         pose = json.dumps({"pose": POSE})
         status, said = server.ask("POST", f"{of_photo}/fit", pose)
         assert (status, "DEM is not at hand" in said["error"]) == (400, True)
-        for kind in ("geojson", "kml", "kmz", "gpx", "photo", "report", "trace"):
+        for kind in ("geojson", "kml", "kmz", "gpx", "photo", "report"):
             status, content = server.ask("POST", f"{of_photo}/save/{kind}", b"{}")
             assert status == 200, kind
             if kind == "photo":  # It is the photo that was opened, whatever its file is now.

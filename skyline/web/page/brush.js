@@ -1,6 +1,7 @@
 // Strokes over the photo; the skyline is found again after each.
 import * as server from "./server.js";
-import { $, ARROWS, alertUser, showStatus, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, emit, on, report, settle, showStatus, state } from "./state.js";
+import { keep } from "./kept.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
 import { release, turnBy } from "./hand.js";
 
@@ -25,8 +26,10 @@ function chosen() {
   draw();
 }
 
+const rounded = (place) => place.map((one) => Number(one.toFixed(2)));
+
 function begin(at) {
-  marks.stroke = { kind: tool(), radius: radius(), points: [at] };
+  marks.stroke = { kind: tool(), radius: radius(), points: [rounded(at)] };
 }
 
 function finish() {
@@ -52,32 +55,62 @@ function redo() {
   solve();
 }
 
-// One request at a time; strokes drawn meanwhile go with the next.
-async function solve() {
+function solve() {
   buttons();
+  keep(state.photo);
   unsent.add(state.photo);
+  draw();
+  send();
+}
+
+// One request at a time; strokes drawn meanwhile go with the next. Without a server they wait.
+async function send() {
   if (solving) return;
   solving = true;
-  for (const photo of unsent) {
-    unsent.delete(photo);
-    const began = performance.now();
+  while (unsent.size) {
+    const [photo] = unsent, strokes = [...photo.strokes], began = performance.now();
+    if (!state.photos.includes(photo)) {
+      unsent.delete(photo);
+      continue;
+    }
     try {
-      const lines = await server.skyline(photo, photo.strokes);
+      const skyline = await server.skyline(photo, strokes);
+      photo.solved = strokes.length;
+      if (isSame(strokes, photo.strokes)) unsent.delete(photo);
       performance.measure("stroke", { start: began });
+      settle("strokes");
       if (photo !== state.photo) continue;
-      showSkyline(lines);
-      showStatus(`Skyline in ${Math.round(100 * share())} % of the columns`);
+      showSkyline(skyline);
+      showShare();
     } catch (error) {
-      alertUser(error.message);
+      report(error, "strokes");
+      if (error.kind === "server") break;
+      unsent.delete(photo);
     }
   }
   solving = false;
 }
 
-const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
+const isSame = (some, others) => some.length === others.length && some.every((one, k) => one === others[k]);
 
-export function showSkyline({ rows, trust, others, version }) {
-  Object.assign(state, { rows, trust, others, version });
+export const waits = (photo) => unsent.has(photo);
+
+// Takes up the work on a photo that the server does not know.
+export async function resume(photo, { strokes, trace }) {
+  Object.assign(photo, { strokes, trace });
+  if (trace) await server.loadTrace(photo, trace);
+  if (strokes.length) await server.skyline(photo, strokes);
+  photo.solved = strokes.length;
+  unsent.delete(photo);
+}
+
+export function showShare(before = "Skyline") {
+  const share = state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
+  showStatus(`${before} in ${Math.round(100 * share)} % of the columns`);
+}
+
+export function showSkyline(skyline) {
+  Object.assign(state, skyline);
   buttons();
   emit("skyline");
 }
@@ -101,7 +134,7 @@ function dragging(event) {
     last = [next.clientX, next.clientY];
     if (paints) {
       const all = next.getCoalescedEvents?.() ?? [next];
-      marks.stroke.points.push(...(all.length ? all : [next]).map(inPhoto));
+      marks.stroke.points.push(...(all.length ? all : [next]).map((one) => rounded(inPhoto(one))));
       draw();
     } else if (tool() === "turn" && event.button === 0) turnBy(by[0] / view.scale, by[1] / view.scale, true);
     else pan(...by);
@@ -125,7 +158,7 @@ function moveCross([across, down], event) {
     Math.min(width - 1, Math.max(0, at[0] + across * step)),
     Math.min(height - 1, Math.max(0, at[1] + down * step)),
   ];
-  marks.stroke?.points.push(marks.cross);
+  marks.stroke?.points.push(rounded(marks.cross));
   keepInView(marks.cross);
 }
 
@@ -159,16 +192,19 @@ function pressed(event) {
 
 export async function traceFrom(file) {
   const photo = state.photo;
-  if (!photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`);
+  if (!photo) return alertUser(`${file.name} is a trace; first add the photo that it belongs to`, "trace");
+  settle("trace");
   try {
-    const lines = await server.loadTrace(photo, file);
-    photo.strokes = [];
+    const trace = await file.text();
+    const skyline = await server.loadTrace(photo, trace);
+    Object.assign(photo, { strokes: [], trace, solved: 0 });
+    keep(photo);
     if (photo !== state.photo) return;
     forget();
-    showSkyline(lines);
+    showSkyline(skyline);
     showStatus(`${file.name} loaded`);
   } catch (error) {
-    alertUser(error.message);
+    report(error, "trace");
   }
 }
 
@@ -185,6 +221,7 @@ export function start() {
     const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
     if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number]"))) pressed(event);
   });
+  on("connected", send);
   $("undo").onclick = undo;
   $("redo").onclick = redo;
   $("load-trace").onclick = () => $("trace-file").click();

@@ -1,6 +1,6 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, alertUser, degrees, element, mapLink, on, showStatus, state, emit } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, report, settle, showStatus, state } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -13,6 +13,7 @@ const awaited = new Set(); // photos whose searches this page has begun
 // Returns false if the search was cancelled.
 async function find(photo) {
   photo.state = "matching";
+  settle("search");
   awaited.add(photo);
   emit("states");
   show();
@@ -23,7 +24,7 @@ async function find(photo) {
   } catch (error) {
     ({ message } = error);
     if (message === CANCELLED) showStatus("Cancelled");
-    else alertUser(message);
+    else report(error, "search");
     photo.state = "ready";
   }
   awaited.delete(photo);
@@ -52,7 +53,7 @@ async function rejoin(photo) {
     photo.result = record.result;
     ended(photo, record.state);
   } catch (error) {
-    alertUser(error.message);
+    report(error, "search");
   }
   emit("states");
   show();
@@ -88,21 +89,20 @@ function show() {
   if (focused !== undefined) $("candidates").querySelector(`[data-rank="${focused}"]`)?.focus();
 }
 
-// A verdict holds for one pose, that of the candidate that the search has judged.
+// A verdict holds for a candidate that the search has judged, and for a fit that led to it.
 function verdict(result) {
   if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
   const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
-  const best = result.candidates[0];
-  if (best && state.origin !== "found") return ["The camera has left the candidates of the search. Choose one to return to it."];
+  if (result.candidates.length && state.chosen === null) return ["The camera has left the candidates of the search. Choose one to return to it."];
   if (state.chosen > 0) {
     const one = result.candidates[state.chosen];
     const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} % sure within 200 m. `;
-    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(one)];
+    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(state.pose)];
   }
   if (result.answered) {
     const near = result.within === null ? "" : ` within ${result.within} m`;
     const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
-    return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(best), ...notes];
+    return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(state.pose), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
     "Check the yellow skyline and mend it, fill in what you know, or fit by hand.", ...notes];
@@ -130,10 +130,11 @@ export function start() {
     find(state.photo);
   };
   $("find-all").onclick = findAll;
-  $("cancel").onclick = () => server.cancel(state.photo).catch((error) => alertUser(error.message));
+  $("cancel").onclick = () => server.cancel(state.photo).catch((error) => report(error, "search"));
   on("progress", progressed);
   on("choose", choose);
   for (const name of ["pose", "known"]) on(name, show);
+  for (const name of ["photo", "known", "skyline"]) on(name, () => settle("search"));
   on("skyline", () => {
     const { result } = state.photo;
     if (result && state.photo.state !== "matching") {

@@ -1,7 +1,7 @@
 // The pose, set by a candidate or by hand. The rendered skyline follows while it moves.
 import * as server from "./server.js";
-import { $, alertUser, element, on, showStatus, state, emit, widest } from "./state.js";
-import { known } from "./known.js";
+import { $, alertUser, element, emit, on, report, settle, showStatus, state, widest } from "./state.js";
+import { known, standing } from "./known.js";
 import { middle } from "./map.js";
 
 const USUAL_EYE_M = 2;
@@ -55,6 +55,7 @@ export function turnBy(columns, rows, stillMoving) {
 }
 
 function changed(stillMoving) {
+  settle("fit");
   $("hand-form").hidden = !state.pose;
   $("hand-hint").hidden = Boolean(state.pose);
   $("pose-verdict").replaceChildren(...verdict());
@@ -69,7 +70,10 @@ function changed(stillMoving) {
 function verdict() {
   if (state.origin === "hand") return ["The camera is set by hand: no search has judged this pose."];
   if (!state.fit) return [];
-  const { refusal, apart } = state.fit;
+  const { refusal, candidates: [{ apart }] } = state.fit;
+  if (state.chosen !== null) {
+    return standing() ? [element("span", { class: "yes" }, "Fitted: "), `this is candidate ${state.chosen + 1} of the search; ${apart}.`] : [];
+  }
   if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${apart}. No search has judged this pose.`];
   return [element("span", { class: "no" }, "The fit has failed: "), `${refusal}. Bring the two skylines closer by hand.`];
 }
@@ -123,23 +127,25 @@ function answered(seen) {
 async function fit() {
   const button = $("fit");
   button.disabled = true;
+  settle("fit");
   showStatus("Fitting…");
   const photo = state.photo;
   try {
-    const found = await server.fit(photo, state.pose);
+    const found = await server.fit(photo, state.pose, known());
     if (photo !== state.photo) return;
-    setPose(placed(found), "fitted", { fit: found });
+    const [pose] = found.candidates, chosen = pose.rank === null ? null : pose.rank - 1;
+    setPose(placed(pose), "fitted", { chosen, fit: found });
     emit("left");
-    showStatus(found.refusal ? "The fit has failed" : "Fitted");
+    showStatus(found.refusal && chosen === null ? "The fit has failed" : "Fitted");
   } catch (error) {
     showStatus("");
-    alertUser(error.message);
+    report(error, "fit");
   }
   button.disabled = !state.pose;
 }
 
 function placeAt(place) {
-  if (!state.photo) return alertUser("add a photo first");
+  if (!state.photo) return alertUser("Add a photo first.", "fit");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
   const heading = asked.heading?.[0] ?? state.photo.heading ?? 0;
   setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
@@ -184,5 +190,6 @@ export function start() {
     if (state.origin === "fitted") leave();
     if (state.pose) changed(false);
   });
+  on("known", () => $("pose-verdict").replaceChildren(...verdict()));
   on("photo", () => setPose(null, null));
 }

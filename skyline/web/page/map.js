@@ -195,7 +195,7 @@ export function start() {
   // Leaflet compares tiles with bounds within one turn only.
   const noWrap = Boolean(terrain && terrain[0] < terrain[2]), bounds = noWrap ? box(terrain) : undefined;
   if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
-  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.");
+  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
   map.fitBounds(box(area), { padding: [8, 8] });

@@ -1,18 +1,22 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, on, showStatus, state, emit } from "./state.js";
-import { buttons, forget, showSkyline, traceFrom } from "./brush.js";
+import { $, alertUser, element, emit, on, report, settle, showStatus, state } from "./state.js";
+import { buttons, forget, resume, showShare, showSkyline, traceFrom } from "./brush.js";
+import { leave } from "./hand.js";
+import { keptFor, workOn } from "./kept.js";
 import { show } from "./view.js";
 
 const WORDS = { waiting: "waiting", opening: "opening…", ready: "ready", matching: "searching…",
-  answered: "✓ found", "no answer": "? not sure" };
+  answered: "✓ found", "no answer": "? not sure", unusable: "✗ not used", missing: "add it again" };
+// States of photos that the server does not have.
+const LOST = ["unusable", "missing"];
 let loading = false;
 
 function list() {
   $("photos").replaceChildren(...state.photos.map((photo) => {
     const remove = element("button", { "aria-label": `Remove ${photo.name}`, title: "Remove", onclick: () => drop(photo) }, "×");
-    if (photo.state === "unusable") {
-      return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), "✗ not used"), remove);
+    if (LOST.includes(photo.state)) {
+      return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), WORDS[photo.state]), remove);
     }
     const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
       element("span", { class: "name", title: photo.name }, photo.name),
@@ -22,31 +26,30 @@ function list() {
   const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
   $("busy").hidden = !loading && !opening;
   $("welcome").hidden = Boolean(state.photo) || opening;
+  const kept = keptFor(state.photos);
+  $("kept").textContent = kept.length ? `Strokes that are not saved are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
   for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
   $("find-all").hidden = state.photos.filter((photo) => photo.state === "ready").length < 2;
 }
 
 export async function choose(photo) {
-  if (photo.state === "opening" || photo.state === "unusable") return;
-  if (photo.given !== undefined && !photo.id) {
-    await open(photo, () => server.openGiven(photo.given));
-    if (!photo.id) return;
-  }
+  if (["waiting", "opening", ...LOST].includes(photo.state)) return;
+  if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   state.photo = photo;
-  state.rows = state.sight = state.pose = state.chosen = state.origin = state.fit = null;
+  state.rows = state.trace = state.sight = state.pose = state.chosen = state.origin = state.fit = null;
   forget();
   loading = true;
   show(null);
   list();
   try {
-    const [blob, lines] = await Promise.all([server.picture(photo), server.skyline(photo, null)]);
+    const [blob, skyline] = await Promise.all([server.picture(photo), server.skyline(photo, null)]);
     const bitmap = await createImageBitmap(blob);
     if (photo !== state.photo) return;
     show(bitmap);
-    showSkyline(lines);
-    showStatus(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
+    showSkyline(skyline);
+    showShare(`${photo.name}: skyline`);
   } catch (error) {
-    alertUser(error.message);
+    report(error, "photo");
     if (photo !== state.photo) return;
   }
   loading = false;
@@ -55,44 +58,83 @@ export async function choose(photo) {
   emit("photo", photo);
 }
 
-async function open(photo, opened) {
+// Opens a photo, takes up the work on it, and returns whether it is open. The work is that of this
+// page, from before a restart of the server, or what the browser has kept. Without an answer of the
+// server the photo stays as it was, and the error is thrown.
+async function open(photo, opened, failed = "unusable") {
+  const { state: before, content, strokes, trace } = photo;
   photo.state = "opening";
   list();
   try {
-    Object.assign(photo, await opened());
+    const record = await opened();
+    if (content && record.content !== content) {
+      await server.remove(record);
+      throw new Error(`${photo.name} has changed; add the photo as it was, or remove it`);
+    }
+    Object.assign(photo, record, { solved: 0, unsaved: photo.unsaved || Boolean(workOn(record)) });
+    const work = content ? { strokes, trace } : workOn(photo);
+    if (work) await resume(photo, work);
   } catch (error) {
-    photo.state = "unusable";
-    photo.error = error.message;
+    const waits = error.kind === "server";
+    Object.assign(photo, { state: waits ? before : failed, error: error.message });
     showStatus("");
-    alertUser(error.message);
+    report(error, "photo");
+    if (waits) throw error;
   }
   list();
+  return !LOST.includes(photo.state);
+}
+
+// Opens all photos again, after the server was started again. It has no searches then.
+export async function restore() {
+  const about = await server.about();
+  if (JSON.stringify(about) !== JSON.stringify(state.store)) {
+    alertUser("The server was started again with another store or other photos: reload the page.", "store");
+  }
+  for (const photo of state.photos.filter((one) => one.content && one.state !== "missing")) {
+    const isFound = Boolean(photo.result);
+    if (!(await open(photo, () => sendAgain(photo), "missing")) || photo !== state.photo) continue;
+    leave();
+    showSkyline(await server.skyline(photo, null));
+    if (isFound) showStatus("The server was started again: find the place again");
+  }
+}
+
+async function sendAgain(photo) {
+  if (photo.file) return server.upload(photo.file);
+  if (photo.given !== undefined) return server.openGiven(photo.given);
+  throw new Error(`The server was started again without ${photo.name}: add the photo again to go on.`);
 }
 
 export async function add(chosen) {
   const all = [...chosen];
   const traces = all.filter((file) => /\.csv$/i.test(file.name));
   const files = all.filter((file) => !traces.includes(file));
-  const records = files.map(({ name }) => ({ name, state: "waiting" }));
-  state.photos.push(...records);
-  list();
-  let first = true;
-  for (const [index, record] of records.entries()) {
-    if (!state.photos.includes(record)) continue;
-    await open(record, () => server.upload(files[index]));
-    if (first && record.state === "ready") {
-      first = false;
-      await choose(record);
-    }
-  }
+  state.photos.push(...files.map((file) => ({ name: file.name, file, state: "waiting" })));
+  settle("photo");
+  await openWaiting();
   for (const trace of traces) await traceFrom(trace);
 }
 
+// Opens added photos, and shows the first of them; without a server they wait.
+async function openWaiting() {
+  let first = true;
+  list();
+  for (const photo of [...state.photos]) {
+    if (photo.state !== "waiting" || !state.photos.includes(photo)) continue;
+    if (!(await open(photo, () => server.upload(photo.file)).catch(() => false))) continue;
+    state.photos = state.photos.filter((one) => one.state !== "missing" || one.content !== photo.content);
+    if (first) await choose(photo);
+    first = false;
+  }
+}
+
 async function drop(photo) {
-  if (photo.id) await server.remove(photo).catch((error) => alertUser(error.message));
+  if (photo.id && !LOST.includes(photo.state)) await server.remove(photo).catch((error) => report(error, "photo"));
+  settle("photo");
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
-    state.photo = state.rows = state.sight = state.pose = state.origin = state.fit = null;
+    state.photo = state.rows = state.trace = state.sight = state.pose = state.origin = state.fit = null;
     loading = false;
     show(null);
     showStatus("");
@@ -121,7 +163,7 @@ function dropping() {
   });
 }
 
-export async function start(kept) {
+export async function start(opened) {
   for (const id of ["choose", "add"]) $(id).onclick = () => $("files").click();
   $("files").onchange = () => {
     add($("files").files);
@@ -129,9 +171,21 @@ export async function start(kept) {
   };
   dropping();
   on("states", list);
-  const given = state.store.given.map((name, index) => ({ name, given: index, state: "ready" }));
-  const opened = new Set(kept.map((photo) => photo.name));
-  state.photos = [...kept, ...given.filter((photo) => !opened.has(photo.name))];
+  on("connected", async () => {
+    if (state.photo && !state.rows) await choose(state.photo);
+    await openWaiting();
+  });
+  const { given } = state.store;
+  for (const photo of opened) {
+    const index = given.indexOf(photo.name), work = workOn(photo);
+    Object.assign(photo, { solved: photo.strokes.length, unsaved: Boolean(work) });
+    if (index >= 0) photo.given = index;
+    // Strokes that were drawn while the server did not answer.
+    if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
+  }
+  const others = given.map((name, index) => ({ name, given: index, state: "ready" }));
+  const names = opened.map((photo) => photo.name);
+  state.photos = [...opened, ...others.filter((photo) => !names.includes(photo.name))];
   list();
   if (state.photos.length) await choose(state.photos[0]);
 }

@@ -1,7 +1,9 @@
 // Saving results as files.
 import * as server from "./server.js";
 import { standing } from "./known.js";
-import { $, alertUser, element, on, showStatus, state } from "./state.js";
+import { waits } from "./brush.js";
+import { saved } from "./kept.js";
+import { $, element, on, report, settle, showStatus, state } from "./state.js";
 
 const KINDS = [
   ["photo", "-located.jpg", "Photo with place", "A copy of the photo with position and direction in its EXIF"],
@@ -11,43 +13,60 @@ const KINDS = [
   ["kml", ".kml", "KML", "The photo stands in the landscape; keep the photo beside the file"],
   ["kmz", ".kmz", "KMZ", "The same with the photo inside"],
   ["gpx", ".gpx", "GPX", "A waypoint for a navigation device"],
-  ["trace", ".csv", "Trace", "The skyline as it is now, to load again"],
 ];
 
 async function save(kind, ending, button) {
   const photo = state.photo;
   button.disabled = true;
+  settle("save");
   showStatus("Writing…");
   try {
-    const isFound = state.origin === "found" && standing();
-    const chosen = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
-    const blob = await server.save(photo, kind, chosen);
-    const stem = photo.name.replace(/\.[^.]*$/, "");
-    const link = element("a", { download: stem + ending, href: URL.createObjectURL(blob) });
-    document.body.append(link);
-    link.click();
-    link.remove();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    // A candidate's verdict is saved as long as it stands.
+    const isCurrent = state.chosen === null || standing();
+    const chosen = state.origin === "fitted" && isCurrent ? { fitted: true }
+      : state.origin === "found" && isCurrent ? { rank: state.chosen } : { pose: state.pose };
+    download(photo, await server.save(photo, kind, chosen), ending);
     showStatus("Saved");
   } catch (error) {
     showStatus("");
-    alertUser(error.message);
+    report(error, "save");
   }
   show();
+}
+
+// The page has the skyline's file, so it is saved without the server.
+function saveTrace() {
+  const { photo } = state;
+  download(photo, new Blob([state.trace], { type: "text/csv" }), ".csv");
+  if (waits(photo)) return showStatus("Saved without the last strokes, which wait for the server");
+  saved(photo);
+  showStatus("Saved");
+}
+
+function download(photo, blob, ending) {
+  const stem = photo.name.replace(/\.[^.]*$/, "");
+  const link = element("a", { download: stem + ending, href: URL.createObjectURL(blob) });
+  document.body.append(link);
+  link.click();
+  link.remove();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 const offered = () => KINDS.filter(([kind]) => kind !== "names" || state.store.peaks);
 
 function show() {
-  for (const [kind] of offered()) $(`save-${kind}`).disabled = !state.photo || (kind !== "trace" && !state.pose);
+  for (const [kind] of offered()) $(`save-${kind}`).disabled = !state.photo || !state.pose;
+  $("save-trace").disabled = !state.trace;
   $("load-trace").disabled = !state.photo;
 }
 
 export function start() {
   for (const [kind, ending, label, about] of offered()) {
     const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, ending, button) }, label);
-    $("load-trace").before(button);
+    $("save-trace").before(button);
   }
-  for (const name of ["photo", "pose"]) on(name, show);
+  $("save-trace").onclick = saveTrace;
+  for (const name of ["photo", "pose", "skyline"]) on(name, show);
+  on("photo", () => settle("save"));
   show();
 }

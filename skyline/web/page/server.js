@@ -1,18 +1,23 @@
 // Requests to the server. An error is thrown with the one line of the server's answer.
-import { showStatus, emit } from "./state.js";
+import { emit, report, settle } from "./state.js";
 
 const MAX_UPLOAD_BYTES = 100e6;
 const KEY = "skyline-session";
+const GONE = 404;
+const AGAIN_MS = 1500;
+const NO_ANSWER = "The server does not answer; is `skyline serve` still running? The page goes on when it is back, and keeps what you draw.";
 let session = null;
 let socket = null;
+let restored = null; // opens the photos again in a new session
 
 async function ask(method, path, body) {
   let answer;
   try {
     answer = await fetch(path, { method, body });
   } catch {
-    throw new Error("the server does not answer; is `skyline serve` still running?");
+    throw Object.assign(new Error(NO_ANSWER), { kind: "server" });
   }
+  settle("server");
   if (answer.ok) return answer;
   let reason = null;
   try {
@@ -20,21 +25,28 @@ async function ask(method, path, body) {
   } catch {
     // The answer has no message.
   }
-  throw new Error(reason || `the server answers with status ${answer.status}`);
+  const error = new Error(reason || `the server answers with status ${answer.status}`);
+  throw Object.assign(error, { status: answer.status });
 }
 
 const inSession = (path) => `session/${session}/${path}`;
 const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
 
-export async function begin() {
+// Returns the photos of the page's session, none if the session is new. After a restart of the
+// server there is a new session, and ``restore`` is called to open the photos again.
+export async function begin(restore) {
+  restored = restore;
   session = sessionStorage.getItem(KEY);
-  let kept = session && (await records().catch(() => null));
-  if (!kept) {
-    ({ session, photos: kept } = await (await ask("POST", "session")).json());
-    sessionStorage.setItem(KEY, session);
-  }
+  const kept = (session && (await records().catch(() => null))) || (await renew());
   listen();
   return kept;
+}
+
+async function renew() {
+  const begun = await (await ask("POST", "session")).json();
+  ({ session } = begun);
+  sessionStorage.setItem(KEY, session);
+  return begun.photos;
 }
 
 export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
@@ -56,10 +68,11 @@ export const remove = (photo) => ask("DELETE", ofPhoto(photo, ""));
 export const picture = async (photo) => (await ask("GET", ofPhoto(photo, "/picture"))).blob();
 export const cancel = (photo) => ask("DELETE", ofPhoto(photo, "/match"));
 
-const asLines = async (answer) => {
+const asSkyline = async (photo, answer) => {
   const lines = new Float32Array(await answer.arrayBuffer());
   const width = lines.length / 3;
   return {
+    trace: await (await ask("GET", ofPhoto(photo, "/trace"))).text(),
     rows: lines.subarray(0, width),
     trust: lines.subarray(width, 2 * width),
     others: lines.subarray(2 * width),
@@ -68,12 +81,12 @@ const asLines = async (answer) => {
 };
 
 export const skyline = async (photo, strokes) =>
-  asLines(await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify(strokes ? { strokes } : {})));
-export const loadTrace = async (photo, file) => asLines(await ask("POST", ofPhoto(photo, "/trace"), file));
+  asSkyline(photo, await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify(strokes ? { strokes } : {})));
+export const loadTrace = async (photo, trace) => asSkyline(photo, await ask("POST", ofPhoto(photo, "/trace"), trace));
 export const match = async (photo, known) =>
   (await ask("POST", ofPhoto(photo, "/match"), JSON.stringify(known))).json();
-export const fit = async (photo, pose) =>
-  (await ask("POST", ofPhoto(photo, "/fit"), JSON.stringify({ pose }))).json();
+export const fit = async (photo, pose, known) =>
+  (await ask("POST", ofPhoto(photo, "/fit"), JSON.stringify({ pose, known }))).json();
 export const save = async (photo, kind, what) =>
   (await ask("POST", ofPhoto(photo, `/save/${kind}`), JSON.stringify(what))).blob();
 
@@ -91,12 +104,15 @@ function listen() {
 
 async function reconnect() {
   try {
-    await ask("GET", `session/${session}`);
-    showStatus("");
+    await records().catch(async (error) => {
+      if (error.status !== GONE) throw error;
+      await renew();
+      await restored();
+    });
     listen();
   } catch (error) {
-    showStatus(error.message);
-    setTimeout(reconnect, 1500);
+    report(error, "server");
+    setTimeout(reconnect, AGAIN_MS);
   }
 }
 

@@ -7,7 +7,8 @@ export const state = {
   trust: null, // Float32Array, 0 to 1
   others: null, // Float32Array, rows of other crests that may be the skyline
   version: null, // distinguishes the skyline from others of the same photo
-  chosen: null, // index of the chosen candidate
+  trace: null, // text of the skyline's file
+  chosen: null, // index of the candidate that was chosen, or that the fit led to
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight}
   origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"
   fit: null, // result of the last fit, as long as the pose is the fitted one
@@ -42,11 +43,19 @@ export function showStatus(text) {
   $("status").textContent = text;
 }
 
-export function alertUser(text) {
-  const close = element("button", { onclick: () => box.remove() }, "Close");
-  const box = element("div", { class: "alert" }, element("span", {}, text), close);
-  $("alerts").append(box);
-  while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
+// Shows a message in place of the last one of its kind; it stays until it is settled or closed.
+export function alertUser(text, kind) {
+  settle(kind);
+  const close = element("button", { onclick: () => settle(kind) }, "Close");
+  $("alerts").append(element("div", { class: "alert", "data-kind": kind }, element("span", {}, text), close));
+}
+
+// Shows why something failed; an error may itself be of a kind.
+export const report = (error, kind) => alertUser(error.message, error.kind ?? kind);
+
+// Takes away messages that are no longer true.
+export function settle(...kinds) {
+  for (const box of [...$("alerts").children]) if (kinds.includes(box.dataset.kind)) box.remove();
 }
 
 // A link for the user to follow: the page itself loads nothing from other machines.

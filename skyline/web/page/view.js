@@ -84,7 +84,9 @@ function paint(target, at, ratio) {
   // The thin line is drawn over the broad one, so that both show where they agree.
   if (state.rows) layers.drawFound(ctx, at, state.rows, state.trust, state.others);
   if (state.sight?.summits) layers.drawSummits(ctx, at, state.sight.summits, $("gap").offsetHeight);
-  if (marks.stroke) layers.drawStroke(ctx, at, marks.stroke);
+  // Strokes that are not in the skyline yet stay in sight.
+  const waiting = state.photo.strokes?.slice(state.photo.solved) ?? [];
+  for (const stroke of waiting.concat(marks.stroke ?? [])) layers.drawStroke(ctx, at, stroke);
   const cross = marks.cross || (marks.brush ? marks.pointer : null);
   if (cross) layers.drawCross(ctx, at, cross, marks.brush * at.scale);
 }
