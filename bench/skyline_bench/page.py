@@ -1,6 +1,5 @@
 """The page measured in a browser: loading, strokes, and the skyline that follows the mouse."""
 
-import re
 import shutil
 import subprocess
 import sys
@@ -59,18 +58,26 @@ _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False
 
 @contextmanager
 def serving(*arguments: object, port: int = 0) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Run ``skyline serve``, by default on any free port; yields its address and the process."""
+    """Run ``skyline serve``, by default on any free port.
+
+    Yields the line that it prints, see `address_in`, and the process.
+    """
     command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", str(port)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as run:
         try:
-            found = re.search(r"http://\S+", run.stdout.readline() if run.stdout else "")
-            if found is None:
+            line = run.stdout.readline() if run.stdout else ""
+            if not line:
                 said = run.stderr.read().strip() if run.stderr else ""
                 raise BuildError(f"the page was not served ({said}); run `skyline serve` yourself")
-            yield found[0], run
+            yield line, run
         finally:
             run.terminate()
+
+
+def address_in(line: str) -> str:
+    """Return the address that opens the page on this machine: the first in the printed line."""
+    return next(word for word in line.split() if word.startswith("http://"))
 
 
 def headless() -> tuple[Any, Any]:
@@ -108,7 +115,8 @@ def page(json_file: options.JsonFile = None, quick: options.Quick = False) -> No
         store, photo = _made(Path(folder))
         progress(1, 3)
         began = time.perf_counter()
-        with serving(store) as (address, _):
+        with serving(store) as (line, _):
+            address = address_in(line)
             with urlopen(address) as answer:
                 answer.read()
             figures: list[_Figure] = [("server ready", time.perf_counter() - began, "s")]

@@ -85,7 +85,8 @@ def serve(
         str,
         Option(
             metavar="ADDRESS",
-            help="Address to listen on; any but the default lets other machines in.",
+            help="Address to listen on; 0.0.0.0 or :: lets other machines in, by all addresses of "
+            "this machine.",
         ),
     ] = "127.0.0.1",
 ) -> None:

@@ -27,6 +27,8 @@ COLUMNS = {
 
 _CHI_SQUARE_95 = 5.991464547107979
 """95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""
+_LEAST_SHARE = 0.005
+"""A smaller share of a skyline is 0 % in words."""
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
 
@@ -170,6 +172,8 @@ class Candidate:
         """The difference of the two skylines of a fitted pose, in words; empty for other poses."""
         if self.residual_deg is None or self.terrain_share is None:
             return ""
+        if self.terrain_share < _LEAST_SHARE:
+            return "the skylines agree nowhere"
         return (
             f"the skylines are {self.residual_deg:.2f} degrees apart (rms) over "
             f"{100.0 * self.terrain_share:.0f} % of the skyline"

@@ -24,6 +24,8 @@ class Served:
 
     address: str
     process: Popen
+    said: str = ""
+    """The line that it has printed."""
 
     def ask(self, method, path, body=None, headers=None):
         """Return the status and the body of an answer, JSON read where it is JSON."""
@@ -52,8 +54,8 @@ SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
 @contextmanager
 def serving(*arguments, port=0):
     """Run ``skyline serve``, by default on any free port."""
-    with page.serving(*arguments, port=port) as (address, process):
-        yield Served(urlsplit(address).netloc, process)
+    with page.serving(*arguments, port=port) as (said, process):
+        yield Served(urlsplit(page.address_in(said)).netloc, process, said)
 
 
 TINY = b'{"fov": 60}'
@@ -112,7 +114,11 @@ class Page:
         browser.execute_script("sessionStorage.clear(); localStorage.clear()")
         browser.get_log("browser")
         browser.get_log("performance")
-        browser.get(f"http://{server.address}/")
+        self.reload()
+
+    def reload(self):
+        """Load the page again, and wait until it is ready."""
+        self.browser.get(f"http://{self.server.address}/")
         self.until(lambda: self.script("return document.documentElement.dataset.ready"))
 
     def resize(self, width, height):
@@ -165,8 +171,8 @@ class Page:
             round((row + 0.5) * view["scale"] + view["top"] - view["height"] / 2),
         )
 
-    def draw(self, tool, points):
-        """Draw a stroke with the mouse, and wait until the skyline is solved again."""
+    def draw(self, tool, points, is_solved=True):
+        """Draw a stroke with the mouse, and wait until the skyline is solved again, if it is."""
         self.find(f"#tools label:has([value={tool}])").click()
         canvas, count = self.find("#photo"), self.measured("stroke")
         chain = ActionChains(self.browser, duration=40)
@@ -174,7 +180,8 @@ class Page:
         for point in points[1:]:
             chain.move_to_element_with_offset(canvas, *self.on_photo(*point))
         chain.release().perform()
-        self.until(lambda: self.measured("stroke") > count)
+        if is_solved:
+            self.until(lambda: self.measured("stroke") > count)
 
     def measured(self, name):
         """Return how often the page has measured the time of a thing."""
@@ -211,6 +218,11 @@ class Page:
     def settled(self):
         """Wait until the skyline of the last pose is shown."""
         return self.until(lambda: self.state("state.sight && state.sight.gap"))
+
+    def messages(self):
+        """Return the errors that are shown."""
+        texts = "return [...document.querySelectorAll('.alert span')].map((one) => one.textContent)"
+        return self.script(texts)
 
     def alerts(self):
         """Return the errors that are shown, and close them."""

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import socket
 import xml.etree.ElementTree as Xml
 import zipfile
 
@@ -168,9 +169,7 @@ def test_a_fit_at_a_candidate_has_its_verdict(page, photo, downloads, moved):
     page.until(lambda: page.find("#status").text == "Fitted")
     answer, said = verdict(page)
     assert answer == found
-    assert re.match(
-        r"Fitted: this is candidate 1 of the search; the skylines are 0\.\d\d degrees apart", said
-    )
+    assert re.match(r"Fitted to candidate 1: the skylines are 0\.\d\d degrees apart \(rms\)", said)
     assert page.find("#candidates [aria-current=true]").get_attribute("data-rank") == "0"
     features = json.loads(saved(page, downloads, "geojson", ".geojson").read_text())["features"]
     assert features[0]["properties"]["origin"] == "found, rank 1"
@@ -404,6 +403,27 @@ def test_a_narrowed_search_a_cancelled_one_and_one_without_an_answer(page, photo
     page.until(lambda: page.find("#status").text == "Cancelled")
 
 
+def test_a_message_is_shown_once_and_as_long_as_it_is_true(page, photo, tmp_path):
+    page.open(photo)
+    for name in ("first.jpg", "second.jpg"):
+        (tmp_path / name).write_text("no photo")
+        page.drop(tmp_path / name)
+        page.until(lambda name=name: [one for one in page.messages() if name in one])
+    assert len(page.messages()) == 1
+    page.click("#known summary")
+    page.click("#elevation-known")
+    type_into(page, "#low", "8000")
+    type_into(page, "#high", "8900")
+    for _ in range(2):
+        page.click("#find")
+        page.until(lambda: len(page.messages()) == 2)
+    assert "no place of the store" in page.messages()[1]
+    page.click("#elevation-known")
+    assert len(page.messages()) == 1
+    page.click("#photos li:last-child [aria-label^=Remove]")
+    assert page.messages() == []
+
+
 def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):
     text = tmp_path / "letter.jpg"
     text.write_text("no photo")
@@ -444,6 +464,14 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     page.click("#photos li:first-child [aria-label^=Remove]")
     page.until(lambda: page.find("#welcome").is_displayed())
     assert page.state("state.photos.length") == 1
+
+
+def test_the_page_says_where_photos_go(chromium, served, store):
+    assert Page(chromium, served).find("#privacy").text == "Photos stay on this machine."
+    with serving(store, "--host", "0.0.0.0") as server:
+        said = Page(chromium, server).find("#privacy").text
+    machine = socket.gethostname()
+    assert said.startswith(f"Photos go to {machine}, the machine that serves this page, and to no")
 
 
 def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import signal
 import socket
 import sys
@@ -10,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from commands import assert_refused, noting
-from pages import POSE, TINY, live, look, received, serving
+from pages import POSE, TINY, Served, live, look, received, serving
 from PIL import Image
 from PIL.ExifTags import Base
 
 from skyline import Matcher, Narrowing, read_query
 from skyline.render.context import release_context
+from skyline.web.server import Reach, own_addresses
 
 
 def test_what_cannot_be_served_is_one_line(run, store, photo, renderings, tmp_path):
@@ -44,6 +46,42 @@ def test_ctrl_c_ends_it_without_a_word(store):
         server.process.send_signal(signal.SIGINT)
         assert server.process.wait(20) == 0
         assert server.process.stderr.read() == ""
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::"])
+def test_the_printed_address_opens_and_the_page_says_where_photos_go(store, host):
+    if host == "::" and not socket.has_dualstack_ipv6():
+        pytest.skip("this machine has no IPv6")
+    with serving(store, "--host", host) as server:
+        assert server.address.rpartition(":")[0] in {"127.0.0.1", "[::1]"}
+        assert server.ask("GET", "/")[0] == 200
+        machine = server.ask("GET", "/state")[1]["machine"]
+        others = [Served(one, None) for one in re.findall(r"http://(\S+)/", server.said)[1:]]
+        statuses = [one.ask("GET", "/state")[0] for one in others]
+    assert machine == (None if host == "127.0.0.1" else socket.gethostname())
+    assert len(others) >= len(own_addresses(4)) * (machine is not None)
+    assert set(statuses) <= {200}
+
+
+@pytest.mark.parametrize(
+    ("host", "address", "words"),
+    [
+        ("localhost", "127.0.0.1", "at http://localhost:80/ (Ctrl-C"),
+        ("::1", "::1", "at http://[::1]:80/ (Ctrl-C"),
+        ("192.0.2.7", "192.0.2.7", "at http://192.0.2.7:80/ (Ctrl-C"),
+        ("page.example", "192.0.2.7", "at http://page.example:80/ (Ctrl-C"),
+        ("0.0.0.0", "0.0.0.0", "at http://127.0.0.1:80/ on this machine, and at http://"),
+        ("::", "::", "at http://[::1]:80/ on this machine, and at http://"),
+    ],
+)
+def test_each_host_has_an_address_that_opens(host, address, words):
+    reach = Reach.of(host, address)
+    said = reach.in_words(80)
+    assert words in said
+    assert "0.0.0.0" not in said
+    assert "[::]" not in said
+    is_open = host not in {"localhost", "::1"}
+    assert reach.machine == (socket.gethostname() if is_open else None)
 
 
 def test_two_stores_are_served_as_one(run, dem, photo, tmp_path):

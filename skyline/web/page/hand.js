@@ -72,7 +72,7 @@ function verdict() {
   if (!state.fit) return [];
   const { refusal, candidates: [{ apart }] } = state.fit;
   if (state.chosen !== null) {
-    return standing() ? [element("span", { class: "yes" }, "Fitted: "), `this is candidate ${state.chosen + 1} of the search; ${apart}.`] : [];
+    return standing() ? [element("span", { class: "yes" }, `Fitted to candidate ${state.chosen + 1}: `), `${apart}.`] : [];
   }
   if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${apart}. No search has judged this pose.`];
   return [element("span", { class: "no" }, "The fit has failed: "), `${refusal}. Bring the two skylines closer by hand.`];

@@ -99,10 +99,10 @@ function listen() {
     const message = JSON.parse(event.data);
     emit(message.type, message);
   };
-  socket.onclose = reconnect;
+  socket.onclose = () => reconnect();
 }
 
-async function reconnect() {
+async function reconnect(isFirst = true) {
   try {
     await records().catch(async (error) => {
       if (error.status !== GONE) throw error;
@@ -111,8 +111,8 @@ async function reconnect() {
     });
     listen();
   } catch (error) {
-    report(error, "server");
-    setTimeout(reconnect, AGAIN_MS);
+    if (isFirst) report(error, "server");
+    setTimeout(reconnect, AGAIN_MS, false);
   }
 }
 
