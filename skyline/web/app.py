@@ -391,7 +391,7 @@ def _load_trace(photo: PagePhoto, path: Path) -> None:
     """Take a photo's skyline from a trace; an error of the file calls it the trace."""
     try:
         photo.solve((), read_trace(path))
-        photo.trace_text = path.read_text(errors="replace")
+        photo.trace_text = path.read_text(encoding="utf-8", errors="replace")
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
 

@@ -99,9 +99,10 @@ export const waits = (photo) => unsent.has(photo);
 export async function resume(photo, { strokes, trace }) {
   Object.assign(photo, { strokes, trace });
   if (trace) await server.loadTrace(photo, trace);
-  if (strokes.length) await server.skyline(photo, strokes);
-  photo.solved = strokes.length;
-  unsent.delete(photo);
+  const count = strokes.length;
+  if (count) await server.skyline(photo, strokes);
+  photo.solved = count;
+  if (count === strokes.length) unsent.delete(photo);
 }
 
 export function showShare(before = "Skyline") {

@@ -91,7 +91,7 @@ export async function restore() {
   if (JSON.stringify(about) !== JSON.stringify(state.store)) {
     alertUser("The server was started again with another store or other photos: reload the page.", "store");
   }
-  for (const photo of state.photos.filter((one) => one.content && one.state !== "missing")) {
+  for (const photo of state.photos.filter((one) => one.content && one.state !== "missing" && !server.isOpen(one))) {
     const isFound = Boolean(photo.result);
     if (!(await open(photo, () => sendAgain(photo), "missing")) || photo !== state.photo) continue;
     leave();

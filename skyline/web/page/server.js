@@ -8,7 +8,8 @@ const AGAIN_MS = 1500;
 const NO_ANSWER = "The server does not answer; is `skyline serve` still running? The page goes on when it is back, and keeps what you draw.";
 let session = null;
 let socket = null;
-let restored = null; // opens the photos again in a new session
+let restored = null; // opens the page's photos in a new session
+let isNew = false; // whether the page's photos are still to be opened in the session
 
 async function ask(method, path, body) {
   let answer;
@@ -29,6 +30,7 @@ async function ask(method, path, body) {
   throw Object.assign(error, { status: answer.status });
 }
 
+export const isOpen = (photo) => photo.session === session;
 const inSession = (path) => `session/${session}/${path}`;
 const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
 
@@ -60,10 +62,11 @@ export async function upload(file) {
   const bytes = await file.arrayBuffer().catch(() => {
     throw new Error(`${file.name} cannot be read; it is a folder, or has changed: choose the photo again`);
   });
-  return (await ask("POST", inSession(`photos?name=${encodeURIComponent(file.name)}`), bytes)).json();
+  return opened(`photos?name=${encodeURIComponent(file.name)}`, bytes);
 }
 
-export const openGiven = async (index) => (await ask("POST", inSession(`given/${index}`))).json();
+export const openGiven = (index) => opened(`given/${index}`);
+const opened = async (path, body) => ({ ...(await (await ask("POST", inSession(path), body)).json()), session });
 export const remove = (photo) => ask("DELETE", ofPhoto(photo, ""));
 export const picture = async (photo) => (await ask("GET", ofPhoto(photo, "/picture"))).blob();
 export const cancel = (photo) => ask("DELETE", ofPhoto(photo, "/match"));
@@ -107,8 +110,10 @@ async function reconnect(isFirst = true) {
     await records().catch(async (error) => {
       if (error.status !== GONE) throw error;
       await renew();
-      await restored();
+      isNew = true;
     });
+    if (isNew) await restored();
+    isNew = false;
     listen();
   } catch (error) {
     if (isFirst) report(error, "server");
