@@ -280,6 +280,6 @@ def test_what_was_judged_with_another_skyline_is_not_saved_as_judged(served, pho
         assert (status, "the skyline has changed since" in said["error"]) == (400, True)
     features = json.loads(save({"pose": POSE})[1])["features"]
     assert features[0]["properties"]["origin"] == "set by hand"
-    assert served.ask("GET", f"{of_photo}/trace")[1].startswith(b"# width=1600 height=")
+    assert served.ask("GET", f"{of_photo}/trace")[1].startswith(b"# width=960 height=640")
     served.ask("POST", f"{of_photo}/skyline", b'{"strokes": []}')
     assert save({"rank": 0})[0] == 200
