@@ -1,4 +1,4 @@
-"""Files: reading them, writing them whole or not at all, CSV tables, locks, and names for GDAL.
+"""Files: folders of them, reading, writing whole or not at all, tables, locks, names for GDAL.
 
 Viewpoints, gazetteers, lists of photos and traces are all read here as tables. Their cells are
 separated by the most frequent of comma, semicolon and tab in the header. With semicolons or tabs,
@@ -14,15 +14,19 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import TextIO, TypeGuard
+from pathlib import Path, PurePath
+from typing import NoReturn, TextIO, TypeGuard
 
 from skyline.errors import InputError, MissingFileError, printable
 
+REPORT_PAGE = "index.html"
+"""The page of a report's folder."""
+PAGE_MARK = '<meta name="generator" content="Skyline">'
+"""The mark of the pages that Skyline writes."""
 STANDARD = "-"
 """The name of standard input and output among paths."""
 GEOJSON = (".geojson", ".json")
@@ -53,6 +57,14 @@ _OF_FILES = {
 _BEGINNING_BYTES = 1024
 _SHOWN = 80
 """Characters of a header that an error shows."""
+_KINDS_SHOWN = 10
+"""Endings of files that a message names."""
+
+_OF_SYSTEMS = {
+    "__macosx", "@eadir", "$recycle.bin", "system volume information", "lost+found",
+}  # fmt: skip
+"""Folders of systems beside a person's own, in small letters."""
+_MEMBER = re.compile(r"/vsizip/\{(.+?\.zip)\}/(.+)", re.DOTALL | re.IGNORECASE)
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
@@ -130,6 +142,60 @@ def has_mark(path: Path, mark: bytes) -> bool:
         return False
 
 
+def is_own_page(path: Path) -> bool:
+    """Return whether a file is a page of Skyline's, by its mark."""
+    return has_mark(path, PAGE_MARK.encode())
+
+
+def files_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False) -> list[Path]:
+    """Return the files in a folder and in the folders in it, in order of path.
+
+    Hidden files and folders, folders that systems make, and those that ``is_skipped`` names are
+    left out. Links are followed, each folder is listed once; a link without a target is a file.
+    Raises `InputError` where a folder cannot be listed.
+    """
+
+    def refuse(error: OSError) -> NoReturn:
+        raise InputError(f"{error.filename} cannot be read: {error.strerror}") from error
+
+    found: list[Path] = []
+    listed: set[str] = set()
+    for here, folders, names in os.walk(folder, onerror=refuse, followlinks=True):
+        if os.path.realpath(here) in listed or is_skipped(Path(here)):
+            folders.clear()
+            continue
+        listed.add(os.path.realpath(here))
+        folders[:] = [one for one in folders if not is_of_system(one)]
+        files = (Path(here, name) for name in names if not is_of_system(name))
+        found += (file for file in files if file.is_file() or not file.exists())
+    return sorted(found)
+
+
+def is_of_system(name: str) -> bool:
+    """Return whether a file or folder is hidden, or made by a system beside a person's own."""
+    return name.startswith(".") or name.lower() in _OF_SYSTEMS
+
+
+def names_in_words(names: Sequence[str]) -> str:
+    """Return names of files: one of each ending, and how many more have that ending."""
+    kinds: dict[str, list[str]] = {}
+    for name in names:
+        kinds.setdefault(PurePath(name).suffix.lower(), []).append(name)
+    shown = [
+        some[0] if len(some) == 1 else f"{some[0]} and {len(some) - 1} more {kind}".rstrip()
+        for kind, some in list(kinds.items())[:_KINDS_SHOWN]
+    ]
+    others = sum(map(len, list(kinds.values())[_KINDS_SHOWN:]))
+    return ", ".join(shown + [f"{others} others"] * bool(others))
+
+
+def left_out_in_words(names: Sequence[str], expected: str) -> str:
+    """Return a clause on the files of a folder that are left out: their number and names."""
+    one = len(names) == 1
+    number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
+    return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
+
+
 def has_locks(path: Path) -> bool:
     """Return whether a file can be locked; in some network folders none can."""
     with path.open("rb") as file:
@@ -154,6 +220,23 @@ def for_gdal(name: str) -> str:
     return name
 
 
+def member_name(archive: str | Path, member: str) -> str:
+    """Return the name by which GDAL opens a member of a zip archive."""
+    return f"/vsizip/{{{archive}}}/{member}"
+
+
+def archive_of(name: str) -> tuple[str, str] | None:
+    """Return the archive and the member of a name of `member_name`; None for any other name."""
+    parts = _MEMBER.fullmatch(name)
+    return None if parts is None else (parts[1], parts[2])
+
+
+def on_disk(name: str | Path) -> str | Path:
+    """Return the file that holds what GDAL opens: the archive of a member, else the name."""
+    parts = archive_of(str(name))
+    return name if parts is None else parts[0]
+
+
 def is_file(path: str | Path) -> bool:
     """Return whether there is a file of this name; an address may be too long to be one."""
     return os.path.isfile(path)  # noqa: PTH113  (`Path.is_file` raises an error for long names)
@@ -162,11 +245,12 @@ def is_file(path: str | Path) -> bool:
 def version_of(path: str | Path) -> tuple[int, int, int] | None:
     """Return a file's size, modification time and status-change time; None without a file.
 
-    Times are in nanoseconds. Copying and unpacking may keep the modification time, but not the
-    status-change time, which a change of permissions or of the name updates, too.
+    Those of a member of an archive are the archive's. Times are in nanoseconds. Copying and
+    unpacking may keep the modification time, but not the status-change time, which a change of
+    permissions or of the name updates, too.
     """
     try:
-        known = Path(path).stat()
+        known = Path(on_disk(path)).stat()
     except (OSError, ValueError):
         return None
     is_file = stat.S_ISREG(known.st_mode)

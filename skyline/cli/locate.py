@@ -14,7 +14,7 @@ from skyline.errors import InputError, MissingFileError
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.match.areas import cached_files, prepare_area
 from skyline.match.locate import NOTED_KM, area_of
-from skyline.match.queries import Query, listed
+from skyline.match.queries import Query, listed, without_folders
 from skyline.report.folder import check_report_folder
 from skyline.report.peaks import find_place
 
@@ -70,6 +70,7 @@ def locate(
     if dem and source:
         raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
     # These checks come before minutes of work.
+    photos = [*without_folders(photos)]
     queries = list(listed(photos, Query("", fov_deg)))
     usable = usable_queries(queries)
     if peaks is not None and not peaks.is_file():

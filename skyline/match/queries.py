@@ -15,22 +15,26 @@ from typing import Any, cast
 
 from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import STANDARD, Row, Table, is_table, read_table, version_of
+from skyline.files import (
+    REPORT_PAGE,
+    STANDARD,
+    Row,
+    Table,
+    is_own_page,
+    is_table,
+    read_table,
+    version_of,
+)
 from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.photo.query import Lens, Projection, QuerySkyline
-from skyline.photo.read import check_fov, read_query
+from skyline.photo.read import check_fov, photos_in, read_query
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
     "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
 )  # fmt: skip
-_PICTURES = (
-    ".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif",
-    ".avif", ".jp2", ".bmp",
-)  # fmt: skip
-"""Suffixes of the files of a folder that are matched."""
 _TOGETHER = {
     "near": ("lon", "lat", "radius_km"),
     "heading_deg": ("heading_deg", "heading_slack_deg"),
@@ -84,14 +88,14 @@ class Query:
 def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
     """Yield the queries that paths name: photos, all pictures of folders, all rows of lists.
 
-    A path that does not exist and has a wildcard names the files that it matches; ``-`` is standard
-    input. A list is a CSV file with a column ``path``. Paths count from the list's folder; fields
-    that a row leaves empty are those of ``common``, whose own path is not used.
+    ``-`` is standard input. A list is a CSV file with a column ``path``. Paths count from the
+    list's folder; fields that a row leaves empty are those of ``common``, whose own path is not
+    used.
 
-    Raises `InputError` for a list with an unknown column or a bad value, and for a list or a folder
-    without pictures.
+    Raises `InputError` for a list with an unknown column or a bad value, for a list without rows,
+    and as `without_folders`.
     """
-    for path in _expanded(paths):
+    for path in without_folders(paths):
         table = None
         if is_table(path):
             with suppress(SkylineError):  # Reading the query itself raises it.
@@ -106,24 +110,33 @@ def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
             yield _query(table, row, common)
 
 
-def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
+def without_folders(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield paths, with the pictures of a folder in place of the folder, in natural order.
+
+    A path that does not exist and has a wildcard stands for the files that it matches. Reports in
+    a folder are passed over. Raises `InputError` as `skyline.photo.read.photos_in`, and where a
+    wildcard matches nothing.
+    """
     for path in paths:
         if path.is_dir():
-            some = [one for one in path.iterdir() if one.suffix.lower() in _PICTURES]
+            yield from sorted(photos_in(path, _is_report), key=_in_order)
         elif not path.exists() and any(mark in path.name for mark in "*?["):
-            some = list(path.parent.glob(path.name))
+            some = sorted(path.parent.glob(path.name), key=_in_order)
+            if not some:
+                raise InputError(f"there is no file {path}; check the path of the photos")
+            yield from without_folders(some)
         else:
             yield path
-            continue
-        if not some:
-            raise InputError(f"{path} has no pictures; expected {', '.join(_PICTURES)}")
-        yield from sorted(some, key=_in_order)
+
+
+def _is_report(folder: Path) -> bool:
+    return is_own_page(folder / REPORT_PAGE)
 
 
 def _in_order(path: Path) -> tuple[list[str | int], str]:
     """Return a key that sorts frame-2 before frame-10."""
-    parts = re.split("([0-9]+)", path.name)
-    return [int(part) if number % 2 else part for number, part in enumerate(parts)], path.name
+    parts = re.split("([0-9]+)", str(path))
+    return [int(part) if number % 2 else part for number, part in enumerate(parts)], str(path)
 
 
 def _query(table: Table, row: Row, common: Query) -> Query:

@@ -8,7 +8,7 @@ stderr, and shrinks huge JPEGs while decoding them.
 import io
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -23,7 +23,15 @@ from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError, suffix_of
-from skyline.files import STANDARD, is_table, read_bytes, write_whole
+from skyline.files import (
+    STANDARD,
+    files_in,
+    is_table,
+    left_out_in_words,
+    names_in_words,
+    read_bytes,
+    write_whole,
+)
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
@@ -50,6 +58,14 @@ _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
 """Formats that Pillow may decode; others run programs, or are no pictures."""
+_PHOTOS = (
+    ".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif",
+    ".avif", ".jp2", ".bmp",
+)  # fmt: skip
+"""Endings of photos: one that cannot be read is damaged, and its error is due."""
+_THUMBNAIL = ".thm"
+"""The ending of a camera's thumbnail of a video, which is a JPEG."""
+_HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 _SKYLINE_RGB, _OTHER_RGB = (255, 0, 60), (255, 160, 0)
 
 
@@ -204,6 +220,47 @@ def read_photo(
     return Photo(rgb, lens.fov_deg, projection or noted, place, lens)
 
 
+def photos_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False) -> list[Path]:
+    """Return the pictures in a folder and in the folders in it; a warning names other files.
+
+    Pillow says which files are pictures, whatever they are called. Raw files are left out, and
+    folders that ``is_skipped`` names. Raises `InputError` where there is no picture.
+    """
+    photos: list[Path] = []
+    others: list[str] = []
+    for path in files_in(folder, is_skipped):
+        if _is_photo(path):
+            photos.append(path)
+        else:
+            others.append(str(path.relative_to(folder)))
+    if not photos:
+        found = f" among {names_in_words(others)}" if others else ""
+        raise InputError(f"{folder} has no pictures{found}; expected {', '.join(_PHOTOS)}")
+    if others:
+        about = left_out_in_words(others, "pictures" if len(others) > 1 else "picture")
+        _log.warning("%s: %s", folder, about)
+    return photos
+
+
+def _is_photo(path: Path) -> bool:
+    """Return whether a file of a folder is a photo, even if it cannot be decoded."""
+    ending = path.suffix.lower()
+    if ending in _PHOTOS or ending == _THUMBNAIL or not path.exists():
+        return ending in _PHOTOS
+    try:
+        with opened_image(path) as image:
+            # A raw file is a TIFF by another name.
+            return image.format != "TIFF" or not ending
+    except InputError as error:
+        return not isinstance(error.__cause__, UnidentifiedImageError) or _is_heif(path)
+
+
+def _is_heif(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(12)
+    return head[4:8] == b"ftyp" and head[8:] in _HEIF_BRANDS
+
+
 def read_noted_place(path: Picture) -> NotedPlace:
     """Return the place noted in a query's EXIF, without decoding its pixels.
 
@@ -300,7 +357,7 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
         reason = "not an image that can be read; expected JPEG, PNG, TIFF or WebP"
         if not is_table(path):
             reason += ", or a trace named .csv"
-        if path.suffix.lower() in {".heic", ".heif"}:
+        if str(path) != STANDARD and _is_heif(path):
             reason = (
                 "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
                 "pip install pillow-heif"

@@ -4,11 +4,10 @@ import re
 from pathlib import Path
 
 from skyline.errors import InputError
-from skyline.files import check_folder
-from skyline.report.html import is_page
+from skyline.files import REPORT_PAGE, check_folder, is_own_page
 
-PAGE, CANDIDATES = "index.html", "matches.geojson"
-_FILES = re.compile(rf"{PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")
+CANDIDATES = "matches.geojson"
+_FILES = re.compile(rf"{REPORT_PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")
 
 
 def check_report_folder(folder: Path) -> None:
@@ -18,11 +17,11 @@ def check_report_folder(folder: Path) -> None:
     `InputError` as `check_folder`, and for a file that would be replaced.
     """
     check_folder(folder)
-    if not folder.exists() or is_page(folder / PAGE):
+    if not folder.exists() or is_own_page(folder / REPORT_PAGE):
         return
     for path in sorted(folder.iterdir()):
         if _FILES.fullmatch(path.name):
             raise InputError(
-                f"{path} would be replaced, and {folder} has no {PAGE} that is marked as "
+                f"{path} would be replaced, and {folder} has no {REPORT_PAGE} that is marked as "
                 "Skyline's; name another folder for the report"
             )

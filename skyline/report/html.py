@@ -7,16 +7,13 @@ import base64
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
-from pathlib import Path
 
 from skyline.errors import printable
-from skyline.files import has_mark
+from skyline.files import PAGE_MARK
 
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?|–")
 """A number or the dash of an unknown value."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-_GENERATOR = '<meta name="generator" content="Skyline">'
-"""The mark of the pages that are written here."""
 _STYLE = """
 :root { color-scheme: light dark; --page: #fbfbf9; --ink: #1b1e22; --faint: #62686f;
   --line: #d9dcdf; --card: #ffffff; --mark: #b3123a; --good: #1f7a3a; }
@@ -58,7 +55,7 @@ def page(title: str, lead: str, sections: Iterable[str], foot: str = "") -> str:
     """Return a whole page: title, a sentence or two of introduction, `section`s and a footer."""
     body = "\n".join(sections)
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{_GENERATOR}\n'
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{PAGE_MARK}\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{_escaped(title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
@@ -66,11 +63,6 @@ def page(title: str, lead: str, sections: Iterable[str], foot: str = "") -> str:
         f"{body}\n"
         f"<footer>{_escaped(foot)}</footer>\n</body></html>\n"
     )
-
-
-def is_page(path: Path) -> bool:
-    """Return whether a file is a `page`."""
-    return has_mark(path, _GENERATOR.encode())
 
 
 def section(title: str, parts: Iterable[str]) -> str:

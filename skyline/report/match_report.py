@@ -8,7 +8,7 @@ from pathlib import Path
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
-from skyline.files import write_with_folders
+from skyline.files import REPORT_PAGE, write_with_folders
 from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import COLUMNS, Candidate, Ellipse
 from skyline.match.matcher import Matcher, terrain_at_hand
@@ -16,7 +16,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_picture
 from skyline.report.exports import export_matches
 from skyline.report.figures import UnnamedPeaks, encode_figure
-from skyline.report.folder import CANDIDATES, PAGE, check_report_folder
+from skyline.report.folder import CANDIDATES, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
@@ -83,7 +83,7 @@ def report_matches(
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"
     whole = page("Where the photos were taken", lead, sections, made_by)
-    is_new, path = not folder.exists(), folder / PAGE
+    is_new, path = not folder.exists(), folder / REPORT_PAGE
     try:
         # The page first: its mark says whose the other files are, should this be stopped.
         write_with_folders(path, whole)

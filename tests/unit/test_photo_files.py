@@ -12,7 +12,7 @@ from PIL.ExifTags import IFD, Base
 from skyline.errors import InputError
 from skyline.photo import read
 from skyline.photo.extract import extract_skyline
-from skyline.photo.read import extract_photo, read_query
+from skyline.photo.read import extract_photo, photos_in, read_query
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +153,36 @@ HEIC = b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
 def test_a_file_that_is_no_photo_is_one_line(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
     refused(tmp_path / name, said)
+
+
+def test_the_photos_of_a_folder_are_known_by_their_content(tmp_path, caplog):
+    picture = Image.new("RGB", (40, 30))
+    photos = ["IMG_0001", "pano.insp", "trip/day 2/b.JPG", "c.gif"]
+    for name in photos:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        picture.save(tmp_path / name, format="GIF" if name.endswith("gif") else "JPEG")
+    (tmp_path / "d.HIF").write_bytes(HEIC.replace(b"heic", b"heix"))
+    (tmp_path / "damaged.jpg").write_bytes(b"")
+    picture.save(tmp_path / "raw.cr2", format="TIFF")
+    picture.save(tmp_path / "video.THM", format="JPEG")
+    (tmp_path / "video.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42" + bytes(99))
+    for name in ("Thumbs.db", "a.json", "a.xmp", "b.xmp", "trace.csv"):
+        (tmp_path / name).write_text("<x:xmpmeta/>")
+    for hidden in (".thumbnails", "__MACOSX", "@eaDir"):
+        (tmp_path / hidden).mkdir()
+        picture.save(tmp_path / hidden / "e.jpg")
+    found = [str(path.relative_to(tmp_path)) for path in photos_in(tmp_path)]
+    assert found == sorted([*photos, "d.HIF", "damaged.jpg"])
+    (line,) = caplog.messages
+    assert line == (
+        f"{tmp_path}: 8 files are left out, which are no pictures: Thumbs.db, a.json, a.xmp and 1 "
+        "more .xmp, raw.cr2, trace.csv, video.THM, video.mp4"
+    )
+    refused(tmp_path / "d.HIF", "HEIC photo.*pip install pillow-heif")
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "e.xmp").write_text("")
+    with pytest.raises(InputError, match=r"has no pictures among e\.xmp; expected"):
+        photos_in(tmp_path / "none")
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif", "gif"])
