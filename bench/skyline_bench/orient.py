@@ -100,7 +100,7 @@ def orient(
         raise InputError(f"{photos} names no photograph to locate or to refuse; expected some")
     kept = options.rows_but(json_file, "of", name)
     terrain = read_dem(dem, DemOptions(crs=crs))
-    other = read_dem(strange, DemOptions(reproject=True)) if strange else None
+    other = read_dem(strange) if strange else None
     count = min(queries, _QUICK) if quick else queries
     with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
         if photos:

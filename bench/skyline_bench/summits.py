@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature, is_metric
+from skyline.geodesy import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.solar import horizon, horizons_of
 from skyline.store.places import BINS
@@ -88,7 +88,7 @@ class _File:
         heights_m, grid, crs = mosaic.heights_m, mosaic.grid, mosaic.crs
         spacing_m = (
             (grid.step_east, grid.step_north)
-            if is_metric(crs)
+            if field.provenance.resampling == "none"
             else ground_spacing_m(grid, crs, local_frame(grid, crs))
         )
         clean(heights_m, str(dem[0]), max(spacing_m))

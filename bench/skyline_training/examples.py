@@ -47,7 +47,7 @@ OUTSIDE = 1.35
 """Queries come from an area this much wider than the store: nearly half from outside it."""
 
 LEARNED = {
-    "sierra": ("sierra/sierra_ansel_adams_30m_albers.tif", DemOptions(reproject=True)),
+    "sierra": ("sierra/sierra_ansel_adams_30m_albers.tif", DemOptions()),
     "rofental": ("rofental/dem_rofental_50.asc", DemOptions(crs="EPSG:32632")),
     "everest": ("everest/mt_everest_90m.tif", DemOptions()),
 }

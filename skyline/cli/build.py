@@ -14,8 +14,8 @@ from skyline.cli.console import (
     Crs,
     Dems,
     RefractionK,
-    Reproject,
     Workers,
+    lies_in_any,
     of_terrain,
     on_interrupt,
     output_option,
@@ -75,14 +75,13 @@ def build(
     workers: Workers = None,
     k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     _advise_to_continue(output)
     plan = PlacePlan(
         spacing, None if bounds is None else parse_bounds(bounds), places, Curvature(refraction_k=k)
     )
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     with runner_of(workers) as runner, progress_bar("rendering") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     _print_built(result, output, "places")
@@ -169,7 +168,6 @@ def render(
     ] = _DEFAULTS.tolerance_px,
     k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Render views to grid north, east, south and west into a store, for the paper's matcher."""
     if (viewpoints is None) == (grid is None and planner is None):
@@ -198,15 +196,15 @@ def render(
         }
         given = {name: value for name, value in chosen.items() if value is not None}
         planned = PlanConfig(planner, **given)  # type: ignore[arg-type]
-        _build_planned(read_terrain(dem, crs, reproject), output, planned, corners, config, drawn)
+        _build_planned(read_terrain(dem, crs), output, planned, corners, config, drawn)
         return
     _advise_to_continue(output)
     _refuse_given(of_planners, "give --planner too")
-    if depth_images is not None and depth_images.resolve() in {Path(one).resolve() for one in dem}:
+    if depth_images is not None and lies_in_any(depth_images, dem):
         _refuse_given({"--depth-images": depth_images}, "name a folder that holds no DEM")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     labels: tuple[str, ...] = ()
     if viewpoints is not None:
         eyes, labels = read_viewpoints(viewpoints, terrain)

@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -83,7 +83,8 @@ Workers = Annotated[
 ]
 
 Dems = Annotated[
-    list[str], Argument(metavar="DEM...", help="Elevation files of one grid, or folders of them.")
+    list[str],
+    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of them."),
 ]
 Surfaces = Annotated[
     list[str] | None,
@@ -105,12 +106,6 @@ RefractionK = Annotated[
 Crs = Annotated[
     str | None,
     of_terrain(metavar="CRS", help="CRS of a DEM whose files name none, e.g. EPSG:32632."),
-]
-Reproject = Annotated[
-    bool,
-    of_terrain(
-        "--reproject", help="Warp a DEM whose CRS is not conformal, so that its map keeps angles."
-    ),
 ]
 PEAKS = Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].")
 
@@ -266,12 +261,12 @@ def note_if_slow(doing: str) -> Iterator[None]:
         timer.cancel()
 
 
-def read_terrain(dem: list[str], crs: str | None, reproject: bool) -> "HeightField":
+def read_terrain(dem: Sequence[str], crs: str | None) -> "HeightField":
     """Read a command's elevation model; a line names the step if it takes more than 5 seconds."""
     from skyline.terrain.dem import DemOptions, read_dem  # noqa: PLC0415  (slow to load)
 
     with note_if_slow("reading the elevation model"):
-        return read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        return read_dem(dem, DemOptions(crs=crs))
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
@@ -348,6 +343,12 @@ def _flush_streams() -> None:
 def _fail(message: str, code: int) -> None:
     print_error(message)
     sys.exit(code)
+
+
+def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
+    """Return whether an output is one of some folders, or lies in one or in a folder of it."""
+    place = output.resolve()
+    return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from skyline.cli.console import AsJson, Crs, Dems, Reproject, print_line, read_terrain
+from skyline.cli.console import AsJson, Crs, Dems, print_line, read_terrain
 from skyline.errors import InputError, numbers_of, printable
 from skyline.geodesy import Frame
 from skyline.render.context import describe_context
@@ -33,7 +33,6 @@ def info(
     gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used, and why.")] = False,
     as_json: AsJson = False,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Describe a DEM, a store, or the OpenGL in use."""
     if not path and not gl:
@@ -43,7 +42,7 @@ def info(
         if len(path) == 1 and is_store(path[0]):
             facts |= _describe_store(path[0])
         else:
-            facts |= _describe_terrain(read_terrain(path, crs, reproject))
+            facts |= _describe_terrain(read_terrain(path, crs))
     _print_facts(facts, as_json)
 
 
@@ -105,13 +104,12 @@ def explain(
         str, Option(metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres.")
     ],
     crs: Crs = None,
-    reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
     """Show which terrain a skyline depends on, which is left out, and the resulting error."""
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = numbers_of(at.split(","), 2, f"--at is `{at}`; expected {wanted}")
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     east_m, north_m = np.array([[first], [second]])
     if max(abs(first), abs(second)) <= 360.0:
         east_m, north_m = place_on(terrain, first, second)

@@ -47,7 +47,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.report.peaks import read_peaks
-from skyline.terrain.rasters import absolute_name, without_folders
+from skyline.terrain.folders import dem_names
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""
@@ -155,7 +155,7 @@ def match(
     common = Query("", fov_deg, None, projection, narrowing_of(near, heading, use_gps))
     queries = list(listed(photos, common))
     _check_files(queries, [*stores, *photos, *filter(None, [peaks])], exports, results, report)
-    surfaces = tuple(map(absolute_name, without_folders(surface or ())))
+    surfaces = dem_names(surface or ())
     file = None
     if results is not None:
         file = ResultsFile(results, _search_of(stores, matcher, common, surfaces))
@@ -174,7 +174,7 @@ def match(
         _match_each(output, queries, refused, iter(()))
         raise typer.Exit(output.exit_code)
     # Workers may have another working directory.
-    tiles = tuple(map(absolute_name, without_folders(dem or ()))) or None
+    tiles = dem_names(dem or ()) or None
     name = FULL if matcher == _UNREFINED else matcher
     asked = stores, tiles, name, MatchConfig(refine=matcher != _UNREFINED), None, surfaces or None
     opened = time.perf_counter()

@@ -14,9 +14,9 @@ from skyline.cli.console import (
     PEAKS,
     AsJson,
     Crs,
-    Reproject,
     are_degrees,
     check_outputs,
+    lies_in_any,
     note_if_slow,
     output_option,
     print_error,
@@ -34,7 +34,7 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import STANDARD, csv_lines, read_bytes, write_whole
+from skyline.files import STANDARD, csv_lines, on_disk, read_bytes, write_whole
 from skyline.match.candidate import Candidate
 from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.match.queries import Query, listed
@@ -42,7 +42,7 @@ from skyline.photo.query import MOST_DISTORTION, WANDER_DEGREES, Projection, Que
 from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer
-from skyline.terrain.rasters import without_folders
+from skyline.terrain.folders import dem_names
 from skyline.terrain.viewpoints import check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
@@ -93,7 +93,6 @@ def orient(
     ] = None,
     as_json: AsJson = False,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Find how cameras were held at a known place: heading, pitch, roll and field of view."""
     place = camera_place(at)
@@ -102,7 +101,7 @@ def orient(
     if csv_file is not None:
         check_suffix(csv_file, [".csv"])
     usable_queries(queries)  # Refused before the DEM is read, if none is usable
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     found: list[dict[str, Any]] = []
     oriented, exit_code = 0, 0
     with orienters(terrain) as orienter_at:
@@ -167,7 +166,6 @@ def label(
     ] = False,
     projection: PhotoProjection = None,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Write the names and distances of the summits in a photo on a copy of it.
 
@@ -190,7 +188,7 @@ def label(
     else:
         query = read_query(photo, fov_deg, projection=projection)
         known = place or noted_place(query, str(photo))
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     gazetteer = read_peaks(peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
         with note_if_slow("orienting the camera"):
@@ -226,20 +224,19 @@ def pixels(
     ] = 1,
     projection: PhotoProjection = None,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Give the place on the terrain that each pixel of a photo shows.
 
     Distance, longitude, latitude and elevation are NaN for sky.
     """
     suffix = suffix_of(output, PIXEL_FILES)
-    check_outputs([output], [photo, pose, *map(Path, without_folders(dem))])
-    folders = [Path(one).resolve() for one in dem]
-    if suffix == ".tif" and output.resolve().parent in folders:
+    names = dem_names(dem)
+    check_outputs([output], [photo, pose, *map(Path, map(on_disk, names))])
+    if suffix == ".tif" and lies_in_any(output, dem):
         raise InputError(f"{output} would become a part of the DEM; choose another folder for it")
     query = read_photo(photo, projection=projection).blank
     record = _read_pose(pose, photo, query.projection)
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(names, crs)
     with progress_bar("following rays") as progress:
         viewer = Viewer(terrain)
         camera = _camera(record, viewer)

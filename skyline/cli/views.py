@@ -14,7 +14,6 @@ from skyline.cli.console import (
     Crs,
     Dems,
     RefractionK,
-    Reproject,
     Surfaces,
     check_outputs,
     note_if_slow,
@@ -87,7 +86,6 @@ def horizon(
     surface: Surfaces = None,
     k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Give the horizon around places: elevation angle and distance by azimuth from true north."""
     if bool(at) == (points is not None):
@@ -98,7 +96,7 @@ def horizon(
     steps_a_turn(step_deg)  # Refused before the DEM is read
     curvature = Curvature(refraction_k=k)
     places = [parse_place(text) for text in at or ()]
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     ids: tuple[str, ...] = ()
     if points is not None:
         eyes, ids = read_viewpoints(points, terrain, eye_height, summit_within)
@@ -121,12 +119,11 @@ def sun(
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     summit_within: SummitWithin = None,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Print when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
     asked = day_of(day)
     places = [parse_place(text) for text in at or ()]
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     eyes = _eyes(terrain, places, eye_height, summit_within)
     with progress_bar("rendering") as progress:
         found = horizons_of(terrain, eyes, progress=progress)
@@ -153,7 +150,6 @@ def panorama(
     summit_within: SummitWithin = None,
     surface: Surfaces = None,
     crs: Crs = None,
-    reproject: Reproject = False,
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
     from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
@@ -161,7 +157,7 @@ def panorama(
     place = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
-    terrain = read_terrain(dem, crs, reproject)
+    terrain = read_terrain(dem, crs)
     eye = _eyes(terrain, [place], eye_height, summit_within)
     with note_if_slow(f"drawing {output}"):
         over = read_surface(surface, terrain) if surface else None

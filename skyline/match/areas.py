@@ -30,11 +30,12 @@ from skyline.build.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import version_of
-from skyline.geodesy import Bounds, Frame, check_bounds, width_deg
+from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
+from skyline.terrain.folders import Paths, dem_names
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.rasters import Paths, absolute_name, files_of, without_folders
+from skyline.terrain.rasters import files_of
 
 _SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -147,7 +148,7 @@ def prepare_area(
     `FetchError` where a server fails.
     """
     check_bounds(area.built)
-    files = tuple(map(absolute_name, without_folders(dem)))
+    files = dem_names(dem)
     source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
     home = _areas() / _origin(files, source)
     with _explained():
@@ -216,7 +217,8 @@ def _digest(*parts: object) -> str:
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
 
 
-_STORE = f"places-{_digest(SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING)}.h5"
+_MAKING = SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING, TRUE_DEG
+_STORE = f"places-{_digest(*_MAKING)}.h5"
 """Name of a store, which differs between releases that would build another one."""
 _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.errors import InputError, SkylineError, entry_named, numbers_of
-from skyline.files import is_file
+from skyline.errors import InputError, SkylineError, StoreError, entry_named, numbers_of
+from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
 from skyline.match.answer import TOP, JointResult, MatchResult
 from skyline.match.candidate import Candidate, candidates_of
@@ -36,6 +36,7 @@ from skyline.photo.read import Picture, read_query
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.format import StoreHeader
+from skyline.store.read import Store
 from skyline.store.write import open_joined
 from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.heightfield import HeightField
@@ -90,7 +91,7 @@ class Matcher(Releasable):
         The matcher's name is unknown, the store is not of the kind that the matcher searches, the
         surface does not cover the DEM, or a surface is given to a matcher that does not refine.
     StoreError
-        The store cannot be read.
+        The store cannot be read, or angles are wrong on its map.
     StoreMismatchError
         The store was rendered from another DEM, or the stores from different ones.
     """
@@ -117,6 +118,8 @@ class Matcher(Releasable):
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
             self.frame = Frame(header.frame_wkt)
+            if not self.frame.is_local:
+                _check_frame(file, self.frame)
             self.terrain = None if dem is None else header.read_dem(dem)
             if matcher != FULL:
                 self._ranker = resolve_name(kind).open(file)
@@ -358,6 +361,19 @@ class Matcher(Releasable):
         return rays, Prior.of(narrowing, self.frame, noted)
 
 
+def _check_frame(store: Store, frame: Frame) -> None:
+    """Raise `StoreError` for a store on whose map angles are wrong, as earlier releases built."""
+    eyes = store.eyes()
+    east_m, north_m = eyes.easting_m, eyes.northing_m
+    box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
+    if error_deg := frame.untrue_deg(box_m):
+        raise StoreError(
+            f"store {store.path} was built by skyline {store.header.package_version} on the map "
+            f"of {frame.name}, where slopes and directions are wrong by up to {error_deg:.2f} "
+            "degrees; build it again, and its DEM is warped first"
+        )
+
+
 def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     """Return the terrain a store was rendered from, read from its DEM files.
 
@@ -366,7 +382,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     """
     if not header.dem_files:
         why = "the store was built from heights that came from no file; give the DEM (--dem)"
-    elif not all(map(is_file, header.dem_files)):
+    elif not all(is_file(on_disk(file)) for file in header.dem_files):
         files = ", ".join(header.dem_files)
         why = f"the store's DEM is not at hand (no file here is {files}); name its files with --dem"
     else:

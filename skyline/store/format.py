@@ -15,7 +15,7 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -165,6 +165,9 @@ class StoreHeader:
         # The config is kept as JSON will give it back, so that stored and requested ones compare
         # equal.
         plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
+        if "dem_options" in plain:
+            # Options that earlier releases wrote and this one lacks distinguish no stores.
+            plain["dem_options"] = asdict(DemOptions.from_json(plain["dem_options"]))
         object.__setattr__(self, "config", plain)
 
     @property
@@ -256,6 +259,12 @@ class StoreHeader:
         """
         options = DemOptions.from_json(self.config.get("dem_options"))
         terrain = read_dem(list(self.dem_files) if dem is None else dem, options)
+        if terrain.frame.wkt != self.frame_wkt:
+            raise StoreMismatchError(
+                f"the DEM is read in the frame {terrain.frame.name}, and the store was built in "
+                f"{Frame(self.frame_wkt).name} by skyline {self.package_version}; give the store's "
+                "DEM, or build the store again"
+            )
         if terrain.digest != self.dem_digest:
             raise StoreMismatchError(
                 f"the DEM's digest is {terrain.digest[:12]}, the store was built from "

@@ -29,16 +29,11 @@ from skyline.geodesy import (
 )
 from skyline.terrain.cleaning import clean, strips
 from skyline.terrain.conventions import ELLIPSOID, GEOID
+from skyline.terrain.folders import Paths, dem_names
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.rasters import Paths, absolute_name, open_tile, without_folders
+from skyline.terrain.rasters import open_tile
 from skyline.terrain.tiles import Grid, Mosaic, Tile, read_mosaic
 from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
-
-CONFORMAL_DEG = 0.01
-"""Greatest error of angles in a metric CRS that is used without a warning."""
-
-TRUE_SCALE = 0.01
-"""Greatest error of lengths in such a CRS, as a share."""
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
@@ -65,9 +60,6 @@ Dem = Paths | HeightField
 SUFFIX = ".terrain"
 """The suffix of files of `save_field`."""
 
-_PROBES = 9
-"""Rows and columns of places at which distortion is computed."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -80,13 +72,9 @@ class DemOptions:
     crs : str or None
         Coordinate reference system of files that name none: an EPSG code or WKT. Its vertical part
         also counts for files in the same CRS that name none, such as ``EPSG:2263+6360``.
-    reproject : bool
-        Warp even a metric DEM to the local conformal frame, as is needed if its own CRS is not
-        conformal.
     """
 
     crs: str | None = None
-    reproject: bool = False
 
     @classmethod
     def from_json(cls, options: object) -> "DemOptions":
@@ -110,20 +98,21 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """Read one DEM, or several tiles of one, as a metric height field.
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
-    filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
-    grid. One in degrees or feet, or whose axes point south or west, is warped once to the
-    transverse Mercator frame centred on it, with every summit as high as it was
-    (`skyline.terrain.warp.warp`); samples of the box around it that lie outside the DEM are NaN and
-    counted nowhere. Heights are converted from the unit of the band, or of the CRS's vertical axis.
+    filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
+    true here (`skyline.geodesy.Frame.untrue_deg`) keeps that grid. Any other, and one in degrees or
+    feet, or whose axes point south or west, is warped once to the transverse Mercator frame centred
+    on it, with every summit as high as it was (`skyline.terrain.warp.warp`); samples of the box
+    around it that lie outside the DEM are NaN and counted nowhere. Heights are converted from the
+    unit of the band, or of the CRS's vertical axis.
 
     Parameters
     ----------
     paths : path, sequence of paths or HeightField
-        Rasters of one band, virtual rasters and STAC items among them; folders, of which
-        the ``.tif``, ``.tiff``, ``.vrt``, ``.hgt``, ``.hgt.gz`` and ``.asc`` files are read;
-        ``https://`` addresses of rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share
-        a CRS and a grid; where they overlap the first named gives the height; samples that none
-        covers are holes. A height field is returned as it is, and read as it was from `save_field`.
+        Rasters of one band, and perhaps an alpha band, virtual rasters and STAC items among them;
+        folders and zip archives, which stand for the rasters in them; ``https://`` addresses of
+        rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
+        they overlap the first named gives the height; samples that none covers are holes. A height
+        field is returned as it is, and read as it was from `save_field`.
 
     Returns
     -------
@@ -144,16 +133,16 @@ def read_dem(paths: Dem, options: DemOptions = DemOptions()) -> HeightField:
     """
     if isinstance(paths, HeightField):
         return paths
-    files = [*without_folders(paths)]
-    if len(files) == 1 and Path(files[0]).suffix == SUFFIX:
-        return _read_saved(Path(files[0]))
-    return _height_field(read_files(files, options), options)
+    names = dem_names(paths)
+    if len(names) == 1 and Path(names[0]).suffix == SUFFIX:
+        return _read_saved(Path(names[0]))
+    return _height_field(read_files(names, options), options)
 
 
 def read_files(paths: Paths, options: DemOptions = DemOptions()) -> Mosaic:
     """Read files onto their own common grid, not cleaned; otherwise as `read_dem`."""
     default_crs = options.default_crs
-    names = [absolute_name(path) for path in without_folders(paths)]
+    names = dem_names(paths)
     if not names:
         raise InputError("no DEM file was given; name one or more")
     # A file that is named twice, in its folder and by itself, is read once.
@@ -169,18 +158,10 @@ def dem_of(tile: Tile, options: DemOptions) -> HeightField:
 def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
     """Clean heights on their files' own grid, and warp them if they need a metric frame."""
     crs, grid, heights_m, conventions = mosaic.crs, mosaic.grid, mosaic.heights_m, _placed(mosaic)
-    if is_metric(crs) and not options.reproject:
+    if not _is_warped(mosaic):
         frame, resampling = Frame.from_crs(crs), "none"
-        _warn_of_distortion(grid, frame)
         counts = clean(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
     else:
-        if crs.is_projected and not is_upright(crs):
-            _log.warning(
-                "%s: the axes of %s point %s; the DEM is warped to the local conformal frame",
-                mosaic.source,
-                crs.name,
-                " and ".join(axis.direction for axis in crs.axis_info),
-            )
         frame = local_frame(grid, crs)
         ground_spacing = ground_spacing_m(grid, crs, frame)
         counts = clean(heights_m, mosaic.source, max(ground_spacing))
@@ -193,6 +174,27 @@ def _height_field(mosaic: Mosaic, options: DemOptions) -> HeightField:
         heights_m, grid = warp(heights_m, grid, crs, frame, spacing_m)
     provenance = Provenance(mosaic.files, resampling, *counts, asdict(options), conventions)
     return _field(heights_m, grid, frame, provenance)
+
+
+def _is_warped(mosaic: Mosaic) -> bool:
+    """Return whether a DEM needs another frame than its map; log why unless it is in degrees."""
+    crs = mosaic.crs
+    if not crs.is_projected:
+        return True
+    why = ""
+    if not is_upright(crs):
+        why = f"the axes of {crs.name} point {' and '.join(a.direction for a in crs.axis_info)}"
+    elif is_metric(crs):
+        error_deg = Frame.from_crs(crs).untrue_deg(mosaic.grid.box)
+        if not error_deg:
+            return False
+        why = (
+            f"on the map of {crs.name} slopes and directions are wrong by up to {error_deg:.2f} "
+            "degrees in this DEM"
+        )
+    if why:
+        _log.warning("%s: %s; the DEM is warped to the local conformal frame", mosaic.source, why)
+    return True
 
 
 def _placed(mosaic: Mosaic) -> dict[str, str]:
@@ -221,31 +223,6 @@ def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenan
     heights.setflags(write=False)  # handed over, so that the field need not copy it
     steps = grid.step_east, grid.step_north
     return HeightField(heights, grid.west, grid.north, *steps, frame, provenance)
-
-
-def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
-    easting, northing = np.meshgrid(
-        np.linspace(grid.west, grid.east, _PROBES), np.linspace(grid.south, grid.north, _PROBES)
-    )
-    angle_deg = float(
-        np.nanmax(frame.angular_distortion_deg(easting_m=easting, northing_m=northing))
-    )
-    if angle_deg > CONFORMAL_DEG:
-        _log.warning(
-            "%s is not conformal: over this DEM it bends angles by up to %.2f degrees; "
-            "--reproject warps the DEM to a local conformal frame",
-            frame.name,
-            angle_deg,
-        )
-    scale = frame.scale(easting_m=easting, northing_m=northing)
-    worst = float(scale.flat[np.nanargmax(np.abs(np.log(scale)))])
-    if not math.isclose(worst, 1.0, abs_tol=TRUE_SCALE):
-        _log.warning(
-            "a metre on the map of %s is %.3f m on the ground in this DEM, so slopes come out "
-            "wrong; --reproject warps the DEM to a local frame of true scale",
-            frame.name,
-            1.0 / worst,
-        )
 
 
 def save_field(field: HeightField, path: Path) -> None:

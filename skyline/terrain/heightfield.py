@@ -78,6 +78,8 @@ class HeightField:
         Easting of column 0 and northing of row 0, at the samples (pixel centres).
     spacing_east_m, spacing_north_m : float
         Distance between neighbouring samples.
+    frame : Frame
+        One whose map is true here (`skyline.geodesy.Frame.untrue_deg`).
     """
 
     heights_m: FloatArray
@@ -119,6 +121,12 @@ class HeightField:
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
         object.__setattr__(self, "heights_m", heights)
+        if error_deg := self.frame.untrue_deg(self.bounds_m):
+            raise InputError(
+                f"on the map of {self.frame.name} slopes and directions are wrong by up to "
+                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, "
+                "HeightField.from_rasterio or from_xarray, which warp it"
+            )
 
     def __repr__(self) -> str:
         samples, spacing, *others = self._facts().values()

@@ -1,4 +1,4 @@
-"""Rasters of heights as tiles: files and addresses that GDAL opens, open datasets, xarray's arrays.
+"""Rasters of heights as tiles: what GDAL opens under a name, open datasets, xarray's arrays.
 
 To support a new kind of DEM, add a function here that returns a `Tile`; `open_tile` chooses it for
 a path. `skyline.terrain.tiles` then reads it, and all commands take it.
@@ -7,36 +7,34 @@ a path. `skyline.terrain.tiles` then reads it, and all commands take it.
 import gzip
 import logging
 import math
-import os
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.enums import MaskFlags
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReaderBase
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.errors import FetchError, InputError, MissingFileError, library
-from skyline.files import for_gdal, is_file
+from skyline.errors import FetchError, InputError, library
+from skyline.files import archive_of, is_file, on_disk
 from skyline.geodesy import without_vertical
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import conventions_of, metres_per, vertical_of
 from skyline.terrain.tiles import Grid, Tile
-
-Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
-"""Elevation files, folders of them, addresses, or names of GDAL's: one or several."""
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
@@ -45,8 +43,12 @@ EVEN = 0.05
 """Greatest distance of an array's coordinate from even steps, in samples: coordinates in float32
 degrees are not exact."""
 
-_RASTERS = (".tif", ".tiff", ".vrt", ".hgt", ".hgt.gz", ".asc")
-"""Endings of the elevation files of a folder."""
+NOT_RECOGNIZED = "not recognized as being in"
+"""GDAL's words for a file of no format that it knows."""
+
+_BLOCK_BYTES = 1 << 20
+_LEAST_FILLED = 1.0 / 9.0
+"""Least share of a grid that a text of points fills: with less, a sample has no neighbour."""
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
 _SETTINGS = {
@@ -70,11 +72,13 @@ _log = logging.getLogger(__name__)
 
 
 def open_tile(source: str, default_crs: CRS | None) -> Tile:
-    """Return the tile in a file, or under another name that GDAL opens (`absolute_name`).
+    """Return the tile under a name that GDAL opens (`skyline.terrain.folders.absolute_name`).
 
     Raises `InputError` or `FetchError` where it is not a usable DEM.
     """
-    return _tile_of(source, lambda: _opened(source), default_crs, (source,))
+    if archive_of(source):
+        _check_whole(source)
+    return _tile_of(source, partial(opened_raster, source), default_crs, (source,))
 
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
@@ -136,68 +140,6 @@ def no_dem(given: object) -> InputError:
     )
 
 
-def without_folders(paths: Paths) -> Iterator[str | Path]:
-    """Yield one path or several, with the elevation files of a folder in place of the folder.
-
-    They are ordered by name; hidden files and folders within the folder are left out. Raises
-    `InputError` for what is no path, and for a folder without elevation files, or that cannot be
-    read.
-    """
-    is_one = isinstance(paths, str | bytes | os.PathLike | Mapping) or not np.iterable(paths)
-    several: Any = [paths] if is_one else paths
-    for given in several:
-        path = os.fspath(given) if isinstance(given, os.PathLike) else given
-        if not isinstance(path, str):
-            raise no_dem(given)
-        if not path:
-            raise InputError(
-                "a DEM was given without a name; name its files, or the folder of them"
-            )
-        folder = Path(path)
-        if "://" in path or not os.path.isdir(path):  # noqa: PTH112  (as in `is_file`)
-            yield path
-            continue
-        try:
-            inside = sorted(folder.iterdir())
-        except OSError as error:
-            raise InputError(f"{folder} cannot be read: {error.strerror}") from error
-        files = [
-            file
-            for file in inside
-            if file.name.lower().endswith(_RASTERS)
-            and not (file.name.startswith(".") or file.is_dir())
-        ]
-        if not files:
-            raise InputError(
-                f"{folder} has no elevation files ({', '.join(_RASTERS)}); name the folder that "
-                "holds them, or the files"
-            )
-        for file in files:
-            if not file.exists():
-                raise MissingFileError(f"{file} is a link to a file that does not exist; remove it")
-        yield from files
-
-
-def absolute_name(path: str | Path) -> str:
-    """Return an absolute path, or a name of GDAL's with the path in it made absolute.
-
-    Raises `MissingFileError` where there is no such file and it is no address or name of GDAL's,
-    and `InputError` for a name that is not UTF-8.
-    """
-    text = str(path)
-    if is_file(text):
-        return for_gdal(str(Path(text).absolute()))
-    if "://" in text or text.startswith("/vsi"):
-        return for_gdal(text)
-    if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
-        parts = re.split(r"([:\"])", text)
-        named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
-        return for_gdal("".join(named))
-    is_pattern = bool(set("*?[") & set(text))
-    remedy = "name its folder, or the files" if is_pattern else "check the path of the DEM"
-    raise MissingFileError(f"there is no file {text}; {remedy}")
-
-
 def files_of(name: str) -> list[str]:
     """Return the files that GDAL reads for a local raster, empty if it cannot open it.
 
@@ -219,12 +161,17 @@ def without_secrets(text: str) -> str:
 
 
 @contextmanager
-def _opened(source: str) -> Iterator[Any]:
-    """Open a raster; a failure while it is open becomes one error of one line."""
-    # Otherwise GDAL asks a server for a dozen other files in the DEM's folder.
-    alone = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"} if "://" in source else {}
+def opened_raster(source: str, **settings: str) -> Iterator[Any]:
+    """Open a raster with more settings of GDAL's; yields the rasterio dataset.
+
+    A failure while it is open becomes one error of one line: `InputError`, or `FetchError` where
+    a server fails.
+    """
+    if "://" in source:
+        # Otherwise GDAL asks a server for a dozen other files in the DEM's folder.
+        settings = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", **settings}
     try:
-        with rasterio.Env(**_SETTINGS, **alone), ExitStack() as held:
+        with rasterio.Env(**_SETTINGS, **settings), ExitStack() as held:
             yield _dataset(source, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
@@ -237,8 +184,8 @@ def _opened(source: str) -> Iterator[Any]:
             ) from error
         raise InputError(
             f"{source} cannot be read as a raster ({reason}); expected a whole GeoTIFF, ESRI ASCII "
-            "grid, .hgt or .hgt.gz (named after its corner, like N46E009.hgt) or another format "
-            "that GDAL opens"
+            "grid, .hgt (named after its corner, like N46E009.hgt) or another format that GDAL "
+            "opens, plain or in a .gz or .zip"
         ) from error
 
 
@@ -246,21 +193,60 @@ def _dataset(source: str, held: ExitStack) -> Any:
     with warnings.catch_warnings():
         # `_grid_of` raises an error for it.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        if not (source.lower().endswith(".gz") and is_file(source)):
+        if not _is_gzip(source):
             return held.enter_context(rasterio.open(source))
         # GDAL opens it as well, but does not compare the checksum.
-        try:
-            content = gzip.decompress(Path(source).read_bytes())
-        except (OSError, EOFError, zlib.error) as error:
-            raise InputError(
-                f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
-                "fetch it again"
-            ) from error
+        with unpacked(source) as packed:
+            content = packed.read()
         if not content:
             raise InputError(f"{source} is empty; fetch it again")
         # The .hgt driver reads the corner from the file's name.
         memory = rasterio.MemoryFile(content, filename=Path(source).stem)
         return held.enter_context(held.enter_context(memory).open())
+
+
+def _is_gzip(source: str) -> bool:
+    return source.lower().endswith(".gz") and is_file(source)
+
+
+@contextmanager
+def unpacked(source: str) -> Iterator[IO[bytes]]:
+    """Open the content of a file, a ``.gz`` or an archive's member; checksums are compared.
+
+    Raises `InputError` where it cannot be read to the end.
+    """
+    member = archive_of(source)
+    try:
+        with ExitStack() as held:
+            if member is not None:
+                yield held.enter_context(held.enter_context(ZipFile(member[0])).open(member[1]))
+            elif _is_gzip(source):
+                yield cast("IO[bytes]", held.enter_context(gzip.open(source)))
+            else:
+                yield held.enter_context(Path(source).open("rb"))
+    # `zipfile` raises a `RuntimeError` for a password and for an unknown way of packing.
+    except (OSError, EOFError, KeyError, RuntimeError, zlib.error, BadZipFile) as error:
+        raise InputError(
+            f"{source} cannot be unpacked ({error}); the file is damaged or not what its ending "
+            "says: fetch it again"
+        ) from error
+
+
+def _check_whole(source: str) -> None:
+    """Read an archive's member to its end, where its checksum is compared, as GDAL does not."""
+    with unpacked(source) as content:
+        while content.read(_BLOCK_BYTES):
+            pass
+
+
+def filled_share(source: str, dataset: Any) -> float:
+    """Return the share of the samples of a text of points that have a point, at most.
+
+    GDAL lays the grid through all points, and gives 0 where there is none.
+    """
+    with unpacked(source) as content:
+        lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))
+    return float(lines / (dataset.width * dataset.height))
 
 
 def _tile_of(
@@ -276,10 +262,19 @@ def _tile_of(
                 f"{source} holds several rasters; name one of them: "
                 f"{', '.join(dataset.subdatasets)}"
             )
-        if dataset.count != 1:
+        bands, alpha = bands_of(dataset)
+        if len(bands) != 1:
             raise InputError(
                 f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
                 "(gdal_translate -b N), and decode heights kept as colours"
+            )
+        band = bands[0]
+        is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
+        if is_text and filled_share(source, dataset) < _LEAST_FILLED:
+            raise InputError(
+                f"{source} lists points that lie apart on a grid of {dataset.height} x "
+                f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
+                "raster (gdal_grid)"
             )
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         transform = dataset.transform
@@ -293,10 +288,11 @@ def _tile_of(
         for name, unit in dataset.tags().items():
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
-        positive = dataset.tags(1).get("positive", "up")
-        vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
-        nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
-        if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
+        positive = dataset.tags(band).get("positive", "up")
+        vertical = vertical_of(source, crs, dataset.units[band - 1] or "", positive)
+        nodata_value = dataset.nodatavals[band - 1]
+        nodata = "none declared" if nodata_value is None else f"{nodata_value:g}"
+        if alpha is not None or MaskFlags.per_dataset in dataset.mask_flag_enums[band - 1]:
             nodata = "by a mask"
         on_map = _on_map(source, crs)
         conventions = {
@@ -308,15 +304,26 @@ def _tile_of(
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
         with opened() as dataset:
-            scale, offset = dataset.scales[0], dataset.offsets[0]
+            scale, offset = dataset.scales[band - 1], dataset.offsets[band - 1]
             for rows in strips(dataset):
                 window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
-                band = dataset.read(1, window=window, masked=True)
+                values = dataset.read(band, window=window, masked=True)
                 # Where a file has a mask, GDAL leaves its nodata value aside.
-                voids = np.ma.getmaskarray(band) | (band.data == dataset.nodata)
-                yield rows, _heights_of(source, band.data, voids, scale, offset, vertical.metres)
+                voids = np.ma.getmaskarray(values) | (values.data == nodata_value)
+                if alpha is not None:
+                    # GDAL itself takes alpha for a mask in some types of numbers only.
+                    voids |= dataset.read(alpha, window=window) == 0
+                yield rows, _heights_of(source, values.data, voids, scale, offset, vertical.metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def bands_of(dataset: Any) -> tuple[list[int], int | None]:
+    """Return the numbers of a dataset's bands of values, and that of its alpha band, if any."""
+    roles = list(enumerate(dataset.colorinterp, start=1))
+    values = [number for number, role in roles if role is not ColorInterp.alpha]
+    alpha = (number for number, role in roles if role is ColorInterp.alpha)
+    return values, next(alpha, None)
 
 
 def _heights_of(

@@ -25,6 +25,10 @@ GRID_TOLERANCE = 0.01
 AGREEMENT_M = 1.0
 """Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
 
+OTHER_GROUND_M = 60.0
+"""Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
+Slopes, errors of heights, and heights in another unit or above another datum differ by more."""
+
 _BORDER_SAMPLES, _STANDARD_ERRORS = 64, 8.0
 """Along shorter borders, ridges and valleys look like steps. A cut through a whole DEM must never
 be reported as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
@@ -57,6 +61,11 @@ class Grid:
     def centre(self) -> tuple[float, float]:
         """Abscissa and ordinate of the middle of the grid."""
         return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """West, south, east and north of the samples."""
+        return self.west, self.south, self.east, self.north
 
     def part(self, rows: slice, cols: slice) -> "Grid":
         """Return the grid of some of the rows and columns."""
@@ -114,7 +123,8 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     resampled to the finest spacing of longitude.
 
     Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
-    far apart, or one has heights above the geoid and another above the ellipsoid.
+    far apart, where one has heights above the geoid and another above the ellipsoid, or where a
+    tile lies over others and has other heights.
     """
     _check_vertical(tiles)
     groups = _by_spacing(tiles)
@@ -130,7 +140,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
     for tile, (row, col) in zip(tiles, offsets, strict=True):
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
         borders = _free_borders(heights, row, col, tile.grid)
-        disagreement_m = 0.0
+        disagreement_m, shared, other = 0.0, 0, 0
         for rows, fresh in tile.read():
             old = place[rows]
             # A height beyond all ground is an undeclared void.
@@ -138,7 +148,15 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
             both = known & np.isfinite(fresh)
             apart_m = np.abs(old[both] - fresh[both])
             disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))
+            shared += apart_m.size
+            other += int(np.count_nonzero(apart_m > OTHER_GROUND_M))
             np.copyto(old, fresh, where=~known)
+        if 2 * other > shared > tile.grid.rows * tile.grid.cols / 2:
+            raise InputError(
+                f"{tile.source} covers the same ground as the tiles before it, and differs from "
+                f"them by more than {OTHER_GROUND_M:g} m at most samples; one of them holds no "
+                "heights, or heights in another unit or datum: name the files of one model"
+            )
         if disagreement_m > AGREEMENT_M:
             _log.warning(
                 "%s differs by up to %.2f m from the tiles before it, whose heights are kept",

@@ -216,7 +216,7 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["explain", dem, "--at", "5178000,601800"], "swapped: give 601800,5178000"),
         (["build", dem, "-o", tmp_path / "no" / "folder.h5"], "folder"),
         (
-            ["render", tmp_path, "-o", out, "--grid", "9", "--depth-images", tmp_path],
+            ["render", tmp_path, "-o", out, "--grid", "9", "--depth-images", tmp_path / "depth"],
             "name a folder that holds no DEM",
         ),
     ]:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of
 from font_scenes import UNDRAWN
+from pyproj import Geod
+from rasterio.transform import from_origin
 from scenes import fractal, write_dem
 
-from skyline import horizon, read_dem
+from skyline import Frame, horizon, read_dem
 
 AT = "10.3224,46.7484"
 
@@ -47,6 +49,44 @@ def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places, caplog
         written = [float(row[name]) for row in rows]
         np.testing.assert_allclose(written, getattr(found, name).ravel(), rtol=1e-5, atol=0.05)
     assert rows[720]["lon"] == places[1].split(",")[0]
+
+
+MAPS = {
+    "EPSG:32632": (9.8, 46.7),
+    "EPSG:3857": (9.8, 46.7),
+    "EPSG:3395": (9.8, 46.7),
+    "EPSG:3413": (16.0, 78.0),
+    "EPSG:3034": (9.8, 46.7),
+    "EPSG:6933": (9.8, 46.7),
+}
+"""Maps on which a metre of the ground is between 0.80 and 1.46 m, and a place on each."""
+
+
+@pytest.mark.parametrize("crs", MAPS)
+def test_a_hill_is_as_high_as_on_the_ground_on_every_map(run, tmp_path, crs, caplog):
+    place, frame = MAPS[crs], Frame.from_crs(crs)
+    lon, lat, _ = Geod(ellps="WGS84").fwd(*place, 45.0, 5000.0)
+    corners = np.array([frame.from_lonlat(*place), frame.from_lonlat(lon, lat)])
+    west, south = corners.min(axis=0)
+    cols, rows = (np.ptp(corners, axis=0) / 30.0).astype(int) + 40
+    transform = from_origin(west - 600.0, south - 600.0 + 30.0 * rows, 30.0, 30.0)
+    row, col = np.mgrid[0:rows, 0:cols] + 0.5
+    at = frame.to_lonlat(transform.c + 30.0 * col, transform.f - 30.0 * row)
+    shape = np.broadcast_to(lon, at[0].shape), np.broadcast_to(lat, at[0].shape)
+    from_summit_m = Geod(ellps="WGS84").inv(*at, *shape)[2]
+    # A flat top of 100 m, so that no sample misses it.
+    heights = 500.0 + np.clip(1000.0 - 0.5 * (from_summit_m - 100.0), 0.0, 1000.0)
+    dem = write_dem(tmp_path / "dem.tif", heights.astype(np.float32), crs, transform=transform)
+    done = run("horizon", dem, "--at", "{},{}".format(*place), "--step-deg", 0.25).ok()
+    highest = max(table(done.out), key=lambda row: float(row["elevation_deg"]))
+    # 998 m above the eye less a drop of 1.6 m, 4.9 km away; samples are 30 m apart.
+    assert float(highest["elevation_deg"]) == pytest.approx(11.49, abs=0.08)
+    assert float(highest["distance_m"]) == pytest.approx(4900.0, abs=35.0)
+    assert abs(float(highest["azimuth_deg"]) - 45.0) < 1.0
+    assert ("is warped" in caplog.text) == (crs != "EPSG:32632")
+    assert run("horizon", dem, "--at", "{},{}".format(*place), "--step-deg", 0.25, "-q").out == (
+        done.out
+    )
 
 
 def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):

@@ -164,8 +164,9 @@ def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
     done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
     assert_refused(done, "is an input")
     new = dem.with_name("new.tif")
-    done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", new)
-    assert_refused(done, "would become a part of the DEM")
+    for output in (new, dem.parent / "new" / "new.tif"):
+        done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", output)
+        assert_refused(done, "would become a part of the DEM")
     check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
     with pytest.raises(InputError, match="the name of two outputs"):
         check_outputs([dem, None, dem], [])

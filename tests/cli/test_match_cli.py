@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from unittest.mock import Mock
 
 import cv2
@@ -15,7 +16,10 @@ from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
 
 from skyline.errors import ContextError
+from skyline.geodesy import Frame
 from skyline.match.matcher import PROFILE_MATCHERS, Matcher
+from skyline.store.read import open_store
+from skyline.store.write import write_store
 
 
 def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
@@ -164,6 +168,41 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path, monkeypa
         assert len((tmp_path / "piped.csv").read_text().splitlines()) == 1 + rows
     wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
     assert wild.out.count("(unrefined)") == 5
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",), ("--matcher", "unrefined")])
+def test_a_store_on_a_map_with_wrong_slopes_is_refused(run, store, photo, tmp_path, options):
+    """Earlier releases kept the map of a DEM in EPSG:3857."""
+    old = tmp_path / "old.h5"
+    with open_store(store) as opened:
+        header = replace(opened.header, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
+        write_store(old, header, opened.stored())
+    done = run("match", old, photo, "--fov-deg", "60", *options)
+    assert_refused(
+        done, "on the map of EPSG:3857, where slopes and directions are wrong by up to 8."
+    )
+    assert "build it again" in done.err
+
+
+def test_a_folder_is_matched_with_its_subfolders_but_without_reports(
+    run, store, photo, tmp_path, caplog
+):
+    folder = tmp_path / "photos"
+    (folder / "day 10").mkdir(parents=True)
+    (folder / "day 9").mkdir()
+    for name in ("day 10/a.jpg", "day 9/IMG_1", "b.insp"):
+        shutil.copy(photo, folder / name)
+    (folder / "b.xmp").write_text("<x:xmpmeta/>")
+    command = ["match", store, folder, "--fov-deg", "60", "--matcher", "unrefined", "--json"]
+    done = run(*command, "--report", folder / "report").ok()
+    expected = [str(folder / name) for name in ("b.insp", "day 9/IMG_1", "day 10/a.jpg")]
+    assert [json.loads(line)["query"] for line in done.out.splitlines()] == expected
+    assert caplog.messages == [f"{folder}: 1 file is left out, which is no picture: b.xmp"]
+    again = run(*command, "--report", folder / "report").ok()
+    assert [json.loads(line)["query"] for line in again.out.splitlines()] == expected
+    caplog.clear()
+    assert run(*command, "--quiet").ok().err == ""
+    assert caplog.messages == []
 
 
 def test_rows_of_a_list_that_are_new_or_changed_are_matched(run, store, photo, tmp_path):

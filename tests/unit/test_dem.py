@@ -9,8 +9,9 @@ from rasterio.transform import Affine, from_origin
 from scenes import UTM, at_deg, write_dem
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame
-from skyline.terrain.dem import DemOptions, read_dem, save_field
+from skyline.geodesy import TRUE_DEG, Frame
+from skyline.terrain.dem import DemOptions, read_dem, read_files, save_field
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import local_maxima, warp
 
@@ -149,20 +150,53 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around():
     assert apart.min() > -1e-2
 
 
-def test_albers_is_used_with_a_warning_or_warped(shared_data, caplog):
+@pytest.mark.parametrize(
+    ("crs", "place", "error_deg"),
+    [
+        # The scale k of a conformal map turns a slope of 45 degrees by half of |k - 1| radians.
+        (UTM, (9.0, 46.0), 0.011),  # 0.9996 on the central meridian
+        (UTM, (12.0, 0.3), 0.028),  # 1.00097 on the zone's border
+        (UTM, (15.0, 46.0), 0.064),  # 1.0022 on the next zone's central meridian
+        ("EPSG:2056", (6.1, 46.2), 0.0026),
+        ("EPSG:2154", (6.9, 45.9), 0.026),
+        ("EPSG:3035", (10.0, 46.5), 0.12),  # equal-area: 1.0010 to one side, 0.9990 to the other
+        ("EPSG:3413", (15.0, 78.0), 0.56),
+        ("EPSG:3857", (9.8, 46.8), 10.8),
+        ("EPSG:3857", (37.3, -0.5), 0.38),  # on the equator a sphere's map bends the ellipsoid's
+    ],
+)
+def test_a_map_is_kept_where_its_angles_are_true(tmp_path, caplog, crs, place, error_deg):
+    x, y = Frame.from_crs(crs).from_lonlat(*place)
+    transform = from_origin(float(x) - 750.0, float(y) + 750.0, 30.0, 30.0)
+    slope = plane_grid(50, 50, transform)
+    field = read_dem(write_dem(tmp_path / "dem.tif", slope, crs, transform=transform))
+    own = Frame.from_crs(crs).angle_error_deg(easting_m=x, northing_m=y)
+    assert float(own) == pytest.approx(error_deg, rel=0.1)
+    assert field.frame.is_local == (error_deg > TRUE_DEG)
+    assert (error_deg > TRUE_DEG) == ("is warped to the local conformal frame" in caplog.text)
+    if field.frame.is_local:
+        (line,) = caplog.messages
+        said = float(line.split(" wrong by up to ")[1].split()[0])
+        assert said == pytest.approx(error_deg, rel=0.05, abs=0.01)
+        assert field.frame.angle_error_deg(easting_m=0.0, northing_m=0.0) < 1e-5
+
+
+def test_albers_is_warped(shared_data, caplog):
     path = shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif"
-    own = read_dem(path)
-    assert own.provenance.resampling == "none"
-    assert "not conformal" in caplog.text
-    assert "1.11 degrees" in caplog.text
-    caplog.clear()
-    warped = read_dem(path, DemOptions(reproject=True))
-    assert caplog.text == ""
-    assert warped.spacing_m == 30.0
-    assert float(warped.frame.angular_distortion_deg(easting_m=0.0, northing_m=0.0)) < 1e-5
-    easting, northing = own.to_map([300.0, 600.0], [500.0, 200.0])
-    there = at_deg(own.frame.to_lonlat(easting, northing))
-    np.testing.assert_allclose(warped.height_at(**there), own.height_at(**there), atol=5.0)
+    warped, mosaic = read_dem(path), read_files([path])
+    assert "slopes and directions are wrong by up to 1.11 degrees" in caplog.text
+    assert (warped.spacing_m, warped.frame.is_local) == (30.0, True)
+    row, col = np.array([300, 600]), np.array([500, 200])
+    x = mosaic.grid.west + 30.0 * col
+    y = mosaic.grid.north - 30.0 * row
+    there = at_deg(Frame.from_crs("ESRI:102003").to_lonlat(x, y))
+    np.testing.assert_allclose(warped.height_at(**there), mosaic.heights_m[row, col], atol=5.0)
+
+
+def test_a_field_on_a_map_with_wrong_slopes_is_refused():
+    grid = np.zeros((3, 3)), 1.09e6, 5.9e6, 30.0, 30.0
+    with pytest.raises(InputError, match=r"EPSG:3857 slopes .* wrong by up to 10\.8"):
+        HeightField(*grid, Frame.from_crs("EPSG:3857"))
 
 
 def test_a_saved_field_is_read_as_it_was(tmp_path):

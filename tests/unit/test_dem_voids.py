@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 import rasterio
+from rasterio.enums import ColorInterp
 from rasterio.transform import from_origin
+from rasterio.vrt import WarpedVRT
 from scenes import write_dem
 from scipy.ndimage import gaussian_filter
 
+from skyline.errors import InputError
 from skyline.terrain.cleaning import void_undeclared
 from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
 
 
 @pytest.mark.parametrize(
@@ -43,6 +47,49 @@ def test_masked_samples_are_voids_and_so_are_those_of_the_nodata_value(tmp_path)
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as dataset:
         dataset.write_mask(mask)
     assert read_dem(path).provenance.filled == 2
+
+
+@pytest.mark.parametrize("order", [("gray", "alpha"), ("alpha", "gray")])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32"])
+def test_an_alpha_band_marks_the_voids(tmp_path, dtype, order):
+    heights, alpha = np.full((40, 40), 200, dtype), np.full((40, 40), 255, dtype)
+    heights[0:20, 0:20] = 0
+    alpha[0:20, 0:20] = 0
+    alpha[30, 30] = 1  # Half a mask, as resampling leaves it, is a height.
+    bands = {"gray": heights, "alpha": alpha}
+    path = write_dem(tmp_path / "dem.tif", np.dstack([bands[name] for name in order]))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = [ColorInterp[name] for name in order]
+    field = read_dem(path)
+    assert np.isnan(field.heights_m[0:20, 0:20]).all()
+    assert np.count_nonzero(field.heights_m == 200.0) == 1200
+    assert field.provenance.conventions["nodata"] == "by a mask"
+    with rasterio.open(path) as dataset:
+        assert HeightField.from_rasterio(dataset).digest == field.digest
+
+
+def test_what_rasterio_warps_with_an_alpha_band_has_voids_round_it(tmp_path):
+    heights = np.full((40, 40), 900, np.int16)
+    path = write_dem(tmp_path / "dem.tif", heights)
+    with (
+        rasterio.open(path) as dataset,
+        WarpedVRT(dataset, crs="EPSG:3413", add_alpha=True) as turned,
+    ):
+        assert turned.count == 2
+        field = HeightField.from_rasterio(turned)
+    assert field.height_range_m == (900.0, 900.0)
+    # A square turned by 55 degrees leaves half of the box around it void.
+    assert field.provenance.hollow > 600
+
+
+def test_colours_with_an_alpha_band_are_no_heights(tmp_path):
+    path = write_dem(
+        tmp_path / "a.tif", np.ones((9, 9, 4), np.uint8), photometric="RGB", alpha="YES"
+    )
+    with rasterio.open(path) as dataset:
+        assert dataset.colorinterp[3] is ColorInterp.alpha
+    with pytest.raises(InputError, match="has 4 bands"):
+        read_dem(path)
 
 
 def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame, check_bounds, width_deg
+from skyline.geodesy import TRUE_DEG, Frame, check_bounds, width_deg
 
 WGS84 = Geod(ellps="WGS84")
 
@@ -93,3 +93,17 @@ def test_a_box_round_a_pole_has_all_longitudes(frame, pole):
 def test_bounds_that_are_no_box_are_refused(bounds):
     with pytest.raises(InputError, match="longitudes from -180 to 180"):
         check_bounds(bounds)
+
+
+def test_a_map_of_a_wide_area_is_used_where_a_local_frame_is_no_truer():
+    """Lambert-93 is made for all of France, 1,000 km wide, and too far off in Corsica alone."""
+    lambert = Frame.from_crs("EPSG:2154")
+    france_m = lambert.rectangle_m((-4.8, 42.0, 8.2, 51.1))
+    greatest = lambert.angle_error_deg(easting_m=france_m[0], northing_m=france_m[1])
+    assert TRUE_DEG < float(greatest) < 0.1
+    assert lambert.untrue_deg(france_m) == 0.0
+    corsica_m = lambert.rectangle_m((8.5, 41.3, 9.6, 41.9))
+    assert lambert.untrue_deg(corsica_m) == pytest.approx(0.09, abs=0.01)
+    mercator = Frame.from_crs("EPSG:3857")
+    wide_m = mercator.rectangle_m((-4.8, 42.0, 8.2, 51.1))
+    assert mercator.untrue_deg(wide_m) > 10.0

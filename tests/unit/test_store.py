@@ -14,6 +14,7 @@ from zlib import crc32
 import h5py
 import numpy as np
 import pytest
+from scenes import write_dem
 from store_rows import (
     HEADERS,
     PLACES_HEADER,
@@ -28,8 +29,9 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
+from skyline.geodesy import Frame
 from skyline.store import write
-from skyline.store.format import columns_of
+from skyline.store.format import columns_of, refuse_mismatch
 from skyline.store.places import Places
 from skyline.store.read import is_store, open_store, part_name, parts_folder
 from skyline.store.write import check_store, examine, merge_stores, repair_store, write_store
@@ -127,6 +129,20 @@ class TestHeader:
         with pytest.raises(StoreMismatchError, match=said):
             merge_stores([a, b], tmp_path / "out.h5")
         assert {file.name for file in tmp_path.iterdir()} == {"a.h5", "b.h5"}
+
+    def test_options_that_are_no_more_distinguish_no_stores(self):
+        """Releases up to 0.2 wrote `reproject`."""
+        now, before = (
+            replace(PLACES_HEADER, config={"dem_options": {"crs": None, **more}})
+            for more in ({}, {"reproject": False})
+        )
+        refuse_mismatch(now, before, "these", "no advice")
+
+    def test_a_dem_in_another_frame_is_named(self, tmp_path):
+        header = replace(PLACES_HEADER, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
+        dem = write_dem(tmp_path / "dem.tif", np.ones((4, 4), np.float32))
+        with pytest.raises(StoreMismatchError, match=r"read in the frame EPSG:32632, .*EPSG:3857"):
+            header.read_dem(dem)
 
 
 class TestMap:

@@ -322,7 +322,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         )
         # Before any folder is made.
         asked = (asked.quick(terrain) if quick else asked).checked(terrain)
-        other = read_dem(strange, DemOptions(reproject=True)) if strange else None
+        other = read_dem(strange) if strange else None
         with (
             options.store_folder(folder) as place,
             progress_bar("building and matching") as progress,

@@ -1,0 +1,315 @@
+"""Elevation models as people name them: files, addresses, zip archives, and folders of all these.
+
+GDAL says which files of a folder or an archive are rasters. Their sidecar files are passed over;
+files that hold no heights, such as texts and pictures, are left out with a warning. A file that
+may be a tile but cannot be read is an error, since a mountain may be in it.
+"""
+
+import logging
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath, PurePosixPath
+from typing import Any
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+from rasterio.coords import BoundingBox
+from rasterio.enums import ColorInterp
+
+from skyline.errors import InputError, MissingFileError
+from skyline.files import (
+    archive_of,
+    files_in,
+    for_gdal,
+    is_file,
+    is_of_system,
+    left_out_in_words,
+    member_name,
+    names_in_words,
+)
+from skyline.terrain.rasters import (
+    NOT_RECOGNIZED,
+    bands_of,
+    filled_share,
+    no_dem,
+    opened_raster,
+    unpacked,
+)
+
+Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""Elevation files, folders or zip archives of them, addresses, or names of GDAL's: one or
+several."""
+
+_ZIP = ".zip"
+_OF_TILES = (
+    ".tif", ".tiff", ".gtiff", ".vrt", ".hgt", ".asc", ".img", ".bil", ".flt", ".jp2", ".dem",
+    ".dt0", ".dt1", ".dt2", ".xyz",
+    _ZIP, ".tar", ".tgz", ".7z", ".rar", ".bz2", ".xz", ".zst",
+)  # fmt: skip
+"""Endings of tiles and of packed files: one that GDAL does not open may be a tile."""
+_BARE = {"EHdr", "ENVI", "GenBin"}
+"""GDAL's formats of bare samples, which take any file beside a header of its name for them."""
+_REFERRING = {"VRT", "GTI"}
+"""Formats whose files name other rasters, which are no sidecar files."""
+_GREYS = {ColorInterp.gray, ColorInterp.undefined, ColorInterp.alpha}
+
+_LEAST_FILLED = 0.5
+"""Least share of a grid that a text of points fills. One that is not named as a tile may as well
+list peaks, or viewpoints."""
+_CATALOGUES = (".json", ".geojson")
+"""Endings of STAC items, whose rasters would be fetched from servers."""
+_HEAD_BYTES = 1024
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Raster:
+    """A raster that GDAL opens in a folder."""
+
+    name: str
+    files: frozenset[str]
+    """Names of the other files that GDAL reads with it."""
+    is_picture: bool
+    """Whether it has colours, or has 8 bits and no place on the map."""
+    is_byte: bool
+    """Whether its values have 8 bits, as those of masks and shaded reliefs have."""
+    box: BoundingBox
+    header: str = ""
+    """The header file of bare samples; empty in other formats."""
+    size: int = 0
+    """The number of bytes in the file of bare samples."""
+
+
+def dem_names(paths: Paths) -> tuple[str, ...]:
+    """Return the names under which GDAL opens what paths stand for, in order.
+
+    Names of files are absolute. A folder or a zip archive stands for the rasters in it, in order of
+    path. A file that is named itself is not opened here.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file, or a link in a folder leads nowhere.
+    InputError
+        A path is no text, or not UTF-8; a folder or an archive cannot be read, has no elevation
+        files, or has a file that may be a tile but cannot be read.
+    """
+    is_one = isinstance(paths, str | bytes | os.PathLike | Mapping) or not np.iterable(paths)
+    several: Any = [paths] if is_one else paths
+    return tuple(name for given in several for name in _names_of(given))
+
+
+def _names_of(given: Any) -> list[str]:
+    path = os.fspath(given) if isinstance(given, os.PathLike) else given
+    if not isinstance(path, str):
+        raise no_dem(given)
+    if not path:
+        raise InputError("a DEM was given without a name; name its files, or the folder of them")
+    if "://" not in path and os.path.isdir(path):  # noqa: PTH112  (as in `is_file`)
+        return _tiles_among(path, files_in(Path(path).absolute()))
+    if path.lower().endswith(_ZIP) and is_file(path):
+        return _tiles_among(path, [Path(path).absolute()])
+    return [absolute_name(path)]
+
+
+def absolute_name(path: str | Path) -> str:
+    """Return an absolute path, or a name of GDAL's with the path in it made absolute.
+
+    Raises `MissingFileError` where there is no such file and it is no address or name of GDAL's,
+    and `InputError` for a name that is not UTF-8.
+    """
+    text = str(path)
+    if is_file(text):
+        return for_gdal(str(Path(text).absolute()))
+    if "://" in text or text.startswith("/vsi"):
+        return for_gdal(text)
+    if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
+        parts = re.split(r"([:\"])", text)
+        named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
+        return for_gdal("".join(named))
+    is_pattern = bool(set("*?[") & set(text))
+    remedy = "name its folder, or the files" if is_pattern else "check the path of the DEM"
+    raise MissingFileError(f"there is no file {text}; {remedy}")
+
+
+def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
+    """Return the names of the rasters of heights among the files of a folder or an archive.
+
+    Raises as `dem_names`.
+    """
+    names = [name for file in files for name in _members(file)]
+    rasters = _without_sidecars([one for name in names if (one := _raster_in(name, where))])
+    tiles = _without_pictures(rasters)
+    chosen = {one.name for one in tiles}
+    known = chosen.union(*(one.files for one in rasters))
+    stems = {_stem(name) for name in chosen}
+    pictures = {one.name for one in rasters} - chosen
+    others = [
+        _shown(name, where)
+        for name in names
+        if name in pictures or not (name in known or _is_beside(name, stems))
+    ]
+    if not tiles:
+        found = f" among {names_in_words(others)}" if others else ""
+        raise InputError(
+            f"{where} has no elevation files{found}; name the folder that holds them, or the files"
+        )
+    if others:
+        about = left_out_in_words(others, f"raster{'s' if len(others) > 1 else ''} of heights")
+        _log.warning("%s: %s; name one to have it read", where, about)
+    return [one.name for one in tiles]
+
+
+def _members(file: Path) -> list[str]:
+    """Return GDAL's names of the members of an archive; of another file its own name."""
+    if file.suffix.lower() != _ZIP or not is_file(file):
+        return [str(file)]
+    try:
+        with ZipFile(file) as archive:
+            members = sorted(one.filename for one in archive.infolist() if not one.is_dir())
+    except (OSError, BadZipFile) as error:
+        raise InputError(f"{file} is no zip archive ({error}); fetch it again") from error
+    return [
+        member_name(file, one)
+        for one in members
+        if not any(map(is_of_system, PurePosixPath(one).parts))
+    ]
+
+
+def _raster_in(name: str, where: str) -> _Raster | None:
+    """Return the raster in a file of a folder; None for a file without one.
+
+    Raises as `dem_names`.
+    """
+    if name.lower().endswith(_CATALOGUES):
+        return None
+    if not (archive_of(name) or is_file(name)):
+        if _is_named_as_tile(name):
+            raise MissingFileError(f"{name} is a link to a file that does not exist; remove it")
+        return None
+    try:
+        # In large folders GDAL finds sidecar files faster one by one than in a list of all files.
+        with opened_raster(for_gdal(name), GDAL_DISABLE_READDIR_ON_OPEN="TRUE") as dataset:
+            return _raster_of(name, dataset)
+    except InputError as error:
+        is_foreign = NOT_RECOGNIZED in str(error.__cause__)
+        if not _is_named_as_tile(name) and (is_foreign or _is_text(name)):
+            return None
+        raise InputError(
+            f"{error}; it may be a tile: mend or unpack it, name its raster, or move it out of "
+            f"{where}"
+        ) from error
+
+
+def _raster_of(name: str, dataset: Any) -> _Raster | None:
+    """Describe an open raster; None if it has no samples of its own, or is a list of points.
+
+    Raises `InputError` where a file has several rasters, and where bare samples are cut short.
+    """
+    bands, _ = bands_of(dataset)
+    if not bands:
+        if any(map(_is_on_map, dataset.subdatasets)):
+            raise InputError(f"{name} holds several rasters ({', '.join(dataset.subdatasets)})")
+        return None
+    may_be_list = dataset.driver == "XYZ" and not _is_named_as_tile(name)
+    if may_be_list and filled_share(name, dataset) < _LEAST_FILLED:
+        return None
+    is_byte = set(dataset.dtypes) == {"uint8"}
+    # Deeper values than a palette's own 8 bits are heights for which a palette is only a hint.
+    greys = _GREYS if is_byte else _GREYS | {ColorInterp.palette}
+    has_colours = not set(dataset.colorinterp) <= greys
+    is_picture = has_colours or (is_byte and (len(bands) > 1 or dataset.transform.is_identity))
+    files = frozenset() if dataset.driver in _REFERRING else frozenset(dataset.files) - {name}
+    found = _Raster(name, files, is_picture, is_byte, dataset.bounds)
+    header = next((file for file in files if file.lower().endswith(".hdr")), "")
+    if dataset.driver not in _BARE or not header:
+        return found
+    # Beside such a header GDAL takes any file for samples, a projection or a text, too.
+    least = dataset.width * dataset.height * sum(np.dtype(one).itemsize for one in dataset.dtypes)
+    size = _size_of(name)
+    if size >= least:
+        return replace(found, header=header, size=size)
+    if _is_named_as_tile(name):
+        raise InputError(f"{name} has {size} bytes; expected {least} by its header {header}")
+    return None
+
+
+def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
+    """Return rasters without those that belong to others, as overviews and masks do.
+
+    Of rasters that belong to each other, the first stays; of files of bare samples with one header,
+    the shortest.
+    """
+    files = {one.name: one.files for one in rasters}
+    owned = {
+        file
+        for one in rasters
+        for file in one.files
+        if not (one.name > file and one.name in files.get(file, ()))
+    }
+    shortest: dict[str, int] = {}
+    for one in rasters:
+        shortest[one.header] = min(one.size, shortest.get(one.header, one.size))
+    return [one for one in rasters if one.name not in owned and one.size == shortest[one.header]]
+
+
+def _without_pictures(rasters: Sequence[_Raster]) -> list[_Raster]:
+    """Return rasters without pictures, and without those of 8 bits that lie over deeper ones.
+
+    Those are masks and shaded reliefs of the deeper ones. Where all have 8 bits, as canopy models
+    do, all may be heights.
+    """
+    rasters = [one for one in rasters if not one.is_picture]
+    boxes = np.array([one.box for one in rasters if not one.is_byte]).reshape(-1, 4)
+
+    def lies_over(one: _Raster) -> bool:
+        x, y = (one.box.left + one.box.right) / 2.0, (one.box.bottom + one.box.top) / 2.0
+        low = np.minimum(boxes[:, :2], boxes[:, 2:])
+        high = np.maximum(boxes[:, :2], boxes[:, 2:])
+        return bool(((low <= (x, y)) & ((x, y) <= high)).all(axis=1).any())
+
+    return [one for one in rasters if not (one.is_byte and lies_over(one))]
+
+
+def _is_on_map(name: str) -> bool:
+    with opened_raster(name) as dataset:
+        return not dataset.transform.is_identity
+
+
+def _size_of(name: str) -> int:
+    member = archive_of(name)
+    if member is None:
+        return Path(name).stat().st_size
+    with ZipFile(member[0]) as archive:
+        return archive.getinfo(member[1]).file_size
+
+
+def _is_text(name: str) -> bool:
+    with unpacked(name) as content:
+        return b"\0" not in content.read(_HEAD_BYTES)
+
+
+def _is_named_as_tile(name: str) -> bool:
+    return name.lower().removesuffix(".gz").endswith(_OF_TILES)
+
+
+def _stem(name: str) -> str:
+    """Return the path of a tile without the ending of its format."""
+    return str(PurePath(re.sub(r"(?i)\.gz$", "", name)).with_suffix(""))
+
+
+def _is_beside(name: str, stems: set[str]) -> bool:
+    """Return whether a file is named after a tile, as ``dem.prj`` and ``dem.tif.md5`` are."""
+    path = PurePath(name)
+    parts = path.name.split(".")
+    return any(str(path.with_name(".".join(parts[:n]))) in stems for n in range(1, len(parts)))
+
+
+def _shown(name: str, where: str) -> str:
+    """Return the name of a file within a folder, or within the archive in which it is packed."""
+    path = Path(*(archive_of(name) or (name,)))
+    base = Path(where).absolute()
+    return str(path.relative_to(base if base.is_dir() else base.parent))
