@@ -7,8 +7,8 @@ import json
 import logging
 import math
 import re
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
@@ -25,11 +25,11 @@ from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
 from skyline.arrays import BoolArray, Progress
-from skyline.errors import InputError
-from skyline.fetch.remote import AbsentError, with_remote
+from skyline.errors import FetchError, InputError
+from skyline.fetch.remote import AbsentError, RefusedError, SpoiledError, with_remote
 from skyline.files import check_folder, for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
-from skyline.terrain.rasters import without_secrets
+from skyline.terrain.rasters import bands_of, without_secrets
 
 MAX_TILES = 64
 """Greatest number of tiles of a fetch: 8 x 8 degrees."""
@@ -49,6 +49,9 @@ _TAG = "SKYLINE_FETCH"
 _SLACK = 1e-6
 # Tiles reach over their borders by some pixels. A smaller share in a cell is a neighbour's border.
 _LEAST_SHARE = 0.1
+
+_NAMED = 5
+"""Tiles that an error names."""
 
 _WIDTH = re.compile(r"(\d{1,2}d)?")
 
@@ -78,6 +81,49 @@ class _Cut:
     dtype: DTypeLike
 
 
+class _Failures:
+    """The tiles of a fetch that a server did not send, while it sent others."""
+
+    def __init__(self, wanted: int) -> None:
+        """Begin with none of a wanted number of tiles."""
+        self._wanted = wanted
+        self._errors: dict[str, FetchError] = {}
+        self._may_be_down = False
+
+    def __bool__(self) -> bool:
+        return bool(self._errors)
+
+    @contextmanager
+    def noting(self, name: str) -> Iterator[None]:
+        """Note the error of a tile that is fetched in the block, so that others are fetched too.
+
+        Raises `FetchError` where the server does not answer, or fails for two tiles in a row.
+        """
+        try:
+            yield
+            self._may_be_down = False
+        except RefusedError as error:
+            self._errors[name] = error
+            self._may_be_down = False
+        except SpoiledError as error:
+            if self._may_be_down:
+                raise
+            self._errors[name] = error
+            self._may_be_down = True
+
+    @property
+    def error(self) -> FetchError:
+        """One error for all tiles, with the words of the first."""
+        names, first = list(self._errors), next(iter(self._errors.values()))
+        if self._wanted == 1:
+            return first
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        return FetchError(
+            f"{len(names)} of {self._wanted} tiles could not be fetched, "
+            f"{', '.join(names[:_NAMED])}{more}: {first}"
+        )
+
+
 def fetch_dem(
     bounds_deg: Bounds,
     source: str,
@@ -99,8 +145,9 @@ def fetch_dem(
     source are copied from the folders of earlier fetches.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large, there
-    is no tile, or a file is in the way or cannot be written, and `FetchError` where a server still
-    fails after the retries.
+    is no tile, or a file is in the way or cannot be written, and `FetchError` where tiles could not
+    be fetched after the retries. The other tiles are fetched first, unless the server does not
+    answer, or fails for two tiles in a row.
     """
     template = SOURCES.get(source, source)
     _check_template(template)
@@ -110,19 +157,21 @@ def fetch_dem(
     cuts: list[_Cut] = []
     files: list[Path] = []
     missing: list[str] = []
+    failures = _Failures(len(corners))
     for corner in corners:
         # As SRTM names tiles.
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
         path = folder / f"{name}.tif"
         try:
-            cut = _plan(address(template, *corner), path, corner, bounds_deg)
+            with failures.noting(name):
+                cut = _plan(address(template, *corner), path, corner, bounds_deg)
+                files.append(path)
+                cuts += [cut] if cut is not None else []
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)
-            continue
-        files.append(path)
-        if cut is not None:
-            cuts.append(cut)
+    if failures and not files:
+        raise failures.error
     if not files:
         raise InputError(
             f"the source has none of {', '.join(missing)}, which is usual in the sea "
@@ -133,8 +182,11 @@ def fetch_dem(
     show = progress or (lambda *_: None)
     for done, cut in enumerate(cuts):
         show(done, len(cuts))
-        _fetch(cut, earlier)
+        with failures.noting(cut.path.stem):
+            _fetch(cut, earlier)
     show(len(cuts), len(cuts))
+    if failures:
+        raise failures.error
     return FetchResult(tuple(files), len(cuts), tuple(missing))
 
 
@@ -221,7 +273,8 @@ def _around(one: Bounds, other: Bounds) -> Bounds:
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
     where, transform = without_secrets(url), file.transform
-    if file.count != 1:
+    bands, alpha = bands_of(file)
+    if len(bands) != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
     if file.crs is None or not file.crs.is_geographic:
         raise InputError(
@@ -233,7 +286,7 @@ def _check_usable(url: str, file: Any) -> None:
             f"{where} is not north-up (geotransform {transform.to_gdal()}); expected rows from "
             "north to south and columns from west to east"
         )
-    if MaskFlags.per_dataset in file.mask_flag_enums[0]:
+    if alpha is not None or MaskFlags.per_dataset in file.mask_flag_enums[0]:
         raise InputError(
             f"{where} marks its voids by a mask, which a part of it would lack; fetch it by other "
             "means and give it to `skyline build`"

@@ -10,7 +10,7 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from skyline.errors import FetchError
-from skyline.terrain.rasters import without_secrets
+from skyline.terrain.rasters import NOT_RECOGNIZED, without_secrets
 
 RETRIES = 4
 """Number of repetitions of a failed request."""
@@ -23,9 +23,6 @@ PASSING = (429, 500, 502, 503, 504)
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
 """Words of curl for a server that cannot be found: without a network every attempt fails alike."""
 
-_FOREIGN = "not recognized as being in"
-"""GDAL's words for a file of another format, or one whose first bytes did not come."""
-
 _FIRST_DELAY_S = 1.0
 """Delay before the first repetition; it doubles before each further one."""
 
@@ -36,6 +33,14 @@ class AbsentError(FetchError):
     """The server has no such file (HTTP 404)."""
 
 
+class RefusedError(FetchError):
+    """The server refuses a file, or has something else under its address."""
+
+
+class SpoiledError(FetchError):
+    """The server answers, but fails to send a file whole, however often it is asked."""
+
+
 @dataclass(eq=False)
 class RequestError(Exception):
     """A failed request: the failure in words, and the next thing to try."""
@@ -44,12 +49,14 @@ class RequestError(Exception):
     advice: str
     retries: int
     """Number of repetitions that may help; more than `RETRIES` are not made."""
+    kind: type[FetchError] = FetchError
+    """The error of the last repetition."""
 
 
 def repeated(url: str, request: Callable[[], _T]) -> _T:
     """Return the result of a request, repeated where it raises a `RequestError`.
 
-    Raises `FetchError` where the last repetition that may help fails too.
+    Raises the `FetchError` of the last repetition that may help, where that fails too.
     """
     attempt = 0
     while True:
@@ -58,7 +65,7 @@ def repeated(url: str, request: Callable[[], _T]) -> _T:
         except RequestError as error:
             if attempt >= min(error.retries, RETRIES):
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
-                raise FetchError(
+                raise error.kind(
                     f"{without_secrets(url)}: {error.reason}, {times}; {error.advice}"
                 ) from error
         time.sleep(_FIRST_DELAY_S * 2.0**attempt)
@@ -69,8 +76,9 @@ def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
     """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
 
     After a failure that may pass ``work`` is called again with the file opened anew. Raises
-    `AbsentError`, or `FetchError` where the server fails, is too slow, breaks off, or sends
-    something that is not a GeoTIFF.
+    `AbsentError`, `RefusedError` where the server refuses the file or sends something that is not a
+    GeoTIFF, `SpoiledError` where it fails or breaks off, and another `FetchError` where it does not
+    answer in time.
     """
     settings = {
         "GDAL_HTTP_MAX_RETRY": 0,
@@ -93,7 +101,7 @@ def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
             ):
                 return work(file)
         except RasterioError as error:
-            if _FOREIGN in str(error):
+            if NOT_RECOGNIZED in str(error):
                 # GDAL hides the status of a refused GET that follows a good HEAD.
                 settings["CPL_VSIL_CURL_USE_HEAD"] = "NO"
             raise _failure(url, error) from error
@@ -117,15 +125,17 @@ def _failure(url: str, error: RasterioError) -> Exception:
             return AbsentError(f"{without_secrets(url)}: there is no such file (HTTP 404)")
         if code in (401, 403):
             check = "check that the source is open to you (or the file is absent)"
-        advice, retries = (again, RETRIES) if code in PASSING else (check, 0)
-        return RequestError(f"the server answers HTTP {code}", advice, retries)
+        reason = f"the server answers HTTP {code}"
+        if code in PASSING:
+            return RequestError(reason, again, RETRIES, SpoiledError)
+        return RequestError(reason, check, 0, RefusedError)
     if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
         advice = f"check the address and the connection, then {again}"
         return RequestError(
             f"no answer ({curl[1]})", advice, 2 if _UNREACHABLE.search(curl[1]) else RETRIES
         )
-    if _FOREIGN in text:
+    if NOT_RECOGNIZED in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
-        return RequestError(reason, check, 2)
+        return RequestError(reason, check, 2, RefusedError)
     reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
-    return RequestError(reason, again, RETRIES)
+    return RequestError(reason, again, RETRIES, SpoiledError)

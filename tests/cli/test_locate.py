@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import threading
 import time
@@ -156,6 +157,30 @@ def test_failures_of_a_server_are_one_line_and_the_next_try_continues(run, made,
     assert "usual in the sea" in run(*locate).err.splitlines()[-1]
     server.status.clear()
     assert run(*locate).code == 0
+
+
+def test_an_area_with_a_tile_that_is_refused_is_not_searched(run, made, cache, server):
+    """A border of one degree crosses the terrain that is seen from the place."""
+    server.status["/N46E010.tif"] = 403
+    photo, near = made / "photo.jpg", ("--near", "9.95,46.5,1.5")
+    done = run("locate", photo, *near, "--fov-deg", 60)
+    assert done.code == 1
+    assert "1 of 2 tiles could not be fetched, N46E010: " in done.err.splitlines()[-1]
+    assert done.out == ""
+    assert [path.name for path in cache.rglob("*.tif")] == ["N46E009.tif"]
+    assert not list(cache.rglob("*.h5"))
+    server.status["/N46E010.tif"] = 404
+    assert "no tile (usually sea) for N46E010" in run("locate", photo, *near, "--fov-deg", 60).err
+
+
+def test_a_fetch_with_a_tile_that_is_refused_fails_and_keeps_the_others(run, server, tmp_path):
+    server.status["/N46E010.tif"] = 403
+    source = os.environ["SKYLINE_DEM_SOURCE"]
+    fetch = "dem", "fetch", "--bbox", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
+    done = run(*fetch)
+    assert (done.code, done.out, done.err.count("\n")) == (1, "", 1)
+    assert "1 of 2 tiles could not be fetched, N46E010: " in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["N46E009.tif"]
 
 
 def test_a_cache_without_rights_or_room_is_one_line(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import rasterio
 from range_server import Behaviour, serve
+from rasterio.enums import ColorInterp
 from rasterio.transform import from_origin
 from scenes import fractal, geotiff_of
 
@@ -18,10 +19,10 @@ EAST = "/N46E010.tif"
 VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
 
-def geotiff(heights, west=9.0, crs="EPSG:4326"):
+def geotiff(heights, west=9.0, north=47.0, crs="EPSG:4326"):
     """Return a tiled GeoTIFF whose first sample stands, as Copernicus', on the corner."""
     step = 1.0 / SAMPLES
-    transform = from_origin(west - step / 2, 47.0 + step / 2, step, step)
+    transform = from_origin(west - step / 2, north + step / 2, step, step)
     options = {"compress": "deflate", "tiled": True, "blockxsize": 128, "blockysize": 128}
     return geotiff_of(heights, crs, {"AREA_OR_POINT": "Point"}, transform=transform, **options)
 
@@ -179,6 +180,44 @@ def test_lasting_failures_are_one_line(template, server, tmp_path, monkeypatch, 
     assert {path.name for path in tmp_path.rglob("*")} <= {"N46E009.tif"}
 
 
+@pytest.mark.parametrize(
+    "trouble", [{"status": {EAST: 403}}, {"status": {EAST: 503}}, {"files": {EAST: VRT}}]
+)
+def test_a_tile_that_is_refused_does_not_stop_the_others(
+    template, server, contents, heights, tmp_path, monkeypatch, trouble
+):
+    monkeypatch.setattr(remote, "RETRIES", 1)
+    north = geotiff(heights[:, :SAMPLES], north=48.0), geotiff(heights[:, SAMPLES:], 10.0, 48.0)
+    server.files |= dict(zip(("/N47E009.tif", "/N47E010.tif"), north, strict=True))
+    for name, value in trouble.items():
+        setattr(server, name, {**getattr(server, name), **value})
+    bounds = (9.8, 46.6, 10.1, 47.2)
+    with pytest.raises(FetchError, match=r"^1 of 4 tiles could not be fetched, N46E010: http:"):
+        fetch(template, tmp_path, bounds)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "N46E009.tif",
+        "N47E009.tif",
+        "N47E010.tif",
+    }
+    server.status, server.files[EAST] = {}, contents[EAST]
+    assert fetch(template, tmp_path, bounds).fetched == 1
+
+
+def test_all_tiles_that_are_refused_are_counted_and_some_named(template, server, tmp_path):
+    server.status = {f"/N46E{lon:03d}.tif": 403 for lon in range(9, 16)}
+    message = r"^7 of 7 tiles .*, N46E009, N46E010, N46E011, N46E012, N46E013 and 2 more: .*403"
+    with pytest.raises(FetchError, match=message):
+        fetch(template, tmp_path / "new", (9.8, 46.6, 15.1, 46.8))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_server_that_fails_for_two_tiles_in_a_row_is_left_alone(template, server, tmp_path):
+    server.failures = 10_000
+    with pytest.raises(FetchError, match="HTTP 500, tried 3 times"):
+        fetch(template, tmp_path, (9.8, 46.6, 15.1, 46.8))
+    assert {path for _, path, _ in server.requests} == {"/N46E009.tif", EAST}
+
+
 def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
     """After one and two seconds, however many repetitions there may be of other failures."""
     waited = []
@@ -241,6 +280,11 @@ def test_a_tile_with_a_mask_is_refused(heights, tmp_path):
     path.write_bytes(geotiff(heights))
     with rasterio.open(path, "r+") as tile:
         tile.write_mask(heights > 0.0)
+    with rasterio.open(path) as tile, pytest.raises(InputError, match="marks its voids by a mask"):
+        dem_tiles._check_usable("https://a.org/masked.tif", tile)
+    path.write_bytes(geotiff(np.dstack([heights, heights > 0.0]).astype(np.float32)))
+    with rasterio.open(path, "r+") as tile:
+        tile.colorinterp = ColorInterp.gray, ColorInterp.alpha
     with rasterio.open(path) as tile, pytest.raises(InputError, match="marks its voids by a mask"):
         dem_tiles._check_usable("https://a.org/masked.tif", tile)
 
