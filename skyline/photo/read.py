@@ -63,6 +63,9 @@ _PHOTOS = (
     ".avif", ".jp2", ".bmp",
 )  # fmt: skip
 """Endings of photos: one that cannot be read is damaged, and its error is due."""
+_TIFFS = (".tif", ".tiff", "")
+_GEO_KEYS = 34735
+"""The tag of a GeoTIFF's coordinate reference system."""
 _THUMBNAIL = ".thm"
 """The ending of a camera's thumbnail of a video, which is a JPEG."""
 _HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
@@ -245,14 +248,17 @@ def photos_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False
 def _is_photo(path: Path) -> bool:
     """Return whether a file of a folder is a photo, even if it cannot be decoded."""
     ending = path.suffix.lower()
-    if ending in _PHOTOS or ending == _THUMBNAIL or not path.exists():
-        return ending in _PHOTOS
+    is_named_so = ending in _PHOTOS
+    if ending == _THUMBNAIL or (is_named_so and ending not in _TIFFS) or not path.exists():
+        return is_named_so
     try:
         with opened_image(path) as image:
-            # A raw file is a TIFF by another name.
-            return image.format != "TIFF" or not ending
+            # A raw file is a TIFF by another name, and a map is one with a place.
+            is_map = _GEO_KEYS in image.getexif()
+            return image.format != "TIFF" or (ending in _TIFFS and not is_map)
     except InputError as error:
-        return not isinstance(error.__cause__, UnidentifiedImageError) or _is_heif(path)
+        is_foreign = isinstance(error.__cause__, UnidentifiedImageError)
+        return is_named_so or not is_foreign or _is_heif(path)
 
 
 def _is_heif(path: Path) -> bool:

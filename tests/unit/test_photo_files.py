@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from photo_scenes import make_scene
 from PIL import Image, features
 from PIL.ExifTags import IFD, Base
+from scenes import write_dem
 
 from skyline.errors import InputError
 from skyline.photo import read
@@ -157,13 +158,14 @@ def test_a_file_that_is_no_photo_is_one_line(tmp_path, name, content, said):
 
 def test_the_photos_of_a_folder_are_known_by_their_content(tmp_path, caplog):
     picture = Image.new("RGB", (40, 30))
-    photos = ["IMG_0001", "pano.insp", "trip/day 2/b.JPG", "c.gif"]
+    photos = ["IMG_0001", "scan.tif", "pano.insp", "trip/day 2/b.JPG", "c.gif"]
     for name in photos:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        picture.save(tmp_path / name, format="GIF" if name.endswith("gif") else "JPEG")
+        picture.save(tmp_path / name, {"gif": "GIF", "tif": "TIFF"}.get(name[-3:], "JPEG"))
     (tmp_path / "d.HIF").write_bytes(HEIC.replace(b"heic", b"heix"))
     (tmp_path / "damaged.jpg").write_bytes(b"")
     picture.save(tmp_path / "raw.cr2", format="TIFF")
+    write_dem(tmp_path / "map.tif", np.ones((30, 40), np.float32))
     picture.save(tmp_path / "video.THM", format="JPEG")
     (tmp_path / "video.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42" + bytes(99))
     for name in ("Thumbs.db", "a.json", "a.xmp", "b.xmp", "trace.csv"):
@@ -175,8 +177,8 @@ def test_the_photos_of_a_folder_are_known_by_their_content(tmp_path, caplog):
     assert found == sorted([*photos, "d.HIF", "damaged.jpg"])
     (line,) = caplog.messages
     assert line == (
-        f"{tmp_path}: 8 files are left out, which are no pictures: Thumbs.db, a.json, a.xmp and 1 "
-        "more .xmp, raw.cr2, trace.csv, video.THM, video.mp4"
+        f"{tmp_path}: 9 files are left out, which are no pictures: Thumbs.db, a.json, a.xmp and 1 "
+        "more .xmp, map.tif, raw.cr2, trace.csv, video.THM, video.mp4"
     )
     refused(tmp_path / "d.HIF", "HEIC photo.*pip install pillow-heif")
     (tmp_path / "none").mkdir()
