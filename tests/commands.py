@@ -1,6 +1,7 @@
 """Helpers for tests of the command line."""
 
 import math
+import re
 
 from PIL import Image
 from PIL.ExifTags import GPS, IFD
@@ -26,6 +27,13 @@ def assert_refused(done, message):
     assert done.err.startswith("error: ")
     assert done.err.count("\n") == 1
     assert done.out == ""
+
+
+def headings(out):
+    """Return the headings of each printed table, which a rule of dashes follows."""
+    lines = out.splitlines()
+    rules = [number for number, line in enumerate(lines) if set(line.strip()) == {"─"}]
+    return [re.split(r"\s{2,}", lines[number - 1].strip()) for number in rules]
 
 
 def lonlat_of(dem, easting_m=601_800.0, northing_m=5_178_000.0):

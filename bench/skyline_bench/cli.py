@@ -5,7 +5,17 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from skyline.cli.console import command_line, run_app
-from skyline_bench import durability, figures, orient, page, paper, photos, speed, summits
+from skyline_bench import (
+    durability,
+    figures,
+    orient,
+    page,
+    paper,
+    photos,
+    repeat,
+    speed,
+    summits,
+)
 from skyline_bench.search.commands import SEARCHES, command_of
 from skyline_bench.truth.stability import stability
 
@@ -28,6 +38,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         photos.sky_masks: "a minute",
     },
     "The page": {page.page: "3 minutes"},
+    "Records": {repeat.repeat: "as long as its command"},
     "The README": {figures.figures: "a second", figures.readme_picture: "a minute"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
@@ -35,7 +46,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
 app = command_line(
     "skyline-bench",
     "Measure Skyline on this machine. Times are of 2 cores without a GPU; "
-    "--quick takes two minutes at most.",
+    "--quick takes two minutes at most, unless other options ask for more.",
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():

@@ -24,7 +24,7 @@ from skyline import cli
 from skyline.build import plans
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_store
-from skyline.build.plans import PlacePlan, Plan, RenderingPlan
+from skyline.build.plans import PlacePlan, Plan, RenderingPlan, map_bounds
 from skyline.errors import SkylineError
 from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
@@ -35,7 +35,8 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
 from skyline_bench.geotiff import write_geotiff
-from skyline_bench.measuring import Row, write_record
+from skyline_bench.measuring import Row, square_km
+from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
@@ -49,9 +50,19 @@ _READ_S, _COMMAND_S = 30, 60
 """A reader, or a command, that takes longer on such small files hangs."""
 _WEST_M, _NORTH_M, _SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
+_COLUMNS = {
+    "kills": "test rows km2 builds=n kills lost equal unbroken_s",
+    "flips": "test rows km2 flips=n harmful found silent crashes",
+    "mutated": "test rows km2 cases=n read refused wrong",
+}
+"""Columns of the printed tables, by test."""
 
-def _plans(terrain: HeightField, bounds_deg: Bounds) -> dict[str, tuple[Plan, int]]:
-    """Return plans by name, each with a number of workers; 0 is this process."""
+_Plans = dict[str, tuple[Plan, int]]
+"""Plans by name, each with a number of workers; 0 is this process."""
+
+
+def _plans(terrain: HeightField, bounds_deg: Bounds) -> _Plans:
+    """Return the plans of the stores that are built."""
     views = RenderingPlan.uniform(terrain, 400.0, bounds_deg, RenderConfig(width=160))
     return {
         "planned places": (PlacePlan(None, bounds_deg, 400), 0),
@@ -74,12 +85,11 @@ def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkPr
     return process
 
 
-def _kills(dem: Path, builds: int, side_m: float, folder: Path) -> Iterator[Row]:
+def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> Iterator[Row]:
     """Kill builds at random instants, and let the same command finish them."""
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
-    terrain, generator = read_dem([dem]), np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     plans._PLACES_A_PART, plans._VIEWPOINTS_A_PART = _PLACES_A_PART, _VIEWPOINTS_A_PART
-    kinds = _plans(terrain, middle_deg(terrain, (side_m, side_m)))
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
         started = time.perf_counter()
@@ -114,10 +124,10 @@ def _parts(path: Path) -> dict[str, bytes]:
     return {part.name: part.read_bytes() for part in parts_folder(path).rglob("*-of-*.h5")}
 
 
-def _damage(dem: Path, flips: int, cases: int, side_m: float, folder: Path) -> Iterator[Row]:
+def _damage(
+    terrain: HeightField, kinds: _Plans, flips: int, cases: int, folder: Path
+) -> Iterator[Row]:
     """Flip bits of stores, and mutate their files."""
-    terrain = read_dem([dem])
-    kinds = _plans(terrain, middle_deg(terrain, (side_m, side_m)))
     for name in ("places of a grid", "renderings"):
         whole = folder / f"{name}.h5"
         _start(terrain, whole, kinds[name][0], 0).join()
@@ -309,36 +319,48 @@ def outcome_of(work: Callable[[], str], limit_s: int) -> str:
 
 
 def store_durability(
-    dem: Annotated[Path, Argument(metavar="DEM", help="The DEM from which stores are built.")],
+    dem: Annotated[
+        str,
+        Argument(
+            metavar="DEM",
+            help="The DEM from which stores are built.",
+            callback=options.read_here,
+        ),
+    ],
     builds: Annotated[int, Option(help="Builds to kill.")] = 25,
     flips: Annotated[int, Option(help="Bits to flip in each store, one at a time.")] = 300,
     cases: Annotated[int, Option(help="Mutated files of each store.")] = 500,
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
+    record: options.Record = None,
+    quick: Annotated[bool, options.quick_with(builds=4, flips=5, cases=10)] = False,
 ) -> None:
     """Builds killed at random instants, with workers too; bits flipped; files mutated."""
-    side_m = _SIDE_M
-    if quick:
-        builds, flips, cases, side_m = min(builds, 4), min(flips, 5), min(cases, 10), _QUICK_SIDE_M
+    terrain = read_dem([dem])
+    side_m = _QUICK_SIDE_M if quick else _SIDE_M
+    area_deg = middle_deg(terrain, (side_m, side_m))
+    kinds = _plans(terrain, area_deg)
+    km2 = square_km(map_bounds(terrain, area_deg))
     rows: list[Row] = []
-    for test in (partial(_kills, dem, builds, side_m), partial(_damage, dem, flips, cases, side_m)):
+    for test in (
+        partial(_kills, terrain, kinds, builds),
+        partial(_damage, terrain, kinds, flips, cases),
+    ):
         with tempfile.TemporaryDirectory() as folder:
             for row in test(Path(folder)):
-                rows.append(row)
-                options.print_rows([row])
+                rows.append({**row, "km2": km2})
+                options.print_rows(rows[-1:], _COLUMNS[row["test"]])
     # At the end: a record names the renderer, and OpenGL does not outlive the forks of these tests.
-    write_record(json_file, "store-durability", rows)
+    write_record(record, rows, terrain=terrain, bounds_deg=area_deg)
 
 
 def input_fuzz(
     cases: Annotated[int, Option(help="Damaged files of each kind.")] = 250,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     seed: options.Seed = 0,
-    quick: options.Quick = False,
+    quick: Annotated[bool, options.quick_with(cases=10)] = False,
 ) -> None:
     """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
     rows: list[Row] = []
-    for row in _damaged_files(min(cases, 10) if quick else cases, seed):
+    for row in _damaged_files(cases, seed):
         rows.append(row)
         typer.echo(f"{row['file']}: {row['cases']} files", err=True)
-    options.report(json_file, "input-fuzz", rows)
+    options.report(record, rows, "file cases=n answered refused wrong")

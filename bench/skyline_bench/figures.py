@@ -18,12 +18,13 @@ from PIL import Image
 from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
+from skyline.build.plans import map_bounds
 from skyline.errors import MissingFileError
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_report import report_matches
 from skyline_bench import options
 from skyline_bench.geotiff import write_sample_dem
-from skyline_bench.measuring import Row, shown
+from skyline_bench.measuring import Row, shown, square_km
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.search.trials import by_planner, interpolated
@@ -183,6 +184,7 @@ def _draw_adaptive(stores: _Compared) -> Figure:
 
 def readme_picture(
     out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
+    record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo drawn of the sample terrain, and the place found for it."""
@@ -208,5 +210,13 @@ def readme_picture(
     best = result.candidates[0]
     apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
     error_m = float(np.hypot(*apart_m))
-    row = {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
-    options.print_rows([row])
+    area_m = map_bounds(terrain, SAMPLE_BOUNDS_DEG)
+    row = {
+        "photo": "drawn",
+        "km2": square_km(area_m),
+        "n": 1,
+        "error_m": error_m,
+        "confidence": best.confidence,
+        "query_s": result.seconds,
+    }
+    options.report(record, [row], terrain=terrain, bounds_deg=SAMPLE_BOUNDS_DEG)

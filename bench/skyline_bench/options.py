@@ -1,6 +1,5 @@
-"""Shared by the commands: options, checks of files to be written, tables and records."""
+"""Shared by the commands: options, checks of files to be written, and tables."""
 
-import json
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -8,27 +7,61 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
 from skyline.errors import InputError
-from skyline_bench.measuring import Row, shown, write_record
+from skyline_bench.measuring import Row, shown
+from skyline_bench.records import Run, note_kept, note_read, note_written, write_record
 
 _PIPED_WIDTH = 300
 
 
-def in_a_folder(param: CallbackParam, path: Path | None) -> Path | None:
+def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
+    """Take files or folders that a command reads: their digests are in its record."""
+    note_read(context, param)
+    return value
+
+
+def written_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
     """Refuse a file that could not be written, before the measurement and not after it."""
+    note_written(context, param)
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
     return path
 
 
+def _kept_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
+    note_kept(context, param)
+    return path
+
+
+def _recorded(context: typer.Context, param: CallbackParam, path: Path | None) -> Run:
+    return Run(context, written_here(context, param, path))
+
+
 def new_file(words: str, *names: str) -> Any:
     """Return an option for a file that is written."""
-    return Option(*names, metavar="FILE", help=words, callback=in_a_folder)
+    return Option(*names, metavar="FILE", help=words, callback=written_here)
+
+
+def quick_with(**smaller: Any) -> Any:
+    """Return the option ``--quick``, which gives other options smaller defaults.
+
+    The value of an option that is given on the command line stays as it is given.
+    """
+
+    def shrink(context: typer.Context, is_quick: bool) -> bool:
+        if is_quick:
+            context.default_map = {**(context.default_map or {}), **smaller}
+        return is_quick
+
+    values = (f"--{name.replace('_', '-')} {value}" for name, value in smaller.items())
+    words = ", ".join(["Two minutes at most, unless options ask for more: much smaller", *values])
+    return Option("--quick", help=f"{words}.", is_eager=True, callback=shrink)
 
 
 Floats = list[float] | None
@@ -36,14 +69,27 @@ Names = list[str] | None
 """Of options that may be repeated."""
 
 Dems = Annotated[
-    list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+    list[str],
+    Argument(
+        metavar="DEM...", help="Elevation files: one, or tiles of one grid.", callback=read_here
+    ),
 ]
-JsonFile = Annotated[Path | None, new_file("Write rows and machine as JSON.", "--json")]
+Record = Annotated[
+    Run | None,
+    Option(
+        "--json",
+        metavar="FILE",
+        help="Write rows, command, data and machine as JSON.",
+        parser=Path,
+        callback=_recorded,
+    ),
+]
 PlotFile = Annotated[Path | None, new_file("Draw them: PNG, PDF or SVG.", "--plot")]
 Seed = Annotated[int, Option(min=0, help="Of all random draws.")]
-Quick = Annotated[bool, Option("--quick", help="Two minutes at most: much smaller.")]
+Quick = Annotated[bool, quick_with()]
 Folder = Annotated[
-    Path | None, Option(help="Keep stores here; those that are there are not built again.")
+    Path | None,
+    Option(help="Keep stores here; those that are there are not built again.", callback=_kept_here),
 ]
 Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")]
 
@@ -60,35 +106,22 @@ def store_folder(kept: Path | None) -> Iterator[Path]:
 
 
 def report(
-    json_file: Path | None, bench: str, rows: Sequence[Row], columns: str | None = None
+    record: Run | None, rows: Sequence[Row], columns: str | None = None, **about: Any
 ) -> None:
-    """Print the table of a benchmark and write its record where one is asked for."""
+    """Print the table of a benchmark, and write its record; ``about`` as `write_record`."""
     print_rows(rows, columns)
-    write_record(json_file, bench, rows)
-
-
-def rows_but(json_file: Path | None, key: str, value: str) -> list[Row]:
-    """Return the rows of an existing record, but those of a value, which are measured anew.
-
-    Raises `InputError` for a file that is no record of the same benchmark.
-    """
-    if json_file is None or not json_file.exists():
-        return []
-    try:
-        rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
-        return [row for row in rows if row[key] != value]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"--json {json_file} is no record of this benchmark; name a new file, or remove it"
-        ) from error
+    write_record(record, rows, **about)
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
     """Print rows as a table; ``columns`` are the keys shown, ``key`` or ``key=heading``, or all.
 
-    Underscores become spaces. Bytes are shown as megabytes.
+    Underscores become spaces. Bytes are shown as megabytes, and a value with its interval, which
+    rows have as ``key_low`` and ``key_high``.
     """
-    asked = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
+    known = dict.fromkeys(key for row in rows for key in row)
+    ends = {f"{key}_{end}" for key in known for end in ("low", "high")}
+    asked = columns.split() if columns else [key for key in known if key not in ends]
     headings = {}
     for key, _, heading in (one.partition("=") for one in asked):
         headings[key] = re.sub("bytes$", "MB", heading or key).replace("_", " ")
@@ -97,8 +130,14 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        cells = ((row.get(key), heading.endswith("MB")) for key, heading in headings.items())
-        table.add_row(*(shown(value / 1e6 if mega and value else value) for value, mega in cells))
+        table.add_row(*(_cell(row, key, heading) for key, heading in headings.items()))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
+
+
+def _cell(row: Row, key: str, heading: str) -> str:
+    value, low, high = (row.get(name) for name in (key, f"{key}_low", f"{key}_high"))
+    if low is not None and high is not None:
+        return f"{shown(value)} ({shown(low)} to {shown(high)})"
+    return shown(value / 1e6 if heading.endswith("MB") and value else value)

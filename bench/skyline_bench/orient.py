@@ -20,18 +20,19 @@ from skyline.arrays import Progress
 from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.errors import InputError, SkylineError
-from skyline.geodesy import in_turn
+from skyline.geodesy import Rectangle, in_turn
 from skyline.match.orient import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
-from skyline_bench.measuring import Row, write_record
+from skyline_bench.measuring import Row, square_km
 from skyline_bench.queries.kinds import STRANGERS, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
+from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 from skyline_bench.search.trials import ALL, groups
 from skyline_bench.sights import Posed, label_row, pixel_row
@@ -51,19 +52,20 @@ _WEBCAM_M = 2000.0
 _RENDERED_PX = 2048
 _PIXEL_SHARE = 10
 """Places in pixels are compared for one made photo in so many: each takes seconds."""
-_QUICK = 4
-_ORIENTED = """of group n answered within_0.3_deg within_1_deg=within_1 median_deg p95_deg
-    median_sd_deg=median_sd within_2_sd fov_within_3_% wrong strongest seconds=s"""
+_ORIENTED = """of measured=queries group km2 n answered within_0.3_deg within_1_deg=within_1
+    median_deg p95_deg median_sd_deg=median_sd within_2_sd fov_within_3_% wrong strongest
+    seconds=s"""
 _TABLES = {
-    "photo": """photo answered off_deg sd_deg fov_off confidence moved_m seconds=s refusal""",
+    "photo": """photo kind answered off_deg sd_deg fov_off confidence moved_m seconds=s refusal""",
     "photos": _ORIENTED,
     "made photos": _ORIENTED,
     "strangers": _ORIENTED,
-    "labels": """pose model photos summits visible named within_5_px hidden hidden_named
-        median_px p95_px""",
-    "pixels": """pose model photos pixels sky_right median_off_m p99_off_m within_2_sd""",
-    "webcam": """skyline_m frames answered within_0.1_deg spread_deg greatest_deg off_deg fog
-        fog_answered seconds=s""",
+    "labels": """measured pose model km2 photos=n summits visible named within_5_px hidden
+        hidden_named median_px p95_px""",
+    "pixels": """measured pose model km2 photos=n pixels sky_right median_off_m p99_off_m
+        within_2_sd""",
+    "webcam": """measured skyline_m km2 frames=n answered within_0.1_deg spread_deg greatest_deg
+        off_deg fog fog_answered seconds=s""",
 }
 """Columns of the printed tables, by what is measured."""
 
@@ -76,43 +78,54 @@ def orient(
     dem: options.Dems,
     photos: Annotated[
         Path | None,
-        Option(metavar="MANIFEST.csv", help="Measure these photographs instead of made ones."),
+        Option(
+            metavar="MANIFEST.csv",
+            help="Measure these photographs instead of made ones.",
+            callback=options.read_here,
+        ),
     ] = None,
     strange: Annotated[
-        str | None, Option(metavar="DEM", help="Other terrain, whose photos are refused.")
+        str | None,
+        Option(
+            metavar="DEM",
+            help="Other terrain, whose photos are refused.",
+            callback=options.read_here,
+        ),
     ] = None,
     queries: Annotated[int, Option(min=1, help="Made photos, strangers and frames.")] = 200,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     seed: options.Seed = 71,
-    quick: options.Quick = False,
+    quick: Annotated[bool, options.quick_with(queries=4)] = False,
     crs: options.Crs = None,
 ) -> None:
     """How cameras stood at known places: photographs, or made photos, labels, pixels and a webcam.
 
     docs/howto/comparing-grids.md has the columns of a manifest. Places are given
-    to 50 m.
-
-    An existing record keeps its rows of other DEMs and manifests.
+    to 50 m. In the tables, n is the number of photos, photographs or frames, and
+    km2 the area from which made photos come.
     """
     name = photos.stem if photos else Path(dem[0]).stem
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []
     if photos and not wanted:
         raise InputError(f"{photos} names no photograph to locate or to refuse; expected some")
-    kept = options.rows_but(json_file, "of", name)
+    if photos and strange:
+        raise InputError("--strange is measured with made photos; give it without --photos")
     terrain = read_dem(dem, DemOptions(crs=crs))
     other = read_dem(strange) if strange else None
-    count = min(queries, _QUICK) if quick else queries
+    area_deg = None if photos else middle_deg(terrain)
     with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
         if photos:
-            rows = photograph_rows(orienter_at, wanted[:2] if quick else wanted, progress)
+            rows = photograph_rows(orienter_at, wanted, progress)
         else:
-            rows = made_rows(orienter_at, terrain, other, count, seed, progress)
+            area_m = map_bounds(terrain, area_deg)
+            rows = made_rows(orienter_at, terrain, other, area_m, queries, seed, progress)
     rows = [{"of": name, **row} for row in rows]
     for measured, columns in _TABLES.items():
         some = [row for row in rows if row["measured"] == measured]
         if some:
             options.print_rows(some, columns)
-    write_record(json_file, "orient", kept + rows)
+    files = [file for one in wanted for file in one.files]
+    write_record(record, rows, terrain=terrain, bounds_deg=area_deg, files=files)
 
 
 def photograph_rows(
@@ -137,12 +150,13 @@ def made_rows(
     orienter_at: _OrienterAt,
     terrain: HeightField,
     strange: HeightField | None,
+    area: Rectangle,
     count: int,
     seed: int,
     progress: Progress,
 ) -> list[Row]:
     """Return the rows of made photos, strangers, labels, places in pixels and a webcam."""
-    seen, area = perturbed(terrain, seed=seed), map_bounds(terrain, middle_deg(terrain))
+    seen = perturbed(terrain, seed=seed)
     rng, steps = np.random.default_rng(seed), (2 + (strange is not None)) * count
     to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
     for query in make_queries(seen, area, count, seed):
@@ -168,7 +182,8 @@ def made_rows(
                 rows.append(row_of(terrain, model, posed[: -(-count // share)]))
     far = (query for query, _ in held if query.distance_m > _WEBCAM_M)
     camera = next(far, held[0][0])
-    return [*rows, webcam_row(orienter_at, terrain, seen, camera, count, seed, progress)]
+    webcam = webcam_row(orienter_at, terrain, seen, camera, count, seed, progress)
+    return [{**row, "km2": square_km(area)} for row in (*rows, webcam)]
 
 
 def figures_of(

@@ -39,8 +39,8 @@ _PROMISED: dict[str, Row] = {
     "hand to skyline, 95 %": {"at most": 150},
 }
 
-_Figure = tuple[str, float, str]
-"""A name, a value and its unit."""
+_Figure = tuple[str, float, str, int]
+"""A name, a value and its unit, and from how many measurements it comes."""
 
 _MEASURED = "return performance.getEntriesByName('{}').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
@@ -106,7 +106,7 @@ def headless() -> tuple[Any, Any]:
     return options, Service(driver)
 
 
-def page(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
+def page(record: options.Record = None, quick: options.Quick = False) -> None:
     """The page in a browser: ready, strokes on 12 megapixels, and the live skyline."""
     chrome, driver = headless()
     from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)
@@ -119,17 +119,17 @@ def page(json_file: options.JsonFile = None, quick: options.Quick = False) -> No
             address = address_in(line)
             with urlopen(address) as answer:
                 answer.read()
-            figures: list[_Figure] = [("server ready", time.perf_counter() - began, "s")]
+            figures: list[_Figure] = [("server ready", time.perf_counter() - began, "s", 1)]
             progress(2, 3)
             with Chrome(options=chrome, service=driver) as chromium:
                 chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
                 figures += _in_browser(chromium, address, photo, 2.0 if quick else 10.0)
         progress(3, 3)
     rows = [
-        {"figure": name, "value": float(value), "unit": unit, **_PROMISED.get(name, {})}
-        for name, value, unit in figures
+        {"figure": name, "n": n, "value": float(value), "unit": unit, **_PROMISED.get(name, {})}
+        for name, value, unit, n in figures
     ]
-    options.report(json_file, "page", rows)
+    options.report(record, rows)
 
 
 def _made(folder: Path) -> tuple[Path, Path]:
@@ -162,10 +162,10 @@ def _in_browser(chromium: Any, address: str, photo: Path, drag_s: float) -> list
     found_s = time.perf_counter() - began
     strokes = _strokes(chromium)
     return [
-        ("photo shown with its skyline", shown_s, "s"),
-        ("place found", found_s, "s"),
-        ("stroke to new skyline, median", np.median(strokes), "ms"),
-        ("stroke to new skyline, slowest", max(strokes), "ms"),
+        ("photo shown with its skyline", shown_s, "s", 1),
+        ("place found", found_s, "s", 1),
+        ("stroke to new skyline, median", np.median(strokes), "ms", len(strokes)),
+        ("stroke to new skyline, slowest", max(strokes), "ms", len(strokes)),
         *_drag(chromium, drag_s),
     ]
 
@@ -204,10 +204,10 @@ def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
     latency = chromium.execute_script(_MEASURED.format("look"))
     _mouse(chromium, "mouseReleased", column, row)
     return [
-        ("renderings shown a second", len(latency) / seconds, "1/s"),
-        ("moves of the mouse a second", moves / seconds, "1/s"),
-        ("hand to skyline, median", np.median(latency), "ms"),
-        ("hand to skyline, 95 %", np.percentile(latency, 95), "ms"),
+        ("renderings shown a second", len(latency) / seconds, "1/s", len(latency)),
+        ("moves of the mouse a second", moves / seconds, "1/s", moves),
+        ("hand to skyline, median", np.median(latency), "ms", len(latency)),
+        ("hand to skyline, 95 %", np.percentile(latency, 95), "ms", len(latency)),
     ]
 
 

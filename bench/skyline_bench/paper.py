@@ -26,20 +26,23 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
-from skyline_bench.measuring import Row
+from skyline_bench.measuring import Row, square_km
 
 _RESAMPLES = 1000
 
 
 def table1(
     seeds: Annotated[int, Option(min=1, help="How many seeds, from 0 on.")] = 10,
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
+    record: options.Record = None,
+    quick: Annotated[bool, options.quick_with(seeds=1)] = False,
 ) -> None:
-    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy, there and here."""
-    rows = measure_table1(min(seeds, 1) if quick else seeds)
-    columns = "row strategy paper_A A A_std paper_B B mean_area bound seconds"
-    options.report(json_file, "table1", rows, columns)
+    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy, there and here.
+
+    A, B, the area and the seconds are means over n seeds.
+    """
+    rows = measure_table1(seeds)
+    columns = "row strategy n paper_A A A_std paper_B B mean_area bound seconds"
+    options.report(record, rows, columns)
 
 
 def measure_table1(seeds: int) -> list[dict[str, Any]]:
@@ -65,7 +68,8 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
             measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
             bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
             papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
-            rows.append({"row": number, "strategy": name, **papers, **measured, "bound": bound})
+            about = {"row": number, "strategy": name, "n": seeds}
+            rows.append({**about, **papers, **measured, "bound": bound})
     return rows
 
 
@@ -261,15 +265,16 @@ _MARGIN_M = 3000.0
 
 def prediction_quality(
     dem: options.Dems,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     seed: options.Seed = 41,
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Reprojection errors compared with renderings: which displaced views look alike."""
-    rows = measure_quality(read_dem(dem, DemOptions(crs=crs)), 8 if quick else 200, seed)
-    columns = "predictor precision recall rank_correlation answered"
-    options.report(json_file, "prediction-quality", rows, columns)
+    """Reprojection errors compared with renderings: which views, n moved by 300 m, look alike."""
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    rows = measure_quality(terrain, 8 if quick else 200, seed)
+    columns = "predictor km2 n precision recall rank_correlation answered"
+    options.report(record, rows, columns, terrain=terrain)
 
 
 def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]:
@@ -302,6 +307,8 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
         rows.append(
             {
                 "predictor": name,
+                "km2": square_km(field.bounds_m),
+                "n": viewpoints,
                 "precision": precision,
                 "precision_interval": precision_interval,
                 "recall": recall,

@@ -36,13 +36,19 @@ from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.terrain.dem import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring import Row, shown, write_record
+from skyline_bench.measuring import Row, shown, square_km
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
-from skyline_bench.search.stores import StoreSpec
+from skyline_bench.records import write_record
+from skyline_bench.search.stores import BuiltStore, StoreSpec
 
-_COLUMNS = """photo kind trusted right_columns=right error_m rank
+_COLUMNS = """photo kind km2 trusted right_columns=right error_m rank
     heading_error_deg=heading_off confidence answered gps_off_m=GPS_off_m lost=lost_by seconds=s"""
 
+_SUMMARY = """kind km2 photographs=n within_200m answered answered_200m answered_right
+    right_columns mostly_wrong no_skyline"""
+
+_SIDE_KM, _QUICK_SIDE_KM = 22.0, 4.0
+"""Of the squares that are searched."""
 RIGHT_M, RIGHT_DEG = 200.0, 10.0
 _RIGHT_ROWS, _FAR_ROWS = 0.01, 0.03
 """Of the photo's height: a column nearer to the truth is right, one farther than the second is far
@@ -66,22 +72,41 @@ class Measured:
     query: QuerySkyline | None = None  # None where no skyline was found
     row_px: Float64Array | None = None  # (W,); the true skyline, where it is known
     best: Candidate | None = None
+    searched: tuple[str, str] | None = None  # The store's name and digest
 
 
 def photos(
     manifest: Annotated[
-        Path, Argument(metavar="MANIFEST.csv", help="Photographs and what is true of them.")
+        Path,
+        Argument(
+            metavar="MANIFEST.csv",
+            help="Photographs and what is true of them.",
+            callback=options.read_here,
+        ),
     ],
     dem: Annotated[
         list[str] | None,
-        Argument(metavar="DEM...", help="Their elevation model; none to extract alone."),
+        Argument(
+            metavar="DEM...",
+            help="Their elevation model; none to extract alone.",
+            callback=options.read_here,
+        ),
     ] = None,
     folder: options.Folder = None,
     side_km: Annotated[
-        float, Option(help="Side of the square about a photograph that is searched.")
-    ] = 22.0,
+        float | None,
+        Option(
+            min=0.1,
+            help="Side of the square about a photograph that is searched: 22, or 4 with --quick.",
+        ),
+    ] = None,
     store: Annotated[
-        Path | None, Option(metavar="FILE", help="Search this store instead of squares.")
+        Path | None,
+        Option(
+            metavar="STORE.h5",
+            help="Search this store instead of squares.",
+            callback=options.read_here,
+        ),
     ] = None,
     use_gps: Annotated[
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
@@ -89,7 +114,7 @@ def photos(
     page_file: Annotated[
         Path | None, options.new_file("Draw each photograph's skylines, as HTML.", "--page")
     ] = None,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
@@ -98,33 +123,31 @@ def photos(
     docs/howto/comparing-grids.md has the columns of a manifest.
 
     An area takes a minute to build, a photograph 10 s, one that is lost a minute.
-
-    --quick searches areas of 4 km, and three photographs of each kind.
+    In the tables, n is the number of photographs, and km2 the area searched.
     """
     wanted = read_manifest(manifest)
-    if quick:
-        side_km = min(side_km, 4.0)
-        wanted = [one for kind in KINDS for one in [o for o in wanted if o.kind == kind][:3]]
     located = any(one.kind != EXTRACT for one in wanted)
     if located and not dem:
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
+    if store and side_km:
+        raise InputError("--store is searched whole, and --side-km is of squares; give one of them")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
-    side_m = 1000.0 * side_km
-    sections, found = list[str](), dict[Photograph, dict[str, Any]]()
+    side_m = 1000.0 * (side_km or (_QUICK_SIDE_KM if quick else _SIDE_KM))
+    sections, found = list[str](), dict[Photograph, Measured]()
     with options.store_folder(folder) as place, progress_bar("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, store, use_gps):
-            found[measured.photograph] = measured.figures
+            found[measured.photograph] = measured
             if page_file is not None:
                 sections.append(_section(measured, viewer))
             progress(len(found), len(wanted))
-    rows = [found[one] for one in wanted]
-    summary = summarize(rows)
+    about = {"manifest": manifest.stem, "use_gps": use_gps}
+    rows: list[Row] = [about | found[one].figures for one in wanted]
+    summary = [about | row for row in summarize(rows)]
     options.print_rows(rows, _COLUMNS)
-    options.print_rows(summary)
-    searched = {"side_m": side_m} if store is None else {"store": store.stem}
-    about = {"manifest": manifest.stem, **searched, "use_gps": use_gps}
-    rows, summary = ([about | row for row in some] for some in (rows, summary))
-    write_record(json_file, "photos", rows, {"photos": summary})
+    options.print_rows(summary, _SUMMARY)
+    stores = dict(one.searched for one in found.values() if one.searched)
+    files = [file for one in wanted for file in one.files]
+    write_record(record, rows, {"photos": summary}, terrain=terrain, stores=stores, files=files)
     if page_file is not None:
         lead = f"{len(rows)} photographs of {manifest.name}."
         write_with_folders(page_file, page("Photographs", lead, sections))
@@ -166,15 +189,20 @@ def measure(
     for group in _groups(located, math.inf if store else side_m * _SAME_AREA):
         if terrain is None:
             raise InputError("photographs are to be located; give the elevation model too")
-        path = store
-        if path is None:
-            place = folder / f"{group[0].name}-area"
-            place.mkdir(exist_ok=True)
+        if store is not None:
+            name, built = store.stem, BuiltStore.read(StoreSpec(path=store), store)
+        else:
+            name = f"{group[0].name}-area"
+            (folder / name).mkdir(exist_ok=True)
             area_deg = _area_deg(terrain, group[0], side_m)
-            path = StoreSpec().build(terrain, place, area_deg).path
-        with Matcher(path, terrain) as matcher, Viewer(terrain) as viewer:
+            built = StoreSpec().build(terrain, folder / name, area_deg)
+        km2 = square_km(map_bounds(terrain, built.bounds_deg))
+        with Matcher(built.path, terrain) as matcher, Viewer(terrain) as viewer:
             for one in group:
-                yield _located(one, matcher, viewer, use_gps), viewer
+                measured = _located(one, matcher, viewer, use_gps)
+                measured.searched = name, built.digest
+                measured.figures |= {"searched": name, "km2": km2}
+                yield measured, viewer
 
 
 def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -184,6 +212,8 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
         some = [row for row in rows if row["kind"] == kind]
         line: dict[str, Any] = {"kind": kind, "photographs": len(some)}
         if kind != EXTRACT:
+            sizes = [row["km2"] for row in some if "km2" in row]
+            line["km2"] = float(np.mean(sizes)) if sizes else None
             answered = [row for row in some if row.get("answered")]
             true = [row["error_m"] <= row["within_m"] for row in answered]
             line |= {
@@ -366,10 +396,14 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
 
 def sky_masks(
     folder: Annotated[
-        Path, Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain.")
+        Path,
+        Argument(
+            metavar="FOLDER",
+            help="NAME.jpg and NAME.mask.png, white = mountain.",
+            callback=options.read_here,
+        ),
     ],
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
+    record: options.Record = None,
 ) -> None:
     """Skylines extracted from real photographs, against masks drawn by people.
 
@@ -388,7 +422,7 @@ def sky_masks(
     with progress_bar("photographs") as progress:
         for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
             counts, seconds = [], []
-            for mask in some[: 2 if quick else None]:
+            for mask in some:
                 photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
                 started = time.process_time()
                 counts.append(_columns(Photograph(photo, EXTRACT, mask=mask)))
@@ -407,7 +441,8 @@ def sky_masks(
                     "seconds": float(np.mean(seconds)),
                 }
             )
-    options.report(json_file, "sky-masks", rows)
+    columns = "half photos=n refused within far_off trusted mostly_wrong seconds"
+    options.report(record, rows, columns)
 
 
 def _columns(photo: Photograph) -> tuple[int, int, int, int]:

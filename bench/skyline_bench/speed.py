@@ -31,7 +31,14 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options, peers
-from skyline_bench.measuring import Row, central_viewpoints, in_turns, over_cores, peak_bytes
+from skyline_bench.measuring import (
+    Row,
+    central_viewpoints,
+    in_turns,
+    over_cores,
+    peak_bytes,
+    square_km,
+)
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import PIXEL_TAN, compare
 from skyline_bench.truth.closed_forms import fractal
@@ -62,24 +69,26 @@ class _Way:
 
 def speed_error(
     dem: options.Dems,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     seed: options.Seed = 0,
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
 
-    Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the
-    columns that neither side flags, in px of W = 640 whatever the width; of
-    skylines all the way round, as places have them, they are of elevation angles.
+    Viewpoints stand on a 100 m grid in the DEM's middle, and n of them are
+    compared with the oracle. Errors are over the columns that neither side flags,
+    in px of W = 640 whatever the width; of skylines all the way round, as places
+    have them, they are of elevation angles.
     Embree needs embreex (extra peers), GRASS `grass` on the path: a peer that is
     not installed is left out.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = _speed_error(terrain, seed, quick, progress)
-    columns = "path setting viewpoints_per_s ms_per_viewpoint rms_px max_px missing"
-    options.report(json_file, "speed-error", rows, columns)
+    columns = """path setting km2 timed_viewpoints=timed ms_per_viewpoint compared_viewpoints=n
+        rms_px max_px missing"""
+    options.report(record, rows, columns, terrain=terrain)
 
 
 def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progress) -> list[Row]:
@@ -126,7 +135,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
     ]
     if peers.has_grass():
         rows.append(_grass(terrain, compared))
-    return rows
+    return [{**row, "km2": square_km(terrain.bounds_m)} for row in rows]
 
 
 def _ways(
@@ -224,7 +233,7 @@ def _oracle(terrain: HeightField, width: int, viewpoints: Viewpoints) -> Views:
     return Views.concatenate(over_cores(render, viewpoints, 1))
 
 
-def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
+def large_dem(record: options.Record = None, quick: options.Quick = False) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     samples, viewpoints = (1000, 4) if quick else (20_000, 256)
     # Rough terrain that repeats every 60 km, in one array and no copies.
@@ -243,6 +252,7 @@ def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) 
         seconds = time.perf_counter() - started
     row = {
         "samples": samples,
+        "km2": square_km(terrain.bounds_m),
         "viewpoints": viewpoints,
         "seconds": seconds,
         "median_depth_m": float(np.nanmedian(views.depth_m)),
@@ -250,4 +260,6 @@ def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) 
         "dem_bytes": heights.nbytes,
         "peak_resident_bytes": peak_bytes(),
     }
-    options.report(json_file, "large-dem", [row])
+    columns = """samples km2 viewpoints=n seconds median_depth_m greatest_depth_m dem_bytes
+        peak_resident_bytes"""
+    options.report(record, [row], columns)

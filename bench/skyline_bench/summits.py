@@ -8,7 +8,6 @@ summits, as far from them as true coordinates are, and from places anywhere.
 """
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,8 @@ from skyline.terrain.tiles import Grid
 from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import ground_spacing_m, local_frame
 from skyline_bench import options
-from skyline_bench.measuring import Row, central_viewpoints, in_turns, write_record
+from skyline_bench.measuring import Row, central_viewpoints, in_turns, square_km
+from skyline_bench.records import write_record
 
 EXACT_M = 1.0
 """How far a summit may be off."""
@@ -136,33 +136,30 @@ _Places = tuple[Float64Array, Float64Array, Float64Array]
 
 def summits(
     dem: options.Dems,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file and of its surface, how they are seen, and horizons beside them.
-
-    An existing record keeps its rows of other DEMs.
-    """
-    rows = measure(dem, crs, QUICK if quick else SummitsConfig())
-    columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
-        p90_sight_m bias_m rms_off_m place_cpu_ms"""
+    """Summits of a DEM's file and of its surface, how they are seen, and horizons beside them."""
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    rows = measure(dem, terrain, crs, QUICK if quick else SummitsConfig())
+    columns = """surface spacing_m km2 summits=n lowest_m highest_m summits_off sights
+        median_sight_m p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
     for name, value in rows[0].items():
         if name.startswith(("summit_below", "prominent", "anywhere", *STOOD)):
             typer.echo(f"{name:<24} {value:g}")
-    write_record(json_file, "summits", options.rows_but(json_file, "dem", rows[0]["dem"]) + rows)
+    write_record(record, rows, terrain=terrain)
 
 
 def measure(
-    dem: Sequence[str | Path], crs: str | None = None, config: SummitsConfig = SummitsConfig()
+    dem: Sequence[str | Path],
+    field: HeightField,
+    crs: str | None = None,
+    config: SummitsConfig = SummitsConfig(),
 ) -> list[Row]:
-    """Return a row for each surface."""
-    dem_options = DemOptions(crs=crs)
-    started = time.process_time()
-    field = read_dem(dem, dem_options)
-    read_s = time.process_time() - started
-    file = _File.read(dem, dem_options, field)
+    """Return a row for each surface of a DEM's files, of which ``field`` is the one as read."""
+    file = _File.read(dem, DemOptions(crs=crs), field)
     row, col = file.summits(config.summits)
     surfaces = {"as read": field}
     if field.provenance.resampling != "none":
@@ -175,10 +172,10 @@ def measure(
                 "file_spacing_m": f"{file.spacing_m[0]:.3g} x {file.spacing_m[1]:.3g}",
                 "surface": name,
                 "spacing_m": surface.spacing_m,
+                "km2": square_km(surface.bounds_m),
                 **_summit_errors(surface, file, row, col, config),
                 **_sample_errors(surface, file),
                 "samples": surface.heights_m.size,
-                "read_cpu_s": read_s if name == "as read" else math.nan,
                 "place_cpu_ms": _place_cpu_ms(surface, config.places),
             }
         )

@@ -11,6 +11,7 @@ from skyline.errors import InputError
 from skyline.match.confidence import ORIENTED
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench import options
+from skyline_bench.repeat import repeat
 from skyline_training import confidence as learning
 from skyline_training.examples import gather_matches, read_examples, write_examples
 from skyline_training.orientation import gather_headings, learn_orientation
@@ -30,7 +31,7 @@ def sky_model(
     out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
     minutes: Annotated[float, Option(help="Time to train for.")] = 9.0,
     seed: options.Seed = 1,
-    quick: options.Quick = False,
+    quick: Annotated[bool, options.quick_with(minutes=0.01)] = False,
 ) -> None:
     """Train the network that finds skylines in photos on drawn photographs, and write it.
 
@@ -44,7 +45,7 @@ def sky_model(
             f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
         ) from error
     with progress_bar("training") as progress, closing(draw_training_photos(seed)) as photos:
-        net = network.train(photos, 0.01 if quick else minutes, seed, progress)
+        net = network.train(photos, minutes, seed, progress)
     network.write_model(net, out)
 
 
@@ -65,7 +66,11 @@ def panoramas(
 def confidence(
     data: Annotated[
         Path,
-        Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
+        Argument(
+            metavar="DATA",
+            help="A folder with sierra, rofental, everest and davos.",
+            callback=options.read_here,
+        ),
     ],
     queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 48,
     model: Annotated[
@@ -74,22 +79,22 @@ def confidence(
     examples: Annotated[
         Path | None, options.new_file("Kept here, and read where they exist.", "--examples")
     ] = None,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     plot: options.PlotFile = None,
     seed: options.Seed = 6000,
-    quick: options.Quick = False,
+    quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
     """Learn the confidence on Sierra, Rofental and Everest; show its reliability on Davos."""
     if examples is not None and examples.exists():
         found = read_examples(examples)
     else:
         with progress_bar("terrains") as progress:
-            number, places = (1, _QUICK_PLACES) if quick else (queries, None)
-            found = gather_matches(data, number, seed, progress, places)
+            places = _QUICK_PLACES if quick else None
+            found = gather_matches(data, queries, seed, progress, places)
         if examples is not None:
             write_examples(found, examples)
     learned = learning.learn_all(found)
-    options.report(json_file, "confidence", learned.rows)
+    options.report(record, learned.rows)
     if model is not None:
         learning.write_models(model, learned.models, learned.about)
     if plot is not None:
@@ -100,24 +105,31 @@ def confidence(
 def orientation(
     data: Annotated[
         Path,
-        Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
+        Argument(
+            metavar="DATA",
+            help="A folder with sierra, rofental, everest and davos.",
+            callback=options.read_here,
+        ),
     ],
     queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
     model: Annotated[
         Path | None, options.new_file("Write the model: skyline's orientation.json.", "--model")
     ] = None,
-    json_file: options.JsonFile = None,
+    record: options.Record = None,
     seed: options.Seed = 100,
-    quick: options.Quick = False,
+    quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
     """Learn how far headings at known places can be believed; show it on Davos."""
     with progress_bar("terrains") as progress:
-        found = gather_headings(data, 1 if quick else queries, seed, progress)
+        found = gather_headings(data, queries, seed, progress)
     learned, rows = learn_orientation(found)
-    options.report(json_file, "orientation", rows)
+    options.report(record, rows)
     if model is not None:
         about = {"examples": {name: len(some) for name, some in found.items()}}
         learning.write_models(model, {ORIENTED: learned}, about)
+
+
+app.command("repeat", short_help="The command of a record once more, on the same data.")(repeat)
 
 
 if __name__ == "__main__":

@@ -4,11 +4,14 @@ A file is a store if its header has the digest that was written with it, and if 
 the layout that follows from the header and keep no bytes in other files.
 """
 
+import hashlib
 import io
+import json
 import mmap
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -226,6 +229,17 @@ class Store:
             "made by": f"skyline {header.package_version}",
         }
         return facts_html(facts)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over the DEM's digest, the settings and the checksums of all rows, hexadecimal.
+
+        Where the files lie, and which release or renderer made the rows, does not change it.
+        """
+        about = {name: self.header.attributes[name] for name in ("dem_digest", "config", "rows")}
+        sha = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+        sha.update(self._read(self.header.checksum, self._indexed(slice(None))).tobytes())
+        return sha.hexdigest()
 
     def views(self, index: RowIndex = slice(None)) -> Views:
         """Read views.

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from commands import lonlat_of
+from commands import headings, lonlat_of
 from scenes import field_of, fractal, write_dem
 
 from skyline_bench.queries.kinds import perturbed
@@ -11,7 +11,7 @@ from skyline_bench.queries.synthetic import make_queries
 from skyline_bench.sights import label_row, pixel_row
 
 
-def test_photographs_and_made_photos_share_a_record(run_bench, dem, photo, tmp_path):
+def test_photographs_and_made_photos_are_measured(run_bench, dem, photo, tmp_path):
     lon, lat = lonlat_of(dem)
     manifest, record = tmp_path / "held.csv", tmp_path / "record.json"
     manifest.write_text(
@@ -19,20 +19,22 @@ def test_photographs_and_made_photos_share_a_record(run_bench, dem, photo, tmp_p
         f"{photo},locate,{lon},{lat},140.95,60,60\n{photo},refuse,{lon},{lat},,,20\n"
     )
     run_bench("orient", dem, "--photos", manifest, "--json", record).ok()
+    held, strange, found, refused = json.loads(record.read_text())["rows"]
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, 400.0, seed=12))
-    run_bench("orient", dem, "--strange", other, "--queries", 1, "--json", record).ok()
-    rows = json.loads(record.read_text())["rows"]
-    held, strange, found, refused = rows[:4]
+    asked = "--strange", other, "--queries", 1, "--quick"
+    done = run_bench("orient", dem, *asked, "--json", record).ok()
+    assert all({"n", "km2"} <= set(columns) for columns in headings(done.out))
     assert held["answered"]
     assert held["off_deg"] < 1.0
     assert abs(held["fov_off"]) < 0.03
     assert not strange["answered"]
     assert (found["n"], found["answered"], found["wrong"]) == (1, 1, 0)
     assert (refused["n"], refused["answered"]) == (1, 0)
-    measured = [row["measured"] for row in rows[4:]]
-    assert {"made photos", "strangers", "labels", "pixels", "webcam"} == set(measured)
+    rows = json.loads(record.read_text())["rows"]
+    measured = {row["measured"] for row in rows}
+    assert measured == {"made photos", "strangers", "labels", "pixels", "webcam"}
     assert rows[-1]["frames"] == 1
-    assert str(tmp_path) not in record.read_text()
+    assert all(5.0 < row["km2"] < 12.0 for row in rows)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from skyline import DemOptions, read_dem
 from skyline_bench.summits import SummitsConfig, measure, prominences
 
 CONFIG = SummitsConfig(eyes=4, places=10, beside=2, anywhere=200)
@@ -9,7 +10,7 @@ CONFIG = SummitsConfig(eyes=4, places=10, beside=2, anywhere=200)
 
 def test_the_highest_summits_of_a_real_dem_are_kept(shared_data):
     tile = shared_data / "california" / "N37W120.hgt.gz"
-    rows = {row["surface"]: row for row in measure([tile], None, CONFIG)}
+    rows = {row["surface"]: row for row in measure([tile], read_dem([tile]), config=CONFIG)}
     own, plain = rows["as read"], rows["bilinear"]
     assert own["summits"] == 200
     assert own["summits_off"] == 0
@@ -28,7 +29,8 @@ def test_the_highest_summits_of_a_real_dem_are_kept(shared_data):
 
 def test_a_metric_dem_is_its_own_surface(shared_data):
     path = shared_data / "rofental" / "dem_rofental_50.asc"
-    (row,) = measure([path], "EPSG:32632", CONFIG)
+    surface = read_dem([path], DemOptions(crs="EPSG:32632"))
+    (row,) = measure([path], surface, "EPSG:32632", CONFIG)
     assert row["summits_off"] == 0
     assert row["rms_off_m"] < 1e-3
     assert row["p90_sight_m"] < 1e-3

@@ -8,11 +8,8 @@ import pytest
 from commands import assert_refused
 from scenes import field_of, fractal
 
-from skyline import __version__
 from skyline.errors import InputError
 from skyline_bench import page, paper
-from skyline_bench.measuring import write_record
-from skyline_bench.options import rows_but
 from skyline_bench.truth import stability
 
 
@@ -96,20 +93,3 @@ def test_predictors_are_compared_with_renderings():
         assert 0.0 < row["answered"] <= 1.0
     with pytest.raises(InputError, match=r"5\.4 x 5\.4 km; expected more than 6\.6"):
         paper.measure_quality(field_of(heights, 30.0), 8, seed=3)
-
-
-def test_a_record_names_the_machine_and_says_nothing_that_json_cannot(tmp_path):
-    path = tmp_path / "record.json"
-    row = {"error_px": float("inf"), "bound_px": float("nan"), "n": 1, "path": "oracle"}
-    write_record(path, "stability", [row])
-    written = json.loads(path.read_text())
-    assert set(written) == {"bench", "machine", "rows"}
-    assert written["rows"] == [{"error_px": None, "bound_px": None, "n": 1, "path": "oracle"}]
-    assert set(written["machine"]) == {
-        "date", "processor", "cores", "os", "python", "numpy", "renderer", "driver", "skyline",
-    }  # fmt: skip
-    assert all(written["machine"].values())
-    assert written["machine"]["skyline"] == __version__
-    path.write_text('{"rows": 3')
-    with pytest.raises(InputError, match="is no record of this benchmark"):
-        rows_but(path, "of", "dem")

@@ -109,12 +109,11 @@ def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("refined_quickly")
-def test_growing_areas_are_searched(run, dem, store, caplog):
+def test_growing_areas_are_searched(run, dem, store):
     asked = ["matching", dem, "--store", store, "--matcher", "full", "--kind", "plain"]
-    asked += ["--area", 2, "--area", 900]
+    asked += ["--area", 4, "--area", 2]
     rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
-    assert [row["search"] for row in rows] == ["2 km2", "all"]
-    assert "900 km2" in caplog.text
+    assert [row["search"] for row in rows] == ["2 km2", "4 km2", "all"]
     assert all(row["query_cpu_s"] > 0.0 for row in rows)
 
 
@@ -140,6 +139,21 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
         ("matching", ["--bounds", "40,10,41,11"], "do not meet the DEM"),
         ("matching", ["--spacing", "3400"], "too small for a grid of 3400 m"),
         ("matching", ["--store", "RENDERINGS", "--matcher", "full"], "which none of full searches"),
+        ("matching", ["--places", "400", "--matcher", "paper"], "planned-400 holds places"),
+        (
+            "matching",
+            ["--places", "400", "--matcher", "paper", "--matcher", "full"],
+            "matcher paper searches renderings, and no store holds them",
+        ),
+        ("placing", ["--threshold-px", "3", "--places", "400"], "lpov-3px holds renderings"),
+        ("matching", ["--places", "400", "--area", "900"], "not less than the"),
+        ("matching", ["--spacing", "600", "--matcher", "paper", "--area", "1"], "store of places"),
+        (
+            "same-place",
+            ["--places", "400", "--area", "1"],
+            "together, with a stranger are searched",
+        ),
+        ("matching", ["--places", "400", "--strange", "DEM"], "--strange is of --kind strangers"),
         ("matching", ["--matcher", "best"], "matcher is 'best'"),
         ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),
         ("placing", ["--json", "/none/record.json"], "no folder"),
@@ -223,7 +237,8 @@ def test_a_summary_counts_every_query():
 def row(store, matcher, renderings, mean_m, group="all"):
     planner = store.split("-")[0]
     return {"store": store, "planner": planner, "matcher": matcher, "queries": "plain",
-        "search": "all", "group": group, "renderings": renderings, "mean_m": mean_m}  # fmt: skip
+        "search": "all", "km2": 50.0, "n": 100, "group": group, "renderings": renderings,
+        "mean_m": mean_m}  # fmt: skip
 
 
 def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():

@@ -54,6 +54,8 @@ and one pose unless it is aligned; the kinds of `SAME_PLACE` have the same place
 
 OF_ONE_AREA = ("plain", "white", OTHER_DEM, "occluded", "bent", "aligned")
 SAME_PLACE = ("alone", "together", "with a stranger")
+SEARCHED_WHOLE = ("together", "with a stranger", STRANGERS)
+"""Kinds whose queries have no one place about which a search could be narrowed."""
 
 
 def make_kind(

@@ -47,6 +47,12 @@ class Photograph:
         return self.photo.stem
 
     @property
+    def files(self) -> list[Path]:
+        """Its photo, and its mask and trace where it has them."""
+        named = (getattr(self, name) for name in _FILES)
+        return [file for file in named if file is not None]
+
+    @property
     def lonlat(self) -> tuple[float, float]:
         """Where it was taken, of one that is to be located."""
         return self.lon or 0.0, self.lat or 0.0
@@ -80,8 +86,7 @@ def read_manifest(path: Path) -> list[Photograph]:
     table.first_in(("photo", "kind"), expected=expected)
     table.refuse_other(*(field.name for field in fields(Photograph)))
     photographs = [_photograph(path, row) for row in table.rows]
-    named = [getattr(one, name) for one in photographs for name in _FILES]
-    absent = [file for file in named if file is not None and not file.is_file()]
+    absent = [file for one in photographs for file in one.files if not file.is_file()]
     if absent:
         raise MissingFileError(
             f"{path} names {len(absent)} files that do not exist, the first of them {absent[0]}"

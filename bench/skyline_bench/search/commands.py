@@ -1,8 +1,7 @@
 """The commands of ``search``: stores x matchers x queries, and what each compares by default."""
 
-import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -25,21 +24,24 @@ from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
-from skyline_bench.measuring import Row, write_record
+from skyline_bench.measuring import Row, square_km
 from skyline_bench.options import Floats, Names
 from skyline_bench.queries import kinds
 from skyline_bench.queries.synthetic import Truth
+from skyline_bench.records import write_record
 from skyline_bench.search import trials
 from skyline_bench.search.stores import BuiltStore, StoreSpec, middle_deg
-
-_log = logging.getLogger(__name__)
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
 """Of the paper's planner: from few renderings to many."""
-_FOUND = """n within_200m within_200m_low within_200m_high within_1km median_m mean_m answered
-    precision query_s"""
-_QUICK_M, _QUICK_KM2 = 3000.0, 2.0
+_FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_s"
+_QUICK_M = 3000.0
+"""Sides of the square that is searched by default with ``--quick``."""
+_QUICK_QUERIES = 3
+_AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
+    uniform_mean_m=uniform_mean_m,_interpolated gain
+    uniform_renderings=uniform_renderings,_interpolated share"""
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""
 
@@ -62,47 +64,58 @@ class Search:
     bounds_deg: Bounds | None = None
     seed: int = 0  # Of the queries
 
-    def checked(self, terrain: HeightField) -> "Search":
-        """Return the search without stores that no matcher searches.
+    def area_deg(self) -> Bounds | None:
+        """Return the bounds of the area; None for all of the DEM."""
+        given = (BuiltStore.read(spec, spec.path) for spec in self.stores if spec.path)
+        return self.bounds_deg or next((one.bounds_deg for one in given), None)
 
-        Raises `InputError` unless every store can be built or opened, and is searched.
+    def check(self, terrain: HeightField) -> None:
+        """Raise `InputError` unless all stores, matchers, kinds and areas take part.
+
+        Every store must be there or can be built, and is searched by a matcher; every matcher
+        searches a store, and each area is a part of the whole.
         """
         for name in self.kinds:
             entry_named("kind of queries", name, kinds.KINDS)
-        for name in self.matchers:
-            entry_named("matcher", name, dict.fromkeys(trials.MATCHERS))
-        searched = {trials.searched_by(name) for name in self.matchers}
-        stores = [one for one in dict.fromkeys(self.stores) if one.path or one.holds in searched]
-        if not stores:
-            raise InputError("there is no store to match; give a spacing or a store")
-        if len({spec.name for spec in stores}) < len(stores):
+        if len({spec.name for spec in self.stores}) < len(self.stores):
             raise InputError("two stores have one name; rename the file of one")
-        for spec in stores:
+        searched = {name: trials.searched_by(name) for name in self.matchers}
+        for spec in self.stores:
             spec.check(terrain, self.bounds_deg)
-            if spec.path and (held := BuiltStore.read(spec, spec.path).holds) not in searched:
+            if spec.held not in searched.values():
                 raise InputError(
-                    f"{spec.path} holds {held}, which none of {', '.join(self.matchers)} searches; "
-                    "name another matcher"
+                    f"{spec.path or spec.name} holds {spec.held}, which none of "
+                    f"{', '.join(searched)} searches; name another matcher"
                 )
-        return replace(self, stores=tuple(stores))
+        held = {spec.held for spec in self.stores}
+        for name, holds in searched.items():
+            if holds not in held:
+                raise InputError(
+                    f"matcher {name} searches {holds}, and no store holds them; name another "
+                    "matcher, or a store for this one"
+                )
+        if self.areas_km2:
+            self._check_areas(terrain, held)
 
-    def quick(self, terrain: HeightField) -> "Search":
-        """Return a version of two minutes at most: three queries, a store a planner, 3 x 3 km.
+    def _check_areas(self, terrain: HeightField, held: Container[str]) -> None:
+        """Raise `InputError` unless a store can be searched in part, for all kinds of queries."""
+        if PLACES not in held:
+            raise InputError("--area needs a store of places: renderings are searched whole")
+        whole = [kind for kind in self.kinds if kind in kinds.SEARCHED_WHOLE]
+        if whole:
+            raise InputError(
+                f"--area is of queries of one photo each; {', '.join(whole)} are searched whole"
+            )
+        whole_km2, largest_km2 = self.whole_km2(terrain), max(self.areas_km2)
+        if largest_km2 >= whole_km2:
+            raise InputError(
+                f"--area {largest_km2:g} is not less than the {whole_km2:.3g} km2 searched in all; "
+                "give a smaller one, or larger --bounds"
+            )
 
-        A store that is given keeps its area.
-        """
-        areas_km2 = (min(_QUICK_KM2, *self.areas_km2),) if self.areas_km2 else ()
-        small = replace(self, queries=min(self.queries, 3), areas_km2=areas_km2)
-        if any(spec.path for spec in self.stores):
-            return small
-        first = {(spec.planner, spec.holds): spec for spec in reversed(self.stores)}
-        west, south, east, north = map_bounds(terrain, self.bounds_deg)
-        size_m = min(east - west, _QUICK_M), min(north - south, _QUICK_M)
-        return replace(
-            small,
-            stores=tuple(spec for spec in self.stores if spec in first.values()),
-            bounds_deg=middle_deg(terrain, size_m, self.bounds_deg),
-        )
+    def whole_km2(self, terrain: HeightField) -> float:
+        """Return the size of the area."""
+        return square_km(map_bounds(terrain, self.area_deg()))
 
     def measure(
         self,
@@ -119,17 +132,11 @@ class Search:
         without any candidate counts as wrong by half of the area's diagonal. Heading errors are
         those of the right answers.
         """
-        given = [BuiltStore.read(spec, spec.path) for spec in self.stores if spec.path]
-        bounds_deg = self.bounds_deg or next((one.bounds_deg for one in given), None)
+        bounds_deg = self.area_deg()
         stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
-        area_m = map_bounds(terrain, bounds_deg)
-        width_m, height_m = area_m[2] - area_m[0], area_m[3] - area_m[1]
-        whole_km2, miss_m = width_m * height_m / 1e6, math.hypot(width_m, height_m) / 2.0
-        large = [f"{km2:g} km2" for km2 in self.areas_km2 if km2 >= whole_km2]
-        if large:
-            names = ", ".join(large)
-            _log.warning("left out, since the store covers %.0f km2: %s", whole_km2, names)
-        areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2) if km2 < whole_km2}
+        area_m, whole_km2 = map_bounds(terrain, bounds_deg), self.whole_km2(terrain)
+        miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
+        areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2)}
         areas[trials.ALL] = whole_km2
         queries = {
             kind: kinds.make_kind(kind, terrain, area_m, self.queries, self.seed, strange)
@@ -186,6 +193,12 @@ def _planned(*numbers: int | None) -> list[StoreSpec]:
     return [StoreSpec(places=number) for number in numbers]
 
 
+def _one_a_planner(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
+    """Return the first store of each planner and kind."""
+    first = {(spec.planner, spec.holds): spec for spec in reversed(stores)}
+    return [spec for spec in stores if spec in first.values()]
+
+
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
     """Return the paper's plans: of all thresholds where only strategies are named, or none."""
     usual_px = _THRESHOLDS_PX if strategies else ()
@@ -203,8 +216,8 @@ SEARCHES: Mapping[str, Search] = {
         The paper's matcher and correlation search uniform grids of renderings, ours planned
         places.""",
         "hours",
-        f"""store matcher queries search places build_cpu_s bytes {_FOUND} query_cpu_s
-        lost_by_search lost_to_likeness""",
+        f"""store places build_cpu_s bytes matcher queries {_FOUND} query_cpu_s lost_by_search
+        lost_to_likeness""",
         (*_grids(RENDERINGS), *_planned(None)),
         trials.MATCHERS,
         kinds.OF_ONE_AREA,
@@ -217,8 +230,8 @@ SEARCHES: Mapping[str, Search] = {
         ours searches uniform grids of places and planned places, each of which counts as four
         renderings. Queries are grouped in thirds by the distance of their skyline.""",
         "an hour",
-        """store renderings bytes build_s matcher queries search group from_m to_m mean_m mean_m_low
-        mean_m_high within_200m query_s""",
+        """store renderings bytes build_s matcher queries km2 group n from_m to_m mean_m
+        within_200m query_s""",
         (
             *_grids(RENDERINGS),
             *_plans(["lpov"], None),
@@ -234,7 +247,8 @@ SEARCHES: Mapping[str, Search] = {
         The claimed loss is the share of the views that the planner expects to be lost over the
         area; a query is lost that is not found within 1 km.""",
         "an hour",
-        f"store places bytes build_cpu_s=cpu_s search group=skyline {_FOUND} claimed_loss lost",
+        f"""store places bytes build_cpu_s=cpu_s queries group=skyline {_FOUND} claimed_loss
+        lost""",
         (*_grids(spacings_m=(80.0, 40.0, 20.0)), *_planned(2_000, 8_000, 32_000, None)),
         queries=150,
         in_middle=False,
@@ -254,7 +268,7 @@ SEARCHES: Mapping[str, Search] = {
     "strangers": Search(
         """Skylines of other terrain (--strange): how many a store answers, and how surely.""",
         "10 minutes",
-        "store group n answered highest_confidence query_s",
+        "store queries km2 group n answered highest_confidence query_s",
         kinds=("strangers",),
     ),
 }
@@ -266,7 +280,12 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
     def command(
         dem: options.Dems,
         bounds: Annotated[
-            str | None, Option(metavar="W,S,E,N", help="The area, degrees (WGS 84).")
+            str | None,
+            Option(
+                metavar="W,S,E,N",
+                help=f"The area, degrees (WGS 84); with --quick by default {_QUICK_M / 1e3:g} x "
+                f"{_QUICK_M / 1e3:g} km in the DEM's middle.",
+            ),
         ] = None,
         spacing: Annotated[
             Floats, Option(metavar="M", help="Build uniform grids, these alone; repeatable.")
@@ -282,7 +301,12 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             Option(help=f"Of the paper's plans, of {', '.join(STRATEGIES)}; by default lpov."),
         ] = None,
         store: Annotated[
-            list[Path] | None, Option(help="Search an existing store; repeatable.")
+            list[Path] | None,
+            Option(
+                metavar="STORE.h5",
+                help="Search an existing store; repeatable.",
+                callback=options.read_here,
+            ),
         ] = None,
         matcher: Annotated[
             Names, Option(help=f"Repeatable, of {', '.join(trials.MATCHERS)}.")
@@ -292,36 +316,56 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             Floats, Option(min=0.01, metavar="KM2", help="Search such squares too; repeatable.")
         ] = None,
         strange: Annotated[
-            Names, Option(metavar="DEM", help="Other terrain, for strangers; repeatable.")
+            Names,
+            Option(
+                metavar="DEM",
+                help="Other terrain, for strangers; repeatable.",
+                callback=options.read_here,
+            ),
         ] = None,
         queries: Annotated[
             int, Option(min=3 if search.by_thirds else 1, help="Of each kind, or places of photos.")
         ] = search.queries,
         folder: options.Folder = None,
-        json_file: options.JsonFile = None,
+        record: options.Record = None,
         seed: options.Seed = 0,
-        quick: options.Quick = False,
+        quick: Annotated[bool, options.quick_with(queries=_QUICK_QUERIES)] = False,
         crs: options.Crs = None,
     ) -> None:
         terrain = read_dem(dem, DemOptions(crs=crs))
+        for one in matcher or ():
+            entry_named("matcher", one, dict.fromkeys(trials.MATCHERS))
+        searched = {trials.searched_by(one) for one in matcher or search.matchers}
         stores = [StoreSpec(path=path) for path in store or ()]
-        stores += [*_grids(RENDERINGS, spacing or ()), *_plans(strategy, threshold_px, seed)]
-        stores += [*_grids(spacings_m=spacing or ()), *_planned(*(places or ()))]
+        for holds in (RENDERINGS, PLACES):
+            stores += _grids(holds, (spacing or ()) if holds in searched else ())
+            stores += _plans(strategy, threshold_px, seed) if holds == RENDERINGS else ()
+        stores += _planned(*(places or ()))
+        if not stores:
+            usual = [one for one in search.stores if one.holds in searched]
+            stores = _one_a_planner(usual) if quick else usual
+        held = {one.held for one in stores}
         bounds_deg = None if bounds is None else parse_bounds(bounds)
-        if bounds_deg is None and search.in_middle and not store:
-            bounds_deg = middle_deg(terrain)
+        if bounds_deg is None and not store:
+            if quick:
+                bounds_deg = middle_deg(terrain, (_QUICK_M, _QUICK_M))
+            elif search.in_middle:
+                bounds_deg = middle_deg(terrain)
         asked = replace(
             search,
-            stores=tuple(stores) or search.stores,
-            matchers=tuple(matcher or search.matchers),
+            stores=tuple(dict.fromkeys(stores)),
+            matchers=tuple(
+                matcher or (one for one in search.matchers if trials.searched_by(one) in held)
+            ),
             kinds=tuple(kind or search.kinds),
             queries=queries,
             bounds_deg=bounds_deg,
             areas_km2=tuple(area or ()),
             seed=seed,
         )
-        # Before any folder is made.
-        asked = (asked.quick(terrain) if quick else asked).checked(terrain)
+        asked.check(terrain)  # Before any folder is made
+        if strange and kinds.STRANGERS not in asked.kinds:
+            raise InputError(f"--strange is of --kind {kinds.STRANGERS}, which is not asked for")
         other = read_dem(strange) if strange else None
         with (
             options.store_folder(folder) as place,
@@ -343,8 +387,15 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         summary = {}
         if name == "uniform-adaptive":
             summary["against_uniform"] = trials.against_uniform(rows)
-            options.print_rows(summary["against_uniform"])
-        write_record(json_file, name, rows, summary)
+            options.print_rows(summary["against_uniform"], _AGAINST_UNIFORM)
+        write_record(
+            record,
+            rows,
+            summary,
+            terrain=terrain,
+            bounds_deg=asked.area_deg(),
+            stores={one.spec.name: one.digest for one in built},
+        )
 
     command.__name__ = name
     about = (

@@ -49,6 +49,11 @@ class StoreSpec:
         return PLANNED if self.spacing_m is None else UNIFORM
 
     @property
+    def held(self) -> str:
+        """The kind of rows that the store holds; a store that exists is opened."""
+        return self.holds if self.path is None else BuiltStore.read(self, self.path).holds
+
+    @property
     def name(self) -> str:
         """The name of the store's file, without its ending."""
         if self.path is not None:
@@ -114,6 +119,7 @@ class BuiltStore:
     path: Path
     holds: str  # Renderings or places
     bounds_deg: Bounds | None  # Around the boxes it was built for; None for all of the DEM
+    digest: str
     figures: dict[str, object]  # The columns of rows that describe the store
 
     @classmethod
@@ -123,6 +129,7 @@ class BuiltStore:
         with open_store(path) as store:
             rows, holds, boxes_deg = len(store), store.header.holds, store.header.boxes_deg
             planner = spec.planner if spec.path is None else store.header.config["planner"]
+            digest = store.digest
         # A place counts as four renderings, since it looks all the way round.
         renderings = len(HEADINGS) * rows if holds == PLACES else rows
         figures = {
@@ -138,7 +145,7 @@ class BuiltStore:
         if boxes_deg is not None:
             west, south, east, north = zip(*boxes_deg, strict=True)
             bounds_deg = min(west), min(south), max(east), max(north)
-        return cls(spec, path, holds, bounds_deg, figures)
+        return cls(spec, path, holds, bounds_deg, digest, figures)
 
     def claimed_loss(self) -> float:
         """Return the share of views expected to be lost over the places; NaN for renderings."""

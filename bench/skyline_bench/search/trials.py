@@ -228,7 +228,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
         # Errors of finer grids are less; where noise has it otherwise, the least so far counts.
         falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
         as_good = interpolated(falling[::-1], renderings[::-1], own_m)
-        names = ("store", *same, "renderings", "mean_m")
+        names = ("store", *same, "km2", "n", "renderings", "mean_m")
         held.append(
             {name: store[name] for name in names}
             | {

@@ -13,7 +13,8 @@ from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench import options
-from skyline_bench.measuring import Row, write_record
+from skyline_bench.measuring import Row
+from skyline_bench.records import write_record
 from skyline_bench.truth import closed_forms as forms
 from skyline_bench.truth.agreement import (
     DEPTH,
@@ -195,6 +196,7 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
     return {
         "case": case.name,
         "path": path.name,
+        "n": error.size,
         "error_px": float(error[worst]),
         "bound_px": float(bound[worst]),
         "flags_agree": bool(agreement.flags_agree.all()),
@@ -203,8 +205,11 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
     }
 
 
-def stability(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
-    """Each hard case by all renderers that have a bound for it; exit code 1 if one fails."""
+def stability(record: options.Record = None, quick: options.Quick = False) -> None:
+    """Each hard case by all renderers that have a bound for it; exit code 1 if one fails.
+
+    n is the number of columns that are compared.
+    """
     rows: list[Row] = []
     asked = [
         (path, case) for path in (HORIZON, DEPTH) for case in HARD_CASES if path.name in case.paths
@@ -214,8 +219,8 @@ def stability(json_file: options.JsonFile = None, quick: options.Quick = False) 
             progress(len(rows), len(asked))
             rows.append(measure(path, case, quick))
     verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
-    options.print_rows(verdicts, "case path error_px bound_px verdict")
-    write_record(json_file, "stability", rows)
+    options.print_rows(verdicts, "case path n error_px bound_px verdict")
+    write_record(record, rows)
     failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
     if failed:
         raise SkylineError(f"{len(failed)} of {len(rows)} cases fail: {', '.join(failed)}")

@@ -1,0 +1,106 @@
+"""``--quick`` makes defaults smaller and keeps what is asked for; tables say what they are of."""
+
+import json
+
+import pytest
+from commands import assert_refused, headings
+
+from skyline_bench import paper
+from skyline_bench.search.commands import SEARCHES
+
+
+@pytest.fixture
+def measured(run_bench, tmp_path):
+    """Return a function that runs a benchmark with --quick, and gives rows and output."""
+
+    def run(*command):
+        record = tmp_path / "record.json"
+        done = run_bench(*command, "--quick", "--json", record).ok()
+        return json.loads(record.read_text())["rows"], done.out
+
+    return run
+
+
+PLAIN = "--matcher", "correlation", "--kind", "plain"
+
+
+def test_stores_and_queries_that_are_named_are_all_searched(measured, dem):
+    asked = "matching", dem, *PLAIN, "--spacing", 600, "--spacing", 400, "--queries", 5
+    rows, _ = measured(*asked)
+    every = [row for row in rows if row["group"] == "all"]
+    assert [(row["store"], row["n"]) for row in every] == [("uniform-600", 5), ("uniform-400", 5)]
+
+
+def test_bounds_that_are_given_are_searched_whole(measured, dem):
+    bounds = "10.311,46.737,10.354,46.764"
+    (*_, row), _ = measured("matching", dem, *PLAIN, "--spacing", 600, "--bounds", bounds)
+    # 0.043 degrees of longitude at 46.75 north by 0.027 of latitude; by default it is 3 x 3 km.
+    assert row["km2"] == pytest.approx(0.043 * 76.4 * 0.027 * 111.2, rel=0.05)
+    (*_, row), _ = measured("matching", dem, *PLAIN, "--spacing", 600)
+    assert row["km2"] == pytest.approx(9.0, rel=0.05)
+    assert row["n"] == 3
+
+
+def test_an_area_that_does_not_fit_is_refused(run_bench, dem):
+    asked = "matching", dem, "--places", 400, "--quick", "--area", 5, "--area", 50
+    assert_refused(run_bench(*asked), "--area 50 is not less than the 9.3 km2")
+
+
+def test_seeds_and_cases_that_are_given_are_run(measured, monkeypatch):
+    monkeypatch.setattr(paper, "_SIDE", 30)
+    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
+    assert {row["n"] for row in measured("table1", "--seeds", 2)[0]} == {2}
+    assert {row["n"] for row in measured("table1")[0]} == {1}
+
+
+def test_all_photographs_of_a_manifest_are_measured(measured, run_bench, photo, tmp_path):
+    manifest = tmp_path / "held.csv"
+    manifest.write_text("photo,kind\n" + 4 * f"{photo},extract\n")
+    rows, out = measured("photos", manifest)
+    assert len(rows) == 4
+    assert "extract     -   4" in out
+    assert_refused(
+        run_bench("photos", manifest, "--store", photo, "--side-km", 4), "give one of them"
+    )
+
+
+@pytest.mark.slow
+def test_all_photographs_at_known_places_are_oriented(measured, dem, photo, tmp_path):
+    manifest = tmp_path / "held.csv"
+    lines = [f"{photo},locate,{lon},46.751,,60,60" for lon in (10.333, 10.3331, 10.3332)]
+    manifest.write_text("photo,kind,lon,lat,heading_deg,fov_deg,given_fov_deg\n" + "\n".join(lines))
+    rows, _ = measured("orient", dem, "--photos", manifest)
+    assert [row["n"] for row in rows if row["measured"] == "photos"] == [3]
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_the_columns_of_a_search_have_the_queries_their_number_and_the_area(name):
+    columns = {one.partition("=")[0] for one in SEARCHES[name].columns.split()}
+    assert {"queries", "n", "km2"} <= columns
+
+
+TERRAIN = {"n", "km2"}
+TABLES = {
+    "uniform-adaptive": (
+        ("DEM", "--spacing", 600, "--threshold-px", 40, "--matcher", "paper", "--kind", "aligned"),
+        [{"queries", *TERRAIN}, {"queries", *TERRAIN}],
+    ),
+    "matching": (("DEM", *PLAIN, "--spacing", 600), [{"queries", *TERRAIN}]),
+    "speed-error": (("DEM",), [TERRAIN]),
+    "summits": (("DEM",), [TERRAIN]),
+    "large-dem": ((), [TERRAIN]),
+    "table1": ((), [{"n"}]),
+}
+"""By command: its arguments, and headings that its tables must have."""
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_each_table_says_how_many_were_measured_and_where(measured, dem, monkeypatch, name):
+    monkeypatch.setattr(paper, "_SIDE", 30)
+    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
+    arguments, wanted = TABLES[name]
+    _, out = measured(name, *(dem if word == "DEM" else word for word in arguments))
+    found = headings(out)
+    assert len(found) == len(wanted)
+    for columns, needed in zip(found, wanted, strict=True):
+        assert needed <= set(columns), columns
