@@ -1,10 +1,8 @@
-"""The README's two tables and three pictures.
+"""The figures of the pages: tables and sentences, and three pictures.
 
-Tables and diagrams are made from records, so that a figure shown has been measured: *speed against
-error*, and *uniform against adaptive* stores, of the paper's planner and matcher and of ours.
+Tables, sentences and diagrams are written from records, so that a figure shown has been measured.
 """
 
-import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,15 +17,19 @@ from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
 from skyline.build.plans import map_bounds
-from skyline.errors import MissingFileError
+from skyline.files import write_whole
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_report import report_matches
 from skyline_bench import options
+from skyline_bench.documents.results import Results
+from skyline_bench.documents.sentences import SENTENCES
+from skyline_bench.documents.tables import COMPARED
+from skyline_bench.documents.writing import pages_in, written
 from skyline_bench.geotiff import write_sample_dem
-from skyline_bench.measuring import Row, shown, square_km
+from skyline_bench.measuring import Row, square_km
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.search.trials import by_planner, interpolated
+from skyline_bench.search.trials import by_planner
 
 _WAYS = {
     "horizon": ("Skyline, four views", "crimson", "o"),
@@ -37,23 +39,6 @@ _WAYS = {
     "grass": ("GRASS r.horizon", "tab:brown", "*"),
 }
 """By path: label, colour and marker."""
-_SHOWN = {
-    ("horizon", "0 px"): "**Skyline**, four views of 640 columns",
-    ("all round", "720 azimuths, 0 degrees"): "**Skyline**, all the way round, 720 azimuths",
-    ("embree", "15 bisections"): "Embree's rays, four views",
-    ("depth", "W = 640"): "depth images, as the paper draws them",
-    ("grass", "r.horizon"): "GRASS `r.horizon`, 720 azimuths",
-}
-"""The rows of the table of speed: paths and settings, and their names there."""
-
-_COMPARED = (
-    ("Davos", "the paper's", "paper_figure7_davos.json"),
-    ("Davos", "ours", "placing_davos.json"),
-    ("Owens Valley", "the paper's", "paper_figure7_owens.json"),
-    ("Owens Valley", "ours", "placing_owens.json"),
-)
-"""Terrain, planner and matcher, and the record in which both kinds of stores were searched."""
-
 SAMPLE_BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 """The part of matplotlib's sample terrain in which pictures and pages are matched."""
 _PICTURE_CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
@@ -65,52 +50,31 @@ def figures(
         "bench/results"
     ),
     out: Annotated[
-        Path, Option("--out", "-o", metavar="FOLDER", help="Where the SVG files are written.")
-    ] = Path("docs"),
+        Path,
+        Option("--out", "-o", metavar="FOLDER", help="A checkout, whose pages are written."),
+    ] = Path(),
 ) -> None:
-    """The README's tables, in Markdown, and its diagrams, from records."""
-    speed = _rows(results / "speed_error.json")
-    stores = [(terrain, by, _rows(results / file)) for terrain, by, file in _COMPARED]
-    typer.echo(_markdown(speed_table(speed)))
-    typer.echo(_markdown(adaptive_table(stores)))
-    out.mkdir(parents=True, exist_ok=True)
+    """The tables, figures and diagrams of README.md and docs/, from the records.
+
+    Tables are written between the lines <!-- figures: NAME --> and
+    <!-- end of figures -->, and figures into the sentences that have them.
+    """
+    records = Results(results)
+    for page in pages_in(out):
+        text = page.read_text(encoding="utf-8")
+        new = written(text, page.relative_to(out).as_posix(), records, SENTENCES)
+        if new != text:
+            write_whole(page, new)
+            typer.echo(f"{page}: written")
+    (out / "docs").mkdir(parents=True, exist_ok=True)
     # Without dates and random names a picture changes only with its records.
     with matplotlib.rc_context({"svg.hashsalt": "skyline", "svg.fonttype": "none"}):
-        _draw_speed(speed).savefig(out / "speed-error.svg", metadata={"Date": None})
-        _draw_adaptive(stores).savefig(out / "uniform-adaptive.svg", metadata={"Date": None})
-
-
-def _rows(record: Path) -> list[Row]:
-    if not record.is_file():
-        raise MissingFileError(f"{record} does not exist; make it first: skyline-bench --help")
-    rows: list[Row] = json.loads(record.read_text(encoding="utf-8"))["rows"]
-    return rows
-
-
-def _markdown(rows: Sequence[Row]) -> str:
-    lines = [" | ".join(rows[0]), " | ".join("---" for _ in rows[0])]
-    lines += [" | ".join(str(value) for value in row.values()) for row in rows]
-    return "\n".join(f"| {line} |" for line in lines) + "\n"
-
-
-def speed_table(rows: Sequence[Row]) -> list[Row]:
-    """Return a row for each way to a skyline; errors are in degrees, at the middle of a view."""
-    found = {(row["path"], row["setting"]): row for row in rows}
-    return [
-        {
-            "way": way,
-            "ms a viewpoint": shown(found[key]["ms_per_viewpoint"]),
-            "rms error": _degrees(found[key]["rms_px"]),
-            "greatest error": _degrees(found[key]["max_px"]),
-        }
-        for key, way in _SHOWN.items()
-        if key in found
-    ]
-
-
-def _degrees(error_px: float) -> str:
-    """Return an error in px of W = 640 as an angle at the middle of a view."""
-    return f"{shown(float(np.degrees(np.arctan(error_px / 320.0))))}°"
+        _draw_speed(records.rows("speed_error")).savefig(
+            out / "docs" / "speed-error.svg", metadata={"Date": None}
+        )
+        _draw_adaptive(records).savefig(
+            out / "docs" / "uniform-adaptive.svg", metadata={"Date": None}
+        )
 
 
 def _draw_speed(rows: Sequence[Row]) -> Figure:
@@ -128,57 +92,27 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-_Compared = Sequence[tuple[str, str, list[Row]]]
 _SHARES = "within_200m", "within_200m_low", "within_200m_high"
 
 
-def adaptive_table(stores: _Compared) -> list[Row]:
-    """Return a row for each adaptive store, and a uniform grid of as many renderings.
-
-    The grid's share is interpolated between the grids measured. The two tie where that share is
-    within the adaptive store's interval of 95 %.
-    """
-    table = list[Row]()
-    for terrain, planner, rows in stores:
-        grids, plans = by_planner(rows)
-        for row in plans:
-            x, y = ([one[key] for one in grids] for key in ("renderings", "within_200m"))
-            uniform = interpolated(x, y, row["renderings"])
-            if uniform is None:
-                continue
-            low, high = row["within_200m_low"], row["within_200m_high"]
-            better = "adaptive" if uniform < low else "uniform" if uniform > high else "tie"
-            table.append(
-                {
-                    "terrain": terrain,
-                    "planner and matcher": planner,
-                    "renderings": f"{row['renderings']:,.0f}",
-                    "adaptive: within 200 m": f"{row['within_200m']:.0%} ({low:.0%} to {high:.0%})",
-                    "uniform: within 200 m": f"{uniform:.0%}",
-                    "better": better,
-                }
-            )
-    return table
-
-
-def _draw_adaptive(stores: _Compared) -> Figure:
-    terrains = list(dict.fromkeys(terrain for terrain, _, _ in stores))
-    figure = Figure(figsize=(8.4, 3.8), layout="constrained")
+def _draw_adaptive(records: Results) -> Figure:
+    terrains = list(dict.fromkeys(terrain for terrain, _, _ in COMPARED))
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots(1, len(terrains), sharey=True, squeeze=False)[0]
-    for terrain, planner, rows in stores:
-        axis = axes[terrains.index(terrain)]
+    for terrain, planner, record in COMPARED:
+        axis, rows = axes[terrains.index(terrain)], records.rows(record)
         colour = "#0072B2" if planner == "ours" else "#D55E00"
         kinds = ("uniform", "o--"), ("adaptive", "D-")
         for some, (kind, style) in zip(by_planner(rows), kinds, strict=True):
             share, *ends = np.array([[row[key] for row in some] for key in _SHARES])
             x, off = [row["renderings"] for row in some], np.abs(np.array(ends) - share)
-            label = f"{planner}, {kind}"
+            label = f"{planner}, {kind}: {some[0]['queries']} queries, {some[0]['km2']:,.0f} km²"
             axis.errorbar(x, share, off, fmt=style, color=colour, label=label, capsize=2)
         axis.set(xscale="log", xlabel="renderings, or four a place", ylim=(0.0, 1.0))
         axis.set_title(terrain, fontsize=10)
         axis.grid(alpha=0.3)
+        axis.legend(fontsize=7, loc="lower right")
     axes[0].set_ylabel("queries found within 200 m")
-    axes[0].legend(fontsize=8)
     return figure
 
 

@@ -1,6 +1,7 @@
 """All commands of ``skyline-bench``: help, records, and small runs of the short ones."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline_bench import page, paper
 from skyline_bench.truth import stability
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
@@ -34,15 +37,26 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, comm
     assert all(row[key] >= 0.0 for row in written["rows"])
 
 
-def test_pictures_are_drawn_from_the_records(run_bench, tmp_path):
-    results = Path(__file__).parents[2] / "bench" / "results"
-    done = run_bench("figures", results, "--out", tmp_path).ok()
-    table = done.out[done.out.index("| terrain") :].splitlines()[2:]
-    better = {line.split("|")[-2].strip() for line in table if line}
-    assert better <= {"adaptive", "uniform", "tie"}
+def test_tables_figures_and_pictures_are_made_from_the_records(run_bench, tmp_path):
+    results = ROOT / "bench" / "results"
+    readme = (ROOT / "README.md").read_text()
+    stale = readme.replace("It takes", "It\ntakes").replace("| tie |", "| adaptive |")
+    (tmp_path / "README.md").write_text(re.sub(r"(find )\d+", r"\1 7", stale, count=1))
+    assert "README.md: written" in run_bench("figures", results, "--out", tmp_path).ok().out
+    made = (tmp_path / "README.md").read_text()
+    assert made.split() == readme.split()
     for name in ("speed-error", "uniform-adaptive"):
-        assert "<svg" in (tmp_path / f"{name}.svg").read_text()
-    assert_refused(run_bench("figures", tmp_path), "speed_error.json does not exist")
+        assert "<svg" in (tmp_path / "docs" / f"{name}.svg").read_text()
+    # A second run changes nothing.
+    assert run_bench("figures", results, "--out", tmp_path).ok().out == ""
+    (tmp_path / "README.md").write_text(readme.replace("It takes", "One takes"))
+    refused = run_bench("figures", results, "--out", tmp_path)
+    assert_refused(refused, "README.md has the sentence `It takes {} ms to render` 0 times")
+    (tmp_path / "README.md").write_text("<!-- figures: none -->\n\n\n<!-- end of figures -->\n")
+    assert_refused(run_bench("figures", results, "--out", tmp_path), "has the table `none`")
+    (tmp_path / "README.md").write_text(readme)
+    missing = run_bench("figures", tmp_path, "--out", tmp_path)
+    assert_refused(missing, "speed_error.json does not exist")
 
 
 def test_stability_says_what_fails(run_bench, tmp_path, monkeypatch):

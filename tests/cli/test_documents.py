@@ -29,6 +29,9 @@ from skyline import cli, read_dem, stand_at
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.store.read import open_store
 from skyline_bench import cli as bench
+from skyline_bench.documents.results import Results
+from skyline_bench.documents.sentences import SENTENCES
+from skyline_bench.documents.writing import written
 
 README, *DOCS = DOCUMENTS
 
@@ -250,18 +253,22 @@ def test_the_version_is_one_everywhere():
     assert {first[1], *versions} == {versions[0]}
 
 
-def test_the_readmes_figures_are_the_records():
-    record = json.loads((ROOT / "bench" / "results" / "matching.json").read_text())
-    about = {"group": "all", "planner": "planned", "matcher": "full", "queries": "plain"}
-    (row,) = (row for row in record["rows"] if about.items() <= row.items())
-    (shown,) = table_under(README, "photos")
-    assert shown["photos"].strip("*") == "Davos, 50 km2, places as planned by default"
-    for column, value, unit in (
-        ("within 200 m", 100.0 * row["within_200m"], 1.0),
-        ("median error", row["median_m"], 1.0),
-        ("answered", 100.0 * row["answered"], 1.0),
-        ("answers right", 100.0 * row["precision"], 1.0),
-        ("a query", row["query_s"], 0.1),
-    ):
-        printed = float(re.sub(r"[^\d.]", "", shown[column]))
-        assert abs(printed - value) <= 0.501 * unit, column
+@pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)
+def test_the_figures_of_a_page_are_those_of_the_records(document):
+    text, page = document.read_text(encoding="utf-8"), document.relative_to(ROOT).as_posix()
+    records = Results(ROOT / "bench" / "results")
+    assert written(text, page, records, SENTENCES) == text, "run `skyline-bench figures`"
+
+
+def test_the_readme_says_what_its_plans_were_held_to():
+    rows = table_under(README, "terrain")
+    assert {"km2", "queries", "n", "adaptive, measured", "uniform, interpolated"} <= rows[0].keys()
+    about = {(row["terrain"].partition("]")[0], row["queries"], row["km2"]) for row in rows}
+    assert ("[Owens Valley", "plain", "1,197") in about
+    assert ("[Owens Valley", "aligned", "50") in about
+
+
+def test_every_record_is_linked_from_a_page():
+    linked = {target.name for document in DOCUMENTS for target in links(document)}
+    records = (ROOT / "bench" / "results").glob("*.json")
+    assert {record.name for record in records} <= linked

@@ -1,0 +1,1 @@
+"""The figures of README and docs/: tables and sentences that are written from the records."""

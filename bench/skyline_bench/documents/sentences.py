@@ -1,0 +1,280 @@
+"""The sentences of README and docs/ with figures from the records, by page."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from skyline_bench.documents.results import Results, answered_right, count, digits
+from skyline_bench.documents.tables import COMPARED, DEMS, FOUR_VIEWS, PLACE, way_of
+from skyline_bench.documents.writing import Sentence
+from skyline_bench.measuring import Row
+from skyline_bench.queries.manifest import LOCATE
+from skyline_bench.search.trials import ALL, CLASSES, THIRDS, against_uniform
+
+_NEAR, _BETWEEN, _FAR = CLASSES
+_DEFAULT = "planned-100000"
+"""The name of a store as it is planned by default."""
+
+
+def counts(*numbers: float) -> list[str]:
+    """Return whole numbers."""
+    return [count(number) for number in numbers]
+
+
+def number_of(row: Row, share: str) -> float:
+    """Return how many of a row's queries a share of them is."""
+    return float(row[share] * row["n"])
+
+
+def _plain(results: Results, record: str, group: str = ALL) -> Row:
+    return results.row(record, queries="plain", group=group)
+
+
+def _picture(results: Results) -> list[str]:
+    row = results.row("readme_picture")
+    return [digits(row["error_m"]), f"{row['confidence']:.2f}"]
+
+
+def _more_viewpoints(results: Results) -> list[str]:
+    plan, grid = (
+        results.row("placing_davos", store=store, group=ALL)
+        for store in ("planned-32000", "places-10")
+    )
+    about = plan["places"], plan["km2"], number_of(plan, "within_200m"), plan["n"]
+    return counts(*about, grid["places"] / plan["places"], number_of(grid, "within_200m"))
+
+
+def _without_a_hint(results: Results) -> list[str]:
+    rows = results.rows("photos_california_tiles", kind=LOCATE)
+    found = sum(row["rank"] == 1 for row in rows)
+    return counts(len(rows), found, *answered_right(rows))
+
+
+def _near_slopes(results: Results) -> list[str]:
+    row = _plain(results, "matching", _NEAR)
+    return counts(row["n"], *(number_of(row, share) for share in ("within_200m", "answered")))
+
+
+def _warped(results: Results) -> list[str]:
+    names = "summits_davos", "summits_yosemite"
+    rows = (results.row(name, surface="as read") for name in names)
+    return [f"{row['rms_off_m']:.1f}" for row in rows]
+
+
+def _hard_cases(results: Results) -> list[str]:
+    rows = results.rows("stability")
+    cases = {row["case"] for row in rows}
+    return counts(len(cases - {row["case"] for row in rows if not row["ok"]}), len(cases))
+
+
+def _strangers(results: Results) -> list[str]:
+    rows = {row["group"]: row for row in results.rows("strangers")}
+    answered = [number_of(rows[group], "answered") for group in (ALL, _NEAR, _BETWEEN, _FAR)]
+    return counts(rows[ALL]["n"], *answered)
+
+
+def _elsewhere(results: Results) -> list[str]:
+    rows = results.rows("photos_elsewhere")
+    return counts(len(rows), sum(row["answered"] for row in rows))
+
+
+def _gains(results: Results) -> list[str]:
+    """Return the errors of the paper's plans over those of uniform grids, and how many gain."""
+    records = [record for _, planner, record in COMPARED if planner != "ours"]
+    gains = {
+        group: {
+            (held["store"], record): held["gain"]
+            for record in records
+            for held in against_uniform(
+                [{**row, "group": ALL} for row in results.rows(record, group=group)]
+            )
+        }
+        for group in (ALL, THIRDS[-1], THIRDS[0])
+    }
+    plans = "lpov-36px", "lpov-120px"
+    over = [1.0 / gains[ALL][plan, record] for plan in plans for record in records]
+    figures = [f"{error:.2f}" for error in over]
+    for group in (THIRDS[-1], THIRDS[0]):
+        figures += counts(sum(gain > 1.0 for gain in gains[group].values()), len(gains[group]))
+    return figures
+
+
+def _learned(results: Results) -> list[str]:
+    terrains = "sierra", "rofental", "everest"
+    about = {"model": "refined, 200 m", "kind": "all"}
+    return counts(sum(results.row("confidence", terrain=one, **about)["n"] for one in terrains))
+
+
+def _webcam(results: Results) -> list[str]:
+    row = results.row("orient_davos", measured="webcam")
+    steady = row["within_0.1_deg"] * row["answered"]
+    figures = counts(row["frames"] + row["fog"], row["answered"], row["frames"], steady)
+    return [*figures, f"{row['greatest_deg']:.2f}", *counts(row["fog_answered"], row["fog"])]
+
+
+def _heights_kept(results: Results) -> list[str]:
+    rows = [results.row(f"summits_{name}", surface="as read") for name in DEMS]
+    off_m = max(abs(row[end]) for row in rows for end in ("lowest_m", "highest_m"))
+    bias_m = max(abs(row["bias_m"]) for row in rows)
+    tenths_mm = max(1.0, np.ceil(1e4 * off_m))
+    return [f"{tenths_mm / 10.0:.1f}", f"{bias_m:.3f}"]
+
+
+def _damaged_files(results: Results) -> list[str]:
+    rows = results.rows("input_fuzz")
+    ended = sum(row["answered"] + row["refused"] for row in rows)
+    return counts(ended, sum(row["cases"] for row in rows))
+
+
+def _durability(results: Results) -> list[str]:
+    kills, flips, mutated = (
+        results.rows("store_durability", test=test) for test in ("kills", "flips", "mutated")
+    )
+    killed = (sum(row[key] for row in kills) for key in ("lost", "kills", "equal", "builds"))
+    flipped = (sum(row[key] for row in flips) for key in ("found", "harmful"))
+    ended = sum(row["read"] + row["refused"] for row in mutated)
+    return counts(*killed, *flipped, ended, sum(row["cases"] for row in mutated))
+
+
+def _large_store(results: Results) -> list[str]:
+    row = _plain(results, "matching_california")
+    apart_m = np.sqrt(1e6 * row["km2"] / row["places"])
+    return [*counts(row["km2"], row["places"]), f"{row['bytes'] / 1e9:.2f}", *counts(apart_m)]
+
+
+def _default_stores(results: Results) -> list[str]:
+    """Return the range of the processor times of stores as planned by default, and their MB."""
+    placed = [
+        results.row(f"placing_{one}", store=_DEFAULT, group=ALL) for one in ("davos", "owens")
+    ]
+    rows = [*placed, *(_plain(results, f"matching_{one}") for one in ("rofental", "owens"))]
+    times = [row["build_cpu_s"] for row in rows]
+    return counts(min(times), max(times), max(row["bytes"] for row in rows) / 1e6)
+
+
+def _rendering_bytes(results: Results) -> list[str]:
+    row = results.row("paper_figure7_davos", store="uniform-128", group=ALL)
+    return counts(row["bytes"] / row["renderings"])
+
+
+SENTENCES: Mapping[str, Sequence[Sentence]] = {
+    "README.md": (
+        Sentence("The place found is {} m off; its confidence is {}.", _picture),
+        Sentence(
+            "{} places on {} km2 of Davos find {} of {} queries, and a grid of 10 m, with {} times "
+            "as many, finds {}",
+            _more_viewpoints,
+        ),
+        Sentence(
+            "A query on Davos takes {} s in the median",
+            lambda results: [f"{_plain(results, 'matching')['query_s']:.1f}"],
+        ),
+        Sentence(
+            "Of {} real photographs, searched in all of California without a hint of the place, {} "
+            "are placed within 200 m; {} are answered, {} of them rightly",
+            _without_a_hint,
+        ),
+        Sentence(
+            "Of {} such queries on Davos, {} are placed within 200 m, and {} are answered",
+            _near_slopes,
+        ),
+        Sentence(
+            "The greatest error measured is {} px",
+            lambda results: [digits(way_of(results, FOUR_VIEWS)["max_px"])],
+        ),
+        Sentence(
+            "It takes {} ms to render",
+            lambda results: [digits(way_of(results, PLACE)["ms_per_viewpoint"])],
+        ),
+    ),
+    "docs/accuracy.md": (
+        Sentence(
+            "tolerance 0 | at most {} px, rms {} px",
+            lambda results: [
+                digits(way_of(results, FOUR_VIEWS)[key]) for key in ("max_px", "rms_px")
+            ],
+        ),
+        Sentence(
+            "at most t below: {} px at 0.05",
+            lambda results: [digits(way_of(results, ("horizon", "0.05 px"))["max_px"])],
+        ),
+        Sentence(
+            "depth images, W = 640 | at most {} px, rms {} px",
+            lambda results: [
+                digits(way_of(results, ("depth", "W = 640"))[key]) for key in ("max_px", "rms_px")
+            ],
+        ),
+        Sentence("none at summits; {} m rms at 1 arc-second, {} m at 3", _warped),
+        Sentence(
+            "{} % of the trusted columns of real photographs within 1 %",
+            lambda results: [f"{100.0 * results.row('sky_masks', half='held out')['within']:.0f}"],
+        ),
+        Sentence("{} hard cases (", lambda results: _hard_cases(results)[1:]),
+        Sentence(
+            "{} places as planned by default, {} MB",
+            lambda results: counts(
+                _plain(results, "matching")["places"], _plain(results, "matching")["bytes"] / 1e6
+            ),
+        ),
+        Sentence(
+            "{} queries of the Sierra Nevada were searched in the store of Davos, and {} got an "
+            "answer: {} with a skyline under 150 m away, {} from 150 to 400 m, and {} over 400 m",
+            _strangers,
+        ),
+        Sentence(
+            "Of {} real photographs of other mountains, with unknown fields of view, {} got an "
+            "answer",
+            _elsewhere,
+        ),
+        Sentence(
+            "The error of the plan for 36 px is {} times (Davos) and {} times (Owens Valley) that "
+            "of a uniform grid of as many renderings, interpolated between the grids, and that of "
+            "the plan for 120 px {} and {} times. Where the skyline is far, {} of {} plans gain; "
+            "where it is close, {} of {}",
+            _gains,
+        ),
+        Sentence("were learned from {} examples", _learned),
+        Sentence(
+            "{} of {} photos of the Sierra Nevada is answered",
+            lambda results: counts(
+                *(
+                    results.row("orient_davos", measured="strangers")[key]
+                    for key in ("answered", "n")
+                )
+            ),
+        ),
+        Sentence(
+            "{} frames of a fixed camera were drawn in changing weather and season. {} of the {} "
+            "clear ones are answered; the headings of {} lie within 0.1 degrees of their median, "
+            "and all within {}. {} of the {} in fog are answered",
+            _webcam,
+        ),
+        Sentence("keeps the height of every summit to {} mm", lambda r: _heights_kept(r)[:1]),
+        Sentence("the surface is at most {} m too high or too low", lambda r: _heights_kept(r)[1:]),
+        Sentence(
+            "{} of {} damaged input files (DEMs, lists of viewpoints, traces, images) gave an "
+            "answer or one line of error",
+            _damaged_files,
+        ),
+        Sentence("{} of the {} hard cases stay within their bounds", _hard_cases),
+        Sentence(
+            "{} finished parts were lost in {} kills of builds, and {} of {} stores have the bytes "
+            "of an unbroken build; {} of {} flipped bits that did harm were found, and {} of {} "
+            "damaged stores were read or refused in one line",
+            _durability,
+        ),
+        Sentence(
+            "of California (3 arc-seconds, {} km2), as `build` does by default. It has {} planned "
+            "places and {} GB; the places lie {} m apart in the mean",
+            _large_store,
+        ),
+        Sentence(
+            "is rendered in {} GB of memory",
+            lambda results: [f"{results.row('large_dem')['peak_resident_bytes'] / 1e9:.1f}"],
+        ),
+    ),
+    "docs/guide/your-own-area.md": (
+        Sentence("{} to {} s of processor time, and up to {} MB", _default_stores),
+    ),
+    "docs/store.md": (Sentence("A rendering of 640 columns takes {} bytes", _rendering_bytes),),
+}
