@@ -3,5 +3,6 @@
 ``search/`` compares stores, matchers and kinds of queries, which ``queries/`` makes. ``truth/``
 compares skylines with the oracle and with closed forms; ``speed`` compares time and error with
 ``peers``. ``summits``, ``paper``, ``photos``, ``page`` and ``durability`` measure their subjects,
-and ``figures`` draws the README's pictures from the records.
+``records`` writes what they measured and ``repeat`` measures it again. ``documents`` and ``figures``
+write the figures of the pages from the records.
 """

@@ -39,7 +39,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "The page": {page.page: "3 minutes"},
     "Records": {repeat.repeat: "as long as its command"},
-    "The README": {figures.figures: "a second", figures.readme_picture: "a minute"},
+    "The pages": {figures.figures: "a second", figures.readme_picture: "a minute"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 

@@ -59,9 +59,10 @@ def quick_with(**smaller: Any) -> Any:
             context.default_map = {**(context.default_map or {}), **smaller}
         return is_quick
 
-    values = (f"--{name.replace('_', '-')} {value}" for name, value in smaller.items())
-    words = ", ".join(["Two minutes at most, unless options ask for more: much smaller", *values])
-    return Option("--quick", help=f"{words}.", is_eager=True, callback=shrink)
+    values = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in smaller.items())
+    words = "Much smaller: two minutes at most, unless other options ask for more"
+    about = f"{words}; by default {values}." if values else f"{words}."
+    return Option("--quick", help=about, is_eager=True, callback=shrink)
 
 
 Floats = list[float] | None

@@ -270,7 +270,10 @@ def prediction_quality(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Reprojection errors compared with renderings: which views, n moved by 300 m, look alike."""
+    """Reprojection errors compared with renderings: which displaced views look alike.
+
+    The views are displaced from n viewpoints.
+    """
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = measure_quality(terrain, 8 if quick else 200, seed)
     columns = "predictor km2 n precision recall rank_correlation answered"
