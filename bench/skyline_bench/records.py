@@ -9,6 +9,7 @@ import datetime
 import hashlib
 import json
 import math
+import os
 import platform
 import shlex
 import subprocess
@@ -102,9 +103,9 @@ class Run:
         read = self._named(_READ)
         given = [one for param, values in self._given() if param.name in read for one in values]
         named = dict.fromkeys(str(path) for path in (*given, *more))
-        return [
-            {"path": path, "digest": digest_of(Path(path))} for path in named if Path(path).exists()
-        ]
+        # An address may be too long to be a file, for which `Path.exists` raises an error.
+        here = [path for path in named if os.path.exists(path)]  # noqa: PTH110
+        return [{"path": path, "digest": digest_of(Path(path))} for path in here]
 
     def _given(self) -> Iterator[tuple[Any, list[Any]]]:
         """Yield the parameters that were given, and the seed, each with a list of its values."""

@@ -29,14 +29,16 @@ def rows(tmp_path):
 @pytest.mark.slow
 def test_nothing_is_lost_and_all_damage_is_found(rows, tmp_path):
     dem = write_dem(tmp_path / "dem.tif", fractal(220, 220, 700.0, seed=12))
-    found = rows("store-durability", dem, "--quick")
+    found = rows("store-durability", dem, "--quick", "--flips", 6)
     kills = [row for row in found if row["test"] == "kills"]
     assert len(kills) == 4
     assert sum(row["kills"] for row in kills) >= 1
     for row in kills:
         assert (row["builds"], row["equal"], row["lost"]) == (1, 1, 0)
     for row in found:
+        assert row["km2"] == pytest.approx(4.0, rel=0.1)
         if row["test"] == "flips":
+            assert row["flips"] == 6
             assert row["harmful"] == row["found"] >= 1
             assert (row["silent"], row["crashes"]) == (0, 0)
         if row["test"] == "mutated":
@@ -44,8 +46,8 @@ def test_nothing_is_lost_and_all_damage_is_found(rows, tmp_path):
 
 
 def test_damaged_files_are_answered_or_refused(rows):
-    found = rows("input-fuzz", "--cases", 3)
+    found = rows("input-fuzz", "--cases", 12, "--quick")
     assert len(found) == 6
     for row in found:
-        assert row["answered"] + row["refused"] == 3
+        assert row["cases"] == row["answered"] + row["refused"] == 12
         assert not row["wrong"]

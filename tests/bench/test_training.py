@@ -2,12 +2,14 @@
 
 import gzip
 import importlib
+import json
 import sys
 from functools import partial
 
 import cv2
 import numpy as np
 import pytest
+from commands import assert_refused
 
 from skyline.cli.console import run_app
 from skyline.match import confidence
@@ -87,6 +89,18 @@ def test_training_says_what_it_needs(train, tmp_path, monkeypatch):
     assert done.code == 2
     assert "pip install" in done.err
     assert done.err.count("\n") == 1
+
+
+def test_training_repeats_its_own_records(train, tmp_path):
+    record = tmp_path / "record.json"
+    written = {"bench": "table1", "command": "skyline-bench table1", "inputs": [], "outputs": []}
+    record.write_text(json.dumps(written | {"rows": []}))
+    assert_refused(train("repeat", record), "is of another program: skyline-bench table1")
+    missing = {"path": "data", "digest": "0"}
+    command = "python -m skyline_training confidence data"
+    written |= {"bench": "confidence", "command": command, "inputs": [missing], "rows": []}
+    record.write_text(json.dumps(written))
+    assert_refused(train("repeat", record, "--data", tmp_path), "the first of them data")
 
 
 @pytest.fixture
