@@ -15,27 +15,27 @@ from typer import Argument, CallbackParam, Option
 
 from skyline.errors import InputError
 from skyline_bench.measuring import Row, shown
-from skyline_bench.records import Run, note_kept, note_read, note_written, write_record
+from skyline_bench.records import KEPT, READ, WRITTEN, Run, note_files, write_record
 
 _PIPED_WIDTH = 300
 
 
 def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
     """Take files or folders that a command reads: their digests are in its record."""
-    note_read(context, param)
+    note_files(context, param, READ)
     return value
 
 
 def written_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
     """Refuse a file that could not be written, before the measurement and not after it."""
-    note_written(context, param)
+    note_files(context, param, WRITTEN)
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
     return path
 
 
 def _kept_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
-    note_kept(context, param)
+    note_files(context, param, KEPT)
     return path
 
 

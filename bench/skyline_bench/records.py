@@ -31,24 +31,14 @@ from skyline.render.context import acquire_context
 from skyline.store.read import open_store
 from skyline_bench.measuring import Row, core_count
 
-_READ, _WRITTEN, _KEPT = "skyline_bench.read", "skyline_bench.written", "skyline_bench.kept"
-"""Keys of the parameters that name files, among the notes of a command's context."""
+READ, WRITTEN, KEPT = "skyline_bench.read", "skyline_bench.written", "skyline_bench.kept"
+"""What a command does with the files that a parameter names; what is kept changes no figure."""
 _CODE = "skyline", "shaders", "bench/skyline_bench", "bench/skyline_training"
 
 
-def note_read(context: typer.Context, param: typer.CallbackParam) -> None:
-    """Note that a parameter of a command names files or folders that it reads."""
-    context.meta.setdefault(_READ, []).append(param.name)
-
-
-def note_written(context: typer.Context, param: typer.CallbackParam) -> None:
-    """Note that a parameter of a command names a file that it writes."""
-    context.meta.setdefault(_WRITTEN, []).append(param.name)
-
-
-def note_kept(context: typer.Context, param: typer.CallbackParam) -> None:
-    """Note that a parameter of a command names a folder in which stores are kept."""
-    context.meta.setdefault(_KEPT, []).append(param.name)
+def note_files(context: typer.Context, param: typer.CallbackParam, use: str) -> None:
+    """Note what a command does with the files that a parameter names."""
+    context.meta.setdefault(use, []).append(param.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +61,13 @@ class Run:
     def command(self) -> str:
         """Return the command as a shell takes it: all options that were given, and the seed.
 
-        Files that it writes are named without their folders; a folder of stores that are kept is
-        left out.
+        Files that it writes are named without their folders, and a folder in which stores are kept
+        is left out.
         """
         program = self.context.find_root().info_name or ""
         words = [*program.split(), self.bench]
         for param, values in self._given():
-            is_written = param.name in self._named(_WRITTEN)
+            is_written = param.name in self._named(WRITTEN)
             for value in values:
                 if param.param_type_name == "option":
                     words.append(next(name for name in param.opts if name.startswith("--")))
@@ -87,7 +77,7 @@ class Run:
 
     def outputs(self) -> list[str]:
         """Return the names of the files that it writes, as its command has them."""
-        written = self._named(_WRITTEN)
+        written = self._named(WRITTEN)
         return [
             Path(value).name
             for param, values in self._given()
@@ -100,7 +90,7 @@ class Run:
 
         ``more`` are files that the files named on the command line name. Addresses are left out.
         """
-        read = self._named(_READ)
+        read = self._named(READ)
         given = [one for param, values in self._given() if param.name in read for one in values]
         named = dict.fromkeys(str(path) for path in (*given, *more))
         # An address may be too long to be a file, for which `Path.exists` raises an error.
@@ -114,13 +104,13 @@ class Run:
             name = param.name or ""
             source = context.get_parameter_source(name)
             is_given = source is not None and source.name == "COMMANDLINE"
-            if (is_given or name == "seed") and name not in self._named(_KEPT):
+            if (is_given or name == "seed") and name not in self._named(KEPT):
                 value = context.params[name]
                 value = value.path if isinstance(value, Run) else value
                 yield param, list(value) if isinstance(value, list | tuple) else [value]
 
-    def _named(self, kind: str) -> list[str]:
-        return list(self.context.meta.get(kind, ()))
+    def _named(self, use: str) -> list[str]:
+        return list(self.context.meta.get(use, ()))
 
 
 def _word(value: object) -> str:

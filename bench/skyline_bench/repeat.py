@@ -45,8 +45,8 @@ def repeat(
     group: Any = context.parent.command if context.parent else None
     if missing:
         raise InputError(
-            f"{record} has no {', no '.join(missing)}: it is older than that; measure it anew, as "
-            f"`{context.find_root().info_name} {old['bench']} --help` says"
+            f"{record} has no {', no '.join(missing)}: it is older than `repeat`; measure "
+            f"{old['bench']} anew"
         )
     if old["bench"] not in group.commands:
         raise InputError(f"{record} is of another program: {old['command']}")
@@ -114,8 +114,8 @@ def _print_comparison(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     differing = list(_differences(before, after))
     columns = {key for row in (*before, *after) for key in row}
     typer.echo(
-        f"{len(after)} rows, {len(before)} before; of {len(columns)} columns, "
-        f"{len(columns) - len(differing)} are equal in all rows"
+        f"rows: {len(before)} before, {len(after)} now; {len(columns) - len(differing)} of "
+        f"{len(columns)} columns are equal in all rows"
     )
     if differing:
         options.print_rows(differing)

@@ -76,8 +76,8 @@ def test_a_record_is_made_again_from_its_command(run_bench, record, home):
     for old, new in zip(before["rows"], after["rows"], strict=True):
         timed = {name for name in old if name.endswith("_s")}
         assert {k: old[k] for k in old.keys() - timed} == {k: new[k] for k in new.keys() - timed}
-    assert "3 rows, 3 before" in done.out
-    assert "within_200m" not in done.out.split("3 rows, 3 before")[1]
+    assert "rows: 3 before, 3 now" in done.out
+    assert "within_200m" not in done.out.split("rows: 3 before")[1]
     # Nothing is replaced unless --out says so.
     run_bench("repeat", record, "--data", "data").ok()
     assert read(record) == before
@@ -130,7 +130,7 @@ def test_a_photograph_that_a_manifest_names_is_data_too(run_bench, photo, home):
 def test_a_record_of_before_says_what_is_missing(run_bench, tmp_path):
     old = tmp_path / "old.json"
     old.write_text('{"bench": "matching", "machine": {}, "rows": []}')
-    message = "has no command, no inputs, no outputs: it is older than that"
+    message = "has no command, no inputs, no outputs: it is older than `repeat`; measure matching"
     assert_refused(run_bench("repeat", old), message)
     other = {"bench": "confidence", "command": "python -m skyline_training confidence data"}
     old.write_text(json.dumps(other | {"rows": [], "inputs": [], "outputs": []}))

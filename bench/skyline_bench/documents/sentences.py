@@ -46,7 +46,7 @@ def _more_viewpoints(results: Results) -> list[str]:
 
 def _without_a_hint(results: Results) -> list[str]:
     rows = results.rows("photos_california_tiles", kind=LOCATE)
-    found = sum(row["rank"] == 1 for row in rows)
+    found = sum(row.get("rank") == 1 for row in rows)
     return counts(len(rows), found, *answered_right(rows))
 
 
@@ -75,7 +75,7 @@ def _strangers(results: Results) -> list[str]:
 
 def _elsewhere(results: Results) -> list[str]:
     rows = results.rows("photos_elsewhere")
-    return counts(len(rows), sum(row["answered"] for row in rows))
+    return counts(len(rows), answered_right(rows)[0])
 
 
 def _gains(results: Results) -> list[str]:

@@ -403,12 +403,12 @@ def photographs(results: Results) -> Table:
     for record, words in shown.items():
         rows = results.rows(record, kind=LOCATE)
         answered, right = answered_right(rows)
-        near = sum(row["answered"] and row["within_m"] == RIGHT_M for row in rows)
+        near = sum(row.get("within_m") == RIGHT_M for row in rows)
         table.append(
             {
                 "photographs": linked(words, record),
                 "n": count(len(rows)),
-                "within 200 m": count(sum(row["rank"] == 1 for row in rows)),
+                "within 200 m": count(sum(row.get("rank") == 1 for row in rows)),
                 "median error": metres(median_of(rows, "error_m")),
                 "answered within 200 m": count(near),
                 "within 1 km": count(answered - near),
