@@ -1,8 +1,8 @@
 """Poses at known places: of photographs, made photos and a webcam, and the summits they show.
 
 Made photos see the elevation model with errors of 10 m rms added, and the given place is 50 m
-beside the true one: models and phones are off by as much. Strangers are photos of other terrain,
-with any place given.
+beside the true one: models and phones are off by as much. Unmarked panoramas and fisheyes are given
+as perspective photos, at their places. Strangers are photos of other terrain, with any place given.
 """
 
 import math
@@ -28,7 +28,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
-from skyline_bench.queries.kinds import STRANGERS, make_kind, perturbed
+from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
@@ -59,6 +59,7 @@ _TABLES = {
     "photo": """photo kind answered off_deg sd_deg fov_off confidence moved_m seconds=s refusal""",
     "photos": _ORIENTED,
     "made photos": _ORIENTED,
+    "unmarked": _ORIENTED,
     "strangers": _ORIENTED,
     "labels": """measured pose model km2 photos=n summits visible named within_5_px hidden
         hidden_named median_px p95_px""",
@@ -155,9 +156,8 @@ def made_rows(
     seed: int,
     progress: Progress,
 ) -> list[Row]:
-    """Return the rows of made photos, strangers, labels, places in pixels and a webcam."""
-    seen = perturbed(terrain, seed=seed)
-    rng, steps = np.random.default_rng(seed), (2 + (strange is not None)) * count
+from skyline_bench.measuring import Row, square_km
+from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
     to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
     for query in make_queries(seen, area, count, seed):
         off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
@@ -165,6 +165,14 @@ def made_rows(
         held.append((query, _oriented(orienter_at, query.skyline, to_lonlat(*place))))
         progress(len(held), steps)
     rows = _by_distance(terrain, held)
+    for kind in UNMARKED:
+        found = list[Row]()
+        for (query,) in make_kind(kind, seen, area, count, seed + 3):
+            place = query.truth.easting_m, query.truth.northing_m
+            found.append(figures_of(_oriented(orienter_at, query.skyline, to_lonlat(*place))))
+            progress(len(held) + len(found), steps)
+        about = {"measured": "unmarked", "group": kind}
+        rows.append(about | summarize(found, is_strange=True))
     if strange is not None:
         found = list[Row]()
         for (query,) in make_kind(STRANGERS, terrain, area, count, seed + 1, strange):

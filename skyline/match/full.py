@@ -13,7 +13,7 @@ from threadpoolctl import ThreadpoolController
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.match import confidence
+from skyline.match import confidence, projections
 from skyline.match.candidate import (
     Candidate,
     Hypotheses,
@@ -22,6 +22,7 @@ from skyline.match.candidate import (
     hypothesis_of,
 )
 from skyline.match.prior import Narrowing, Prior
+from skyline.match.projections import OtherProjection
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
@@ -125,6 +126,22 @@ class FullMatcher:
         if not len(poses) or poses.margin[0] <= _SURE_MARGIN:
             poses = Refinement(query, self._scene, WHOLE, prior).run(start)
         return found, poses
+
+    @one_blas_thread()
+    def other_projection(
+        self, query: QueryRays, best: Candidate, prior: Prior
+    ) -> OtherProjection | None:
+        """Return the likeliest other projection of a photo, as its best candidate shows it.
+
+        None for a panorama, and for a candidate that is not refined or more likely wrong.
+        """
+        scene = self._scene
+        sure = best.confidence_1km or 0.0
+        if scene is None or not best.refined or sure < projections.LEAST_CONFIDENCE:
+            return None
+        return projections.other_projection(
+            query, hypothesis_of(best), lambda rays: Refinement(rays, scene, QUICK, prior)
+        )
 
     @one_blas_thread()
     def fitted(

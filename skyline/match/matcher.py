@@ -28,6 +28,7 @@ from skyline.match.confidence import (
 )
 from skyline.match.full import BY_RENDERING, FullMatcher
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
+from skyline.match.projections import with_projection
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.screening import ReportProgress, reporting_progress
@@ -196,6 +197,9 @@ class Matcher(Releasable):
                 else:
                     candidates = candidates_of(self.frame, self._ranker.rank(rays, top))
             refusal = refusal_of(candidates, self._config, query, rays)
+            if candidates and isinstance(self._ranker, FullMatcher):
+                other = self._ranker.other_projection(rays, candidates[0], prior)
+                refusal = with_projection(refusal, other)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         seconds = time.perf_counter() - started
         known = narrowing or Narrowing()
@@ -264,6 +268,11 @@ class Matcher(Releasable):
         refusal = unsure(best, self._config)
         if len(found) < 2:
             refusal = "fewer than two photos agree on a place"
+        for number, candidates in found.items():
+            rays, prior = usable[number]
+            bent = self._full().other_projection(rays, candidates[0], prior)
+            if refusal is None and bent is not None and bent.is_likely:
+                refusal = f"{photos[number][0] or 'a photo'}: {bent.in_words}"
         other = _DISAGREES if len(usable) > 1 else _ALONE
         within_m = None if refusal else sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started

@@ -22,9 +22,9 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature
-from skyline.match import confidence
+from skyline.match import confidence, projections
 from skyline.match.answer import to_dataframe
-from skyline.match.candidate import Candidate, RefinedPoses, candidates_of
+from skyline.match.candidate import Candidate, RefinedPoses, candidates_of, hypothesis_of
 from skyline.match.confidence import MatchConfig, at_bound, too_little
 from skyline.match.full import one_blas_thread
 from skyline.match.matcher import named_skyline
@@ -272,16 +272,19 @@ class Orienter(Releasable):
         fitted = self._retriever.fitted_all_round(rays)
         each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
         best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
+        return self._refinement(rays, query).run(fitted[np.union1d(each, best)])
+
+    def _refinement(self, rays: QueryRays, query: QuerySkyline) -> Refinement:
+        """Return the refinement of a photo's rays, with what is known of its pose."""
         noted = PlacePrior.of_noted(query.noted, self.frame)
         known = PlacePrior(self._east, self._north, self._within_m, elevation_m=self._elevation_m)
         if noted is not None:
             known = replace(
                 known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
             )
-        refinement = _RefinementByHeading(
+        return _RefinementByHeading(
             rays, self._scene, _EFFORT, Prior(noted=known), self._eye_height_m
         )
-        return refinement.run(fitted[np.union1d(each, best)])
 
     def _orientation(
         self, query: QuerySkyline, rays: QueryRays, poses: RefinedPoses
@@ -303,6 +306,11 @@ class Orienter(Releasable):
             refusal = self._doubt(poses, pose, sure)
         if refusal and refusal != at_bound(pose, rays):
             refusal += confidence.fov_hint(pose, query, rays)
+        if sure >= projections.LEAST_CONFIDENCE:
+            other = projections.other_projection(
+                rays, hypothesis_of(pose), lambda bent: self._refinement(bent, query)
+            )
+            refusal = projections.with_projection(refusal, other)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
         moved = float(moved_m[0])

@@ -163,6 +163,11 @@ class QueryRays:
         """Squared distance (W,) from the image's middle, in half widths."""
         return np.asarray((self.u**2 + self.v**2) / self._half_width(self.fov_deg) ** 2)
 
+    @property
+    def half_width(self) -> float:
+        """Half the width of an image of unit focal length."""
+        return float(self._half_width(self.fov_deg))
+
     def _half_width(self, fov_deg: Float64Array | float) -> Float64Array:
         """Return half the width of an image of unit focal length."""
         half_rad = np.radians(fov_deg) / 2.0

@@ -13,6 +13,7 @@ from scipy import ndimage
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.terrain.heightfield import HeightField, Provenance
+from skyline_bench.queries.pinhole import CYLINDER, FISHEYES
 from skyline_bench.queries.synthetic import (
     QueryConfig,
     SyntheticQuery,
@@ -34,12 +35,17 @@ _CORRELATION_M = 300.0
 OTHER_DEM, STRANGERS = "other-dem", "strangers"
 """Queries that see another model of the terrain, and queries of terrain outside the store."""
 
+UNMARKED = ("unmarked panoramas", "unmarked fisheyes")
+"""Queries that are not of a pin-hole camera, although nothing says so: none should be trusted."""
+
 KINDS: Mapping[str, QueryConfig] = {
     "plain": QueryConfig(),
     "white": QueryConfig(smooth_share=0.0),  # Noise drawn anew in each column
     OTHER_DEM: QueryConfig(),
     "occluded": QueryConfig(occluded_share=(0.3, 0.3)),
     "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
+    UNMARKED[0]: QueryConfig(fov_deg=(80.0, 180.0), mappings=(CYLINDER,)),
+    UNMARKED[1]: QueryConfig(fov_deg=(80.0, 150.0), mappings=FISHEYES),
     "aligned": QueryConfig(
         fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
         noise_deg=(0.03, 0.03), masked_share=0.0,

@@ -1,4 +1,7 @@
-"""A pin-hole camera held at any heading, pitch and roll, and the skyline on its image."""
+"""A camera held at any heading, pitch and roll, and the skyline on its image.
+
+It is a pin-hole camera, unless it maps directions to its image as a fisheye or a panorama does.
+"""
 
 from dataclasses import dataclass
 
@@ -7,28 +10,51 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 
+PIN_HOLE, CYLINDER = "pin-hole", "cylinder"
+FISHEYES = ("equidistant", "equisolid", "stereographic")
+"""Mappings of fisheyes."""
 _MIN_FORWARD = 0.05
 """Rays that point further aside of the optical axis are not drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pin-hole camera with square pixels; angles as in `skyline.match.query_rays`."""
+    """A camera with square pixels; angles as in `skyline.match.query_rays`."""
 
     heading_deg: float  # Grid azimuth of the optical axis
-    pitch_deg: float = 0.0  # Optical axis above the horizon
+    pitch_deg: float = 0.0  # Optical axis above the horizon; how far a cylinder's rows are raised
     roll_deg: float = 0.0  # Camera turned clockwise as seen from behind it
     fov_deg: float = 60.0  # Horizontal field of view
     width_px: int = 960
     height_px: int = 640
+    mapping: str = PIN_HOLE  # Or `CYLINDER`, or one of `FISHEYES`
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels."""
-        return self.width_px / 2.0 / float(np.tan(np.radians(self.fov_deg) / 2.0))
+        """Focal length in pixels: the radius in the image of a small angle off the axis."""
+        half_rad = np.radians(self.fov_deg) / 2.0
+        return self.width_px / 2.0 / float(self._radius(half_rad))
+
+    @property
+    def pin_hole_fov_deg(self) -> float:
+        """Field of view of the pin-hole camera of the same focal length."""
+        if self.mapping == PIN_HOLE:
+            return self.fov_deg
+        return float(np.degrees(2.0 * np.arctan(self.width_px / 2.0 / self.focal_px)))
+
+    def _radius(self, off_axis_rad: Float64Array | float) -> Float64Array:
+        """Return the radius in an image of unit focal length at an angle off the axis."""
+        off_axis: Float64Array = np.asarray(off_axis_rad)
+        if self.mapping == PIN_HOLE:
+            return np.asarray(np.tan(off_axis))
+        if self.mapping == "equisolid":
+            return np.asarray(2.0 * np.sin(off_axis / 2.0))
+        if self.mapping == "stereographic":
+            return np.asarray(2.0 * np.tan(off_axis / 2.0))
+        return off_axis
 
     def rays(self) -> Float64Array:
-        """Return (H, W, 3) directions east, up, north of the pixel centres, optical axis 1."""
+        """Return (H, W, 3) directions east, up, north of a pin-hole's pixels, optical axis 1."""
         columns, rows = np.arange(self.width_px), np.arange(self.height_px)
         u = ((columns - (self.width_px - 1) / 2.0) / self.focal_px)[np.newaxis, :]
         v = (((self.height_px - 1) / 2.0 - rows) / self.focal_px)[:, np.newaxis]
@@ -64,15 +90,31 @@ class Camera:
         self, azimuth_rad: Float64Array, elevation_tan: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
         """Return column, row and whether it is drawn, of directions relative to the heading."""
+        if self.mapping == CYLINDER:
+            return self._on_cylinder(azimuth_rad, elevation_tan)
         roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
         right, level = np.sin(azimuth_rad), np.cos(azimuth_rad)
         forward = level * np.cos(pitch) + elevation_tan * np.sin(pitch)
         above = elevation_tan * np.cos(pitch) - level * np.sin(pitch)
         ahead = forward > _MIN_FORWARD
         scale = self.focal_px / np.where(ahead, forward, 1.0)
+        if self.mapping != PIN_HOLE:
+            aside = np.hypot(right, above)
+            scale = self.focal_px * self._radius(np.arctan2(aside, forward)) / np.fmax(aside, 1e-9)
         column = (right * np.cos(roll) - above * np.sin(roll)) * scale + (self.width_px - 1) / 2.0
         row = (self.height_px - 1) / 2.0 - (right * np.sin(roll) + above * np.cos(roll)) * scale
         return column, row, ahead
+
+    def _on_cylinder(
+        self, azimuth_rad: Float64Array, elevation_tan: Float64Array
+    ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
+        roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
+        right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
+        across = right * np.cos(roll) - elevation_tan * np.sin(roll)
+        up = (right * np.sin(roll) + elevation_tan * np.cos(roll)) / np.hypot(across, ahead)
+        column = np.arctan2(across, ahead) * self.focal_px + (self.width_px - 1) / 2.0
+        row = (self.height_px - 1) / 2.0 - (up - np.tan(pitch)) * self.focal_px
+        return column, row, np.isfinite(row)
 
 
 def _topmost(

@@ -23,11 +23,11 @@ from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
-from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.pinhole import PIN_HOLE, Camera
 
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""
-_POSE, _ERRORS, _MASKS, _OCCLUDERS, _LENS = range(5)
+_POSE, _ERRORS, _MASKS, _OCCLUDERS, _LENS, _MAPPING = range(6)
 """Draws, each from a generator of its own."""
 _SMOOTH_DEG = 1.0
 """How far along a skyline the correlation of smooth errors drops to 1/e."""
@@ -63,6 +63,9 @@ class QueryConfig:
     """How queries are drawn. A pair is a range to draw from evenly."""
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
+    # How the camera maps directions to its image; one is drawn. The field of view given is always
+    # a pin-hole camera's: a file that does not say otherwise is taken for a photo of one.
+    mappings: tuple[str, ...] = (PIN_HOLE,)
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
     # Standard deviation of the lens's distortion; see `skyline.photo.query.undistorted`.
@@ -110,9 +113,10 @@ class Truth:
         east_m, north_m = np.asarray(easting_m), np.asarray(northing_m)
         return np.asarray(np.hypot(east_m - self.easting_m, north_m - self.northing_m))
 
-    def camera(self, *size_px: int) -> Camera:
+    def camera(self, width_px: int = 960, height_px: int = 640) -> Camera:
         """Return the camera as it was held, for a photo of a width and a height."""
-        return Camera(self.heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg, *size_px)
+        held = self.heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg
+        return Camera(*held, width_px=width_px, height_px=height_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,6 +212,7 @@ def _hold(
         fov_deg=generator.uniform(*config.fov_deg),
         width_px=config.width_px,
         height_px=config.height_px,
+        mapping=np.random.default_rng([*entropy, _MAPPING]).choice(config.mappings),
     )
     for _ in range(_MAX_DRAWS):
         easting_m = float(generator.uniform(west, east))
@@ -248,7 +253,7 @@ def _photographed(
         found[slice(*run)] = np.nan
     found = _bent(found, camera.height_px, distortion)
     seen_m = np.maximum(horizons.distance_m[index, sample[inside]].astype(np.float64), 1.0)
-    given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
+    given = camera.pin_hole_fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
     return SyntheticQuery(
         QuerySkyline(found, sure, camera.width_px, camera.height_px, given),

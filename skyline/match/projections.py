@@ -1,0 +1,204 @@
+r"""Whether a photo's skyline is bent as by another projection than the one assumed.
+
+A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or a
+fisheye then fits the right place all the same, with a field of view and a distortion that no lens
+has, and its eye and its angles are wrong. So the best pose is fitted three times to the same
+columns: as a perspective photo, as a cylindrical panorama and as a fisheye. Each fit begins at the
+perspective one's scale in the middle of the photo. With the cost c of a fit, the temperature T, and
+the prior density p of how its image is bent, the log odds of another projection are
+
+.. math::
+
+    \frac{c_{perspective} - c_{other}}{T} + \log\frac{p_{other}}{p_{perspective}} +
+    \log\frac{q}{1 - q}
+
+with q the share of unmarked panoramas and fisheyes among photos. Costs alone do not separate them,
+since a distortion of 0.3 does nearly what a fisheye does. Distortion alone does not either, since a
+narrow panorama needs little of it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from skyline.arrays import Float64Array
+from skyline.match.candidate import Hypotheses
+from skyline.match.query_rays import QueryRays, in_runs
+from skyline.match.refine import Refinement
+from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
+from skyline.photo.query import MAX_PANORAMA_DEG, Projection
+
+FISHEYE = "fisheye"
+LEAST_CONFIDENCE = 0.5
+"""Least confidence of a pose that shows which projection a photo has; others may well be wrong."""
+_MOST_PROBABILITY = 0.2
+"""Greatest probability of another projection with which a pose is trusted."""
+_PRIOR_LOG_ODDS = math.log(0.05 / 0.95)
+"""Log odds that a photo that notes no projection is a panorama or a fisheye: a guess. If there were
+ten times fewer, these would fall by 2.4."""
+_LENS_DISTORTION = 0.035
+"""Scale of the exponential distribution of barrel distortion among lenses that draw straight lines
+straight. Of those in lensfun's database that are wider than 75 degrees, 171 settings, the
+distortions have an rms of 0.048, and 1 % exceed 0.17."""
+_FISHEYE_TERM = -1 / 24
+"""Mean of t in a fisheye's mapping, x + t x^3, from the radius x in the image to the angle off the
+axis. An equisolid lens has 1/24, an equidistant one 0, a stereographic one -1/12."""
+_FISHEYE_SD = 0.06
+"""Standard deviation of that term."""
+_SCALES = np.array([0.8, 0.9, 1.0, 1.1])
+"""Factors on the perspective fit's scale from which the other projections are fitted."""
+_DENSITY = 0.8
+"""Columns for each of the solver's steps of azimuth, where a perspective photo has the most. The
+solver averages no two of them in any projection, so the costs are of the same columns."""
+_WIDEST = 1.5
+"""Largest radius x at the side of a fisheye that is tried: 156 degrees."""
+_FARTHEST_RAD = np.radians(85.0)
+"""Largest angle off the axis; pixels in the corners that lie farther off are drawn in."""
+_FOV_RANGE = np.array([0.75, 1.25])
+"""The fields of view that are tried, as shares of the one of the perspective fit's scale."""
+_MOST_FISHEYE_DEG = 170.0
+_MOST_LOG_ODDS = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class OtherProjection:
+    """A projection that bends a skyline as it is bent.
+
+    Attributes
+    ----------
+    name : str
+        ``cylindrical`` or ``fisheye``.
+    fov_deg : float
+        The horizontal field of view with which it fits best.
+    probability : float
+        The probability that the photo is not a perspective one.
+    """
+
+    name: str
+    fov_deg: float
+    probability: float
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is too likely for the pose of a perspective photo to be trusted."""
+        return self.probability > _MOST_PROBABILITY
+
+    @property
+    def in_words(self) -> str:
+        """The reason against a pose that was fitted as a perspective photo's."""
+        if self.name == FISHEYE:
+            return (
+                f"the skyline is bent as by a fisheye of about {self.fov_deg:.0f} degrees, for "
+                "which there is no --projection; straighten the photo first"
+            )
+        return (
+            f"the skyline is bent as in a panorama of about {self.fov_deg:.0f} degrees; if it is "
+            f"one, give --projection {self.name} --fov-deg {self.fov_deg:.0f}"
+        )
+
+
+def other_projection(
+    query: QueryRays, pose: Hypotheses, refinement_of: Callable[[QueryRays], Refinement]
+) -> OtherProjection | None:
+    """Return the likeliest other projection of a photo; None for a panorama.
+
+    Parameters
+    ----------
+    query : QueryRays
+    pose : Hypotheses
+        The photo's best pose: one.
+    refinement_of : callable
+        Returns the refinement of a photo's rays, with the priors with which the pose was found.
+    """
+    if query.is_panorama:
+        return None
+    columns = _columns(query, float(pose.fov_deg[0]))
+    own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1), pose.distortion))
+    own_log_p = -max(float(own.state[0, WARP:].sum()), 0.0) / _LENS_DISTORTION
+    others = []
+    for name, rays in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
+        fit = _best_fit(refinement_of(rays), _from(pose, rays, _SCALES, np.zeros(len(_SCALES))))
+        log_p = -0.5 * float(np.square(fit.state[0, WARP:] / rays.warp_sd).sum())
+        log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
+        fov_deg = float(rays.fov_at(fit.state[0, LOG_SCALE]))
+        others.append(OtherProjection(name, fov_deg, _probability(log_odds + _PRIOR_LOG_ODDS)))
+    return max(others, key=lambda other: other.probability)
+
+
+def with_projection(refusal: str | None, other: OtherProjection | None) -> str | None:
+    """Return a refusal, or None, with another projection as a further reason if it is likely."""
+    if other is None or not other.is_likely:
+        return refusal
+    return other.in_words if refusal is None else f"{refusal}; {other.in_words}"
+
+
+def _probability(log_odds: float) -> float:
+    bounded = min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
+    return 1.0 / (1.0 + math.exp(-bounded))
+
+
+def _columns(query: QueryRays, fov_deg: float) -> QueryRays:
+    """Return a photo's rays with a field of view, averaged over columns of equal width."""
+    step_rad = 2.0 * np.pi / ROUGH.bins
+    count = int(_DENSITY * math.sin(math.radians(fov_deg)) / step_rad)
+    return replace(in_runs(query.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
+
+
+def _panorama(columns: QueryRays) -> QueryRays:
+    """Return a perspective photo's rays as those of a cylindrical panorama of the same scale."""
+    fov_deg = min(math.degrees(2.0 * columns.half_width), MAX_PANORAMA_DEG)
+    return replace(
+        columns,
+        fov_deg=fov_deg,
+        fov_range_deg=_range_deg(fov_deg, MAX_PANORAMA_DEG),
+        projection=Projection.CYLINDRICAL,
+        distortion_sd=0.0,
+    )
+
+
+def _fisheye(columns: QueryRays) -> QueryRays:
+    """Return a perspective photo's rays as a fisheye of the same scale has them."""
+    shrink = min(1.0, _WIDEST / columns.half_width)
+    radius = np.maximum(np.hypot(columns.u, columns.v), 1e-12)
+    stretch = np.tan(np.minimum(_off_axis_rad(shrink * radius), _FARTHEST_RAD)) / radius
+    side = shrink * columns.half_width
+    side_rad = float(_off_axis_rad(side))
+    fov_deg = math.degrees(2.0 * side_rad)
+    return replace(
+        columns,
+        u=columns.u * stretch,
+        v=columns.v * stretch,
+        fov_deg=fov_deg,
+        fov_range_deg=_range_deg(fov_deg, _MOST_FISHEYE_DEG),
+        # A change of the angle as a share of its tangent.
+        distortion_sd=_FISHEYE_SD * side**3 / (math.sin(side_rad) * math.cos(side_rad)),
+    )
+
+
+def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
+    low_deg, high_deg = np.minimum(_FOV_RANGE * fov_deg, most_deg).tolist()
+    return low_deg, high_deg
+
+
+def _off_axis_rad(radius: Any) -> Any:
+    return radius + _FISHEYE_TERM * radius**3
+
+
+def _from(
+    pose: Hypotheses, rays: QueryRays, scales: Float64Array, distortion: Float64Array
+) -> Hypotheses:
+    """Return a pose at several scales of rays, from which they are fitted."""
+    several = pose[np.zeros(len(scales), dtype=np.intp)]
+    return replace(several, fov_deg=rays.fov_at(np.log(scales)), distortion=distortion)
+
+
+def _best_fit(refinement: Refinement, start: Hypotheses) -> Fit:
+    """Return the best of the fits from one rendering at each start."""
+    particles = refinement.started(refinement.rough, start)
+    fit = particles.fit
+    for solver in (refinement.rough,) * 2 + (refinement.fine,) * 3:
+        fit = solver.improve(particles.curves, fit, particles.step_m)
+    return fit[np.argmin(fit.cost, keepdims=True)]
