@@ -1,7 +1,6 @@
 """Array types for hints, and dataclasses of arrays of one length."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Any, Self, cast
 
 import numpy as np
@@ -50,8 +49,9 @@ class Rows:
         return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
 
     @classmethod
-    def _names(cls) -> list[str]:
-        return [f.name for f in fields(cast(Any, cls))]
+    def _names(cls) -> tuple[str, ...]:
+        # `dataclasses.fields` would take a tenth of a refinement.
+        return tuple(cast(Any, cls).__dataclass_fields__)
 
 
 def _chosen(chosen: BoolArray, new: Any, old: Any) -> Any:

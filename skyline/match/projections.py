@@ -48,7 +48,7 @@ _FISHEYE_TERM = -1 / 24
 axis. An equisolid lens has 1/24, an equidistant one 0, a stereographic one -1/12."""
 _FISHEYE_SD = 0.06
 """Standard deviation of that term."""
-_SCALES = np.array([0.8, 0.9, 1.0, 1.1])
+_SCALES = np.array([0.87, 1.0])
 """Factors on the perspective fit's scale from which the other projections are fitted."""
 _DENSITY = 0.8
 """Columns for each of the solver's steps of azimuth, where a perspective photo has the most. The
@@ -196,9 +196,8 @@ def _from(
 
 
 def _best_fit(refinement: Refinement, start: Hypotheses) -> Fit:
-    """Return the best of the fits from one rendering at each start."""
+    """Return the best fit that a move with rough errors and one with fine errors reach."""
     particles = refinement.started(refinement.rough, start)
-    fit = particles.fit
-    for solver in (refinement.rough,) * 2 + (refinement.fine,) * 3:
-        fit = solver.improve(particles.curves, fit, particles.step_m)
-    return fit[np.argmin(fit.cost, keepdims=True)]
+    particles = refinement.moved(refinement.rough, particles)
+    particles = refinement.moved(refinement.fine, refinement.reweighted(particles))
+    return particles.fit[np.argmin(particles.fit.cost, keepdims=True)]

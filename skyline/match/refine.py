@@ -199,7 +199,7 @@ class Refinement:
             if effort.likeliest:
                 likeliest = self.started(self.rough, hypotheses[: effort.likeliest])
                 for _ in range(_LIKELIEST_ROUNDS):
-                    likeliest = self._moved(self.rough, likeliest)
+                    likeliest = self.moved(self.rough, likeliest)
             seen = self.started(self.scout, hypotheses).best(effort.particles)
             hypotheses = self.hypotheses(seen)
         particles = self.started(self.rough, hypotheses)
@@ -207,12 +207,12 @@ class Refinement:
             particles = Particles.concatenate([particles, likeliest])
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
-            particles = self._moved(self.rough, self.survivors(particles, kept))
+            particles = self.moved(self.rough, self.survivors(particles, kept))
         particles = Particles.concatenate([particles, self._restarted(particles)])
         particles = self.reweighted(self.distinct(particles, effort.weighed))
         particles = self.distinct(particles, effort.finalists)
         for _ in range(effort.final_rounds):
-            particles = self._moved(self.fine, particles)
+            particles = self.moved(self.fine, particles)
         return self.poses(self.distinct(particles, effort.finalists))
 
     def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
@@ -230,7 +230,7 @@ class Refinement:
             fit = self.fine.improve(particles.curves, fit, np.zeros(len(particles)))
         return replace(particles, fit=fit, step_m=np.full(len(particles), _FIRST_STEP_M))
 
-    def _moved(self, solver: Solver, particles: Particles) -> Particles:
+    def moved(self, solver: Solver, particles: Particles) -> Particles:
         """Return particles after one step, where the rendering from the new place fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         new = self.stepped(solver, particles, solved.state, solved)
@@ -264,7 +264,7 @@ class Refinement:
         best = standing.suppress_non_maxima(self.effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
         around = self.around(particles[best])
         for _ in range(_RESTART_ROUNDS - 1):
-            around = self._moved(self.rough, around.best(len(around)))
+            around = self.moved(self.rough, around.best(len(around)))
         return around
 
     def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:
