@@ -156,8 +156,10 @@ def made_rows(
     seed: int,
     progress: Progress,
 ) -> list[Row]:
-from skyline_bench.measuring import Row, square_km
-from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
+    """Return the rows of all that is made: photos, strangers, labels, pixels and a webcam."""
+    seen = perturbed(terrain, seed=seed)
+    kinds = 2 + len(UNMARKED) + (strange is not None)
+    rng, steps = np.random.default_rng(seed), kinds * count
     to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
     for query in make_queries(seen, area, count, seed):
         off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
