@@ -24,6 +24,7 @@ from PIL.ExifTags import Base
 
 from skyline.photo.exif import Tags, positive, text_of
 from skyline.photo.query import MAX_PANORAMA_DEG, MIN_FOV_DEG, Lens, Projection
+from skyline.photo.xmp import Xmp
 
 _FULL_FRAME_MM = hypot(36.0, 24.0)
 """Diagonal of 35 mm film."""
@@ -67,8 +68,12 @@ _CROP_MEAN, _CROP_SD, _CROP_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 possible: it is taken to lie evenly between half and all of that."""
 _WIDEST_PX = 1e8
 """The widest full turn of a panorama that is believed."""
-_GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
-"""Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
+GPANO = "http://ns.google.com/photos/1.0/panorama"
+"""Namespace of the properties of panoramas (GPano, https://developers.google.com/streetview)."""
+_NAMES_PANORAMA = re.compile("GPano|photos/1.0/panorama")
+"""What the text of a packet contains that notes a panorama."""
+_OF_A_LENS = {"rectilinear", Projection.PERSPECTIVE}
+"""Names of the projection of photos through a lens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +135,7 @@ class _FocalLength:
         return abs(log(self.diagonals / other.diagonals))
 
 
-def camera_of(tags: Tags, xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
+def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
     """Return the projection and the lens that a photo notes; arguments as of `lens_of`."""
     panorama = panorama_of_xmp(xmp, size_px)
     if panorama is not None:
@@ -189,7 +194,7 @@ def swept_lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens | None:
     return Lens(fov_deg, _SWEPT_SD * fov_deg, MAX_PANORAMA_DEG, reason)
 
 
-def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
+def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
     """Return the projection and field of view of a panorama; None if XMP notes no panorama.
 
     ``size_px`` is the width and the height of the file's pixels, upright. XMP notes the size of the
@@ -198,7 +203,10 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
     file shows at least its pixels at the panorama's scale, and at most the largest part of its
     shape.
     """
-    tags = dict(_GPANO.findall(xmp))
+    if _NAMES_PANORAMA.search(xmp.broken):
+        reason = "XMP speaks of a panorama, and is damaged: its projection is not known"
+        return Projection.PERSPECTIVE, Lens(reason=reason)
+    tags = xmp.of(GPANO)
     width, turn, height = (
         positive(tags.get(name))
         for name in (
@@ -208,6 +216,8 @@ def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Len
     if width is None and turn is None and "ProjectionType" not in tags:
         return None
     noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR).lower()
+    if noted in _OF_A_LENS:
+        return None
     if noted not in {one for one in Projection if one.is_panorama}:
         reason = f"XMP says that the photo's projection is {noted}, which is not known here"
         return Projection.PERSPECTIVE, Lens(reason=reason)

@@ -38,6 +38,7 @@ from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
 from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
 from skyline.photo.trace import read_trace
+from skyline.photo.xmp import xmp_of
 
 _log = logging.getLogger(__name__)
 
@@ -209,9 +210,8 @@ def read_photo(
         if (upright.width < upright.height) != (width < height):
             width, height = height, width
         exif = image.getexif()
-        xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
-        text = xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp)
-        noted, lens = camera_of({**exif, **exif.get_ifd(IFD.Exif)}, text, (width, height))
+        tags = {**exif, **exif.get_ifd(IFD.Exif)}
+        noted, lens = camera_of(tags, xmp_of(image), (width, height))
         place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
         rgb = _to_rgb(upright)
     if min(rgb.shape[:2]) < 2:

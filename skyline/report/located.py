@@ -8,7 +8,8 @@ picture. XMP tags of the camera's place and attitude are removed.
 import io
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from PIL import Image
@@ -18,31 +19,41 @@ from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 from skyline.errors import InputError
 from skyline.files import write_with_folders
 from skyline.match.candidate import Candidate
+from skyline.photo.lens import GPANO
 from skyline.photo.read import opened_image, read_photo
+from skyline.photo.xmp import (
+    EXTENDED,
+    HAS_EXTENDED,
+    IN_JPEG,
+    BrokenXmpError,
+    Name,
+    joined,
+    without,
+)
 
-_EXIF, _XMP = b"Exif\x00\x00", b"http://ns.adobe.com/xap/1.0/\x00"
+_EXIF = b"Exif\x00\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA
 _LONGEST = 0xFFFF - 2
 """Greatest number of bytes in a segment, without its length."""
 _NO_EXIF = b"II*\x00\x08\x00\x00\x00" + bytes(6)
 """A TIFF with one empty directory."""
 _SHORT, _LONG = 3, 4
+_Segment = tuple[int, bytes]
+"""A JPEG's segment: its marker and its body."""
 _OF_THE_PHOTO = {
     Base.ImageDescription, Base.Make, Base.Model, Base.Software, Base.DateTime, Base.Artist,
     Base.Copyright, Base.ExifOffset,
 }  # fmt: skip
 """Tags of a TIFF's directory that do not describe how its own pixels are stored."""
-_POSE = (
-    rb"(?!xmlns:)[\w-]+:(?:(?i:gps)\w*|(?:Gimbal|Flight)\w+Degree|(?:Absolute|Relative)Altitude)"
-    rb"|GPano:(?:Pose|InitialView)\w+"
+_XMP = 700
+"""The tag of XMP in EXIF."""
+_POSE = re.compile(
+    r"(?i:gps\w*)|Latitude|Longitude|(?:Absolute|Relative|AboveGround)Altitude"
+    r"|(?:Gimbal|Flight|Camera|Drone)\w+Degree|CameraOrientation\w+|Yaw|Pitch|Roll"
 )
-"""XMP names of place and attitude: EXIF's GPS tags and the tags of drones and panoramas."""
-_XMP_POSE = re.compile(
-    rb"\s(?:%b)\s*=\s*(?:\"[^\"]*\"|'[^']*')"
-    rb"|<(?P<name>%b)(?:\s[^>]*?)?(?:/>|>.*?</(?P=name)\s*>)" % (_POSE, _POSE),
-    re.DOTALL,
-)
-"""An attribute or an element with a name of place or attitude."""
+"""XMP's names of place and attitude, in any namespace: EXIF's GPS tags and those of drones."""
+_PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
+"""More of them, in the namespace of panoramas."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Candidate) -> None:
@@ -136,6 +147,7 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
         directory = ImageFileDirectory_v2(exif[:8], group=IFD.GPSInfo)
     except (struct.error, SyntaxError):
         return _with_gps(_NO_EXIF, gps, made_upright=made_upright)
+    entries.pop(_XMP, None)  # Another pose may be in it.
     if made_upright:
         preview_at = 0
         entries[Base.Orientation] = struct.pack(f"{order}HHIHxx", Base.Orientation, _SHORT, 1, 1)
@@ -160,21 +172,67 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
 
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
     """Return a JPEG with its EXIF replaced, and its XMP without place and attitude."""
-    kept, start = [], 0
+    kept, start = list[_Segment](), 0
     for marker, body, end in _segments(jpeg):
         start = end
-        if marker == _APP1 and body.startswith(_EXIF):
-            continue
-        is_xmp = marker == _APP1 and body.startswith(_XMP)
-        kept.append((marker, _XMP_POSE.sub(b"", body) if is_xmp else body))
+        if not (marker == _APP1 and body.startswith(_EXIF)):
+            kept.append((marker, body))
+    kept = _without_pose(kept)
     kept.insert(1 if kept and kept[0][0] == _APP0 else 0, (_APP1, exif))
-    if len(exif) > _LONGEST:
-        raise InputError(
-            f"the photo's EXIF would have {len(exif)} bytes; expected at most {_LONGEST}: remove "
-            "its preview picture"
-        )
+    for _, body in kept:
+        if len(body) > _LONGEST:
+            kind = "EXIF" if body is exif else "XMP"
+            raise InputError(
+                f"the photo's {kind} would have {len(body)} bytes; expected at most {_LONGEST}: "
+                "remove its preview picture"
+            )
     segments = (struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body for marker, body in kept)
     return jpeg[:2] + b"".join(segments) + jpeg[start:]
+
+
+def _without_pose(segments: Sequence[_Segment]) -> list[_Segment]:
+    """Return a JPEG's segments without the place and the attitude in XMP.
+
+    An extended packet that notes any is left out, and so is a packet that cannot be parsed: nobody
+    knows what it notes.
+    """
+    extended = [segment for segment in segments if segment[1].startswith(EXTENDED)]
+    dropped = list[_Segment]()
+    is_unwanted = _is_pose
+    if not all(map(_is_free, joined([body for _, body in extended]))):
+        dropped = extended
+        is_unwanted = _is_pose_or_extended
+    kept = list[_Segment]()
+    for marker, body in segments:
+        if (marker, body) in dropped:
+            continue
+        if marker == _APP1 and body.startswith(IN_JPEG):
+            with suppress(BrokenXmpError):
+                packet = without(body.removeprefix(IN_JPEG), is_unwanted)
+                kept.append((marker, IN_JPEG + packet))
+            continue
+        kept.append((marker, body))
+    return kept
+
+
+def _is_free(packet: bytes) -> bool:
+    """Return whether a packet of XMP notes no place and no attitude."""
+    try:
+        return without(packet, _is_pose) == packet
+    except BrokenXmpError:
+        return False
+
+
+def _is_pose(name: Name) -> bool:
+    """Return whether a property of XMP is a place or an attitude."""
+    namespace, local = name
+    if namespace == GPANO and _PANORAMA_POSE.fullmatch(local):
+        return True
+    return _POSE.fullmatch(local) is not None
+
+
+def _is_pose_or_extended(name: Name) -> bool:
+    return name == HAS_EXTENDED or _is_pose(name)
 
 
 def _segments(jpeg: bytes) -> Iterator[tuple[int, bytes, int]]:

@@ -6,8 +6,9 @@ from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.match.query_rays import QueryRays
-from skyline.photo.lens import lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.lens import GPANO, lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.query import Lens, Projection
+from skyline.photo.xmp import Xmp
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
 PLANE = SIZE | {Base.FocalLength: IFDRational(127, 10), Base.FocalPlaneResolutionUnit: 2}
@@ -81,7 +82,7 @@ def test_nothing_is_known_where_exif_does_not_say(tags, size):
 
 
 def gpano(**noted):
-    return " ".join(f'GPano:{name}="{value}"' for name, value in noted.items())
+    return Xmp({(GPANO, name): str(value) for name, value in noted.items()})
 
 
 # A panorama of 120 degrees.

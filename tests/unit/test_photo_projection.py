@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from photo_scenes import make_scene
 from PIL import Image
 from PIL.ExifTags import IFD, Base
+from xmp_packets import ATTRIBUTES, xmp_packet
 
 from skyline.errors import InputError
-from skyline.photo.lens import panorama_of_xmp
 from skyline.photo.query import Projection, QuerySkyline, distorted, undistorted
 from skyline.photo.read import read_query
 from skyline.photo.trace import write_trace
@@ -66,25 +66,10 @@ def test_an_impossible_field_of_view_is_refused_before_a_file_is_read(projection
         read_query("absent.jpg", fov_deg, projection=projection)
 
 
-ATTRIBUTES = """<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"
- GPano:ProjectionType="{}" GPano:CroppedAreaImageWidthPixels="{}"
- GPano:FullPanoWidthPixels='{}'/>"""
-ELEMENTS = """<GPano:ProjectionType>{}</GPano:ProjectionType>
- <GPano:CroppedAreaImageWidthPixels>{}</GPano:CroppedAreaImageWidthPixels>
- <GPano:FullPanoWidthPixels>{}</GPano:FullPanoWidthPixels>"""
-
-
-@pytest.mark.parametrize("form", [ATTRIBUTES, ELEMENTS])
-def test_xmp_notes_what_a_panorama_spans(form):
-    for kind, width, turn, fov_deg in ((CYLINDER, 4000, 12000, 120.0), (SPHERE, 4000, 4000, 360.0)):
-        projection, lens = panorama_of_xmp(form.format(kind, width, turn), (width, 1000))
-        assert (projection, lens.fov_deg, lens.sd_deg) == (kind, fov_deg, None)
-    assert panorama_of_xmp("<x:xmpmeta/>", (4000, 3000)) is None
-
-
 def test_panorama_file_says_its_own_span(tmp_path):
-    noted = ATTRIBUTES + "<GPano:CroppedAreaImageHeightPixels>240<"
-    xmp = noted.format("cylindrical", 960, 960 * 3).encode()
+    noted = {"ProjectionType": "cylindrical", "FullPanoWidthPixels": 960 * 3}
+    noted |= {"CroppedAreaImageWidthPixels": 960, "CroppedAreaImageHeightPixels": 240}
+    xmp = xmp_packet(ATTRIBUTES, **noted).encode()
     image = make_scene("clear", 104, 960, 240).image
     Image.fromarray(image).save(tmp_path / "wide.jpg", quality=95, xmp=xmp)
     query = read_query(tmp_path / "wide.jpg")

@@ -20,6 +20,7 @@ from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
 from scenes import FRAME, at_m, candidate_at
 from shapely import Polygon
+from xmp_packets import FORMS, xmp_packet
 
 from skyline import (
     Frame,
@@ -30,6 +31,7 @@ from skyline import (
     read_photo,
     write_located,
 )
+from skyline.photo.xmp import Xmp, xmp_of
 from skyline.report.exports import VIEW_REACH_M
 
 BEST = candidate_at(
@@ -270,6 +272,60 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path):
     assert kept.stdout == preview
     pixels = source.read_bytes()
     assert path.read_bytes().endswith(pixels[pixels.rindex(b"\xff\xdb") :])
+
+
+POSE_OF_DRONES = (
+    ("http://www.dji.com/drone-dji/1.0/", "RelativeAltitude", "+80.1"),
+    ("https://www.skydio.com/drone-skydio/1.0/", "AbsoluteAltitude", "900"),
+    ("http://pix4d.com/camera/1.0", "AboveGroundAltitude", "79/1"),
+    ("http://pix4d.com/camera/1.0", "Yaw", "12"),
+    ("http://www.parrot.com/drone-parrot/1.0/", "CameraYawDegree", "12"),
+    ("http://ns.google.com/photos/1.0/panorama/", "InitialViewHeadingDegrees", "12"),
+)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("namespace", "name", "value"), POSE_OF_DRONES)
+def test_poses_in_xmp_are_removed_whatever_their_prefix(tmp_path, form, namespace, name, value):
+    noted = {name: value, "Serial": "A1"}
+    packet = xmp_packet(form, "odd", namespace, **noted).encode()
+    Image.fromarray(PHOTO).save(tmp_path / "photo.jpg", xmp=packet)
+    write_located(tmp_path / "photo.jpg", tmp_path / "copy.jpg", BEST)
+    with Image.open(tmp_path / "copy.jpg") as image:
+        kept = xmp_of(image)
+        # Programs that look for the prefix find it.
+        assert b"odd:Serial" in image.info["xmp"]
+    assert kept.of(namespace.rstrip("/")) == {"Serial": "A1"}
+
+
+def test_xmp_that_cannot_be_parsed_is_not_copied(tmp_path):
+    packet = xmp_packet(FORMS[0], "g", **{"GPSLatitude": "10"}).replace("</rdf:RDF>", "")
+    exif = Image.Exif()
+    exif[700] = xmp_packet(FORMS[0], "g", **{"GPSLatitude": "10"}).encode()
+    Image.fromarray(PHOTO).save(tmp_path / "photo.jpg", xmp=packet.encode(), exif=exif)
+    write_located(tmp_path / "photo.jpg", tmp_path / "copy.jpg", BEST)
+    with Image.open(tmp_path / "copy.jpg") as image:
+        assert xmp_of(image) == Xmp()
+
+
+@pytest.mark.parametrize("noted", [{"GPSLatitude": "10"}, {"Depth": "10"}])
+def test_a_long_packet_is_copied_unless_it_notes_a_pose(tmp_path, noted):
+    long = xmp_packet(FORMS[1], "g", **noted).encode()
+    head = b"http://ns.adobe.com/xmp/extension/\0" + bytes(32) + len(long).to_bytes(4, "big")
+    part = head + bytes(4) + long
+    refers = {"HasExtendedXMP": "0" * 32, "Kept": "yes"}
+    note = xmp_packet(FORMS[0], "n", "http://ns.adobe.com/xmp/note/", **refers).encode()
+    Image.fromarray(PHOTO).save(tmp_path / "photo.jpg", xmp=note)
+    jpeg = (tmp_path / "photo.jpg").read_bytes()
+    segment = b"\xff\xe1" + (len(part) + 2).to_bytes(2, "big") + part
+    (tmp_path / "photo.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    write_located(tmp_path / "photo.jpg", tmp_path / "copy.jpg", BEST)
+    with Image.open(tmp_path / "copy.jpg") as image:
+        kept = {name for _, name in xmp_of(image).values}
+    assert {"HasExtendedXMP", "Depth"} & kept == (
+        {"HasExtendedXMP", "Depth"} if "Depth" in noted else set()
+    )
+    assert "Kept" in kept
 
 
 @pytest.mark.parametrize(("suffix", "orientation"), [(".png", 6), (".tif", 1), (".avif", 6)])
