@@ -5,6 +5,13 @@ focal length with the resolution of the focal plane, and the focal length with t
 whose sensor is in lensfun's database (https://lensfun.github.io). Each is wrong in whole series of
 cameras or in edited files, so one alone is a hint, and only two that agree are a measurement.
 
+A digital zoom enlarges the middle of the frame. Apple's phones count it into the equivalent
+(Hugin's bug 2064625). Other phones (the same bug) and Olympus (Focus-Points' issue 253) do not. So
+a value has two readings, and where no other source says which one is right, both are possible.
+
+A crop mode reads the middle of the sensor. Nikon counts it into the equivalent (Focus-Points' issue
+252), Canon into the focal plane alone. So a photo shows the whole sensor of its camera at most.
+
 All describe the frame whose size the camera noted; a panorama notes its own frame in XMP. A file of
 the frame's shape was at most resized, which changes nothing. A file of another shape was cropped,
 and shows at most the frame. A file of a shape that no camera takes was cropped too, even if the
@@ -13,11 +20,13 @@ noted size agrees with it: programs that crop note the new size.
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from functools import cache
 from importlib import import_module
-from itertools import combinations
+from itertools import combinations, product
 from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
 
 from PIL.ExifTags import Base
@@ -50,6 +59,11 @@ length on a known sensor is taken to be as good: converters and crops inside a c
 _PLANE_ALONE = 0.5 * log(1.5)
 """Deviation of the logarithm of a focal length from the focal plane: wrong values are off by the
 step between two sensor formats, 1.5 (Exiv2's issue 3097)."""
+_EXPOSURE = timedelta(minutes=1)
+"""A camera may note the end of an exposure as the time of change."""
+_NARROWEST = 1.8
+"""A search reaches down to half the likeliest field of view: so it is at most so many times the
+narrowest reading."""
 _LEAST_PIXELS = 3e6
 """A focal plane with fewer pixels does not count by itself: most such photos were reduced by
 programs that note the new size and keep the plane's resolution."""
@@ -123,16 +137,35 @@ def _model_key(model: str) -> str:
 class _FocalLength:
     """A focal length in diagonals of the frame, and the deviation of its logarithm.
 
-    The deviation is None if two sources agree.
+    The deviation is None if two sources agree. If the focal length covers readings that differ,
+    ``readings`` has the shortest and the longest.
     """
 
     source: str
     diagonals: float
     sd: float | None = ALONE_SD
+    readings: tuple[float, ...] = ()
 
     def log_ratio(self, other: "_FocalLength") -> float:
         """Return the difference of the logarithms of two focal lengths."""
-        return abs(log(self.diagonals / other.diagonals))
+        return abs(self.longer_by(other))
+
+    def longer_by(self, other: "_FocalLength") -> float:
+        """Return how much the logarithm of this focal length is above another one's."""
+        return log(self.diagonals / other.diagonals)
+
+    def fov_deg(self, width: float) -> float:
+        """Return the field of view of a width of the frame, in diagonals."""
+        return _fov_deg(width, self.diagonals)
+
+
+_Source = tuple[_FocalLength, ...]
+"""The readings of a source: two where a digital zoom may be counted in it or not."""
+
+
+def _fov_deg(width: float, diagonals: float) -> float:
+    """Return the field of view of a width of the frame; width and focal length in diagonals."""
+    return 2.0 * degrees(atan(width / 2.0 / diagonals))
 
 
 def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
@@ -153,25 +186,31 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     """
     sensor = _sensors_by_model().get(_model_key(text_of(tags, Base.Model)))
     noted, frame = _frames(tags, size_px, sensor)
-    focals, against = _focal_lengths(tags, size_px, noted, frame, sensor)
-    if not focals:
+    known = _on_sensor(tags, frame, sensor)
+    sources, against = _focal_lengths(tags, size_px, noted, known)
+    if not sources and known is None:
         return Lens(reason="; ".join(against))
-    focal = _combined(focals)
+    focal = _combined(sources, known)
     if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
         return Lens(reason=f"{focal.source} left aside: the photo is a panorama or a strip")
-    tangent = _cropped_width(size_px, frame) / 2.0 / (focal.diagonals * hypot(*frame))
-    fov_deg = 2.0 * degrees(atan(tangent))
+    width = _cropped_width(size_px, frame) / hypot(*frame)
+    fov_deg, source = focal.fov_deg(width), focal.source
+    if focal.readings:
+        wide_deg, narrow_deg = (_fov_deg(width, one) for one in focal.readings)
+        fov_deg = min(fov_deg, _NARROWEST * narrow_deg)
+        source += f": {wide_deg:.1f} or {narrow_deg:.1f} degrees"
     if fov_deg < MIN_FOV_DEG:
-        return Lens(reason=f"{focal.source} left aside: {fov_deg:.2g} degrees fit no photo")
+        return Lens(reason=f"{source} left aside: {fov_deg:.2g} degrees fit no photo")
     sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
+    widest_deg = _fov_deg(width, focal.diagonals * exp(-2.0 * (focal.sd or 0.0)))
     if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
-        return Lens(fov_deg, sd_deg, None, "; ".join([focal.source, *against]))
-    reason = f"{focal.source}, but the photo was cropped from {fov_deg:.1f} degrees"
-    most_deg = _CROP_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
+        most_deg = widest_deg if focal.readings else None
+        return Lens(fov_deg, sd_deg, most_deg, "; ".join([source, *against]))
+    reason = f"{source}, but the photo was cropped from {fov_deg:.1f} degrees"
     return Lens(
         _CROP_MEAN * fov_deg,
         hypot(_CROP_SD * fov_deg, sd_deg or 0.0),
-        most_deg,
+        _CROP_MOST * widest_deg,
         "; ".join([reason, *against]),
     )
 
@@ -252,63 +291,168 @@ def _panorama_lens(
     )
 
 
+def _on_sensor(
+    tags: Tags, frame: tuple[float, float], sensor: Sensor | None
+) -> _FocalLength | None:
+    """Return the focal length on a camera's whole sensor, if both are known."""
+    focal_mm = positive(tags.get(Base.FocalLength))
+    if focal_mm is None or sensor is None:
+        return None
+    source = f"focal length on the sensor of {sensor.camera}"
+    return _FocalLength(source, focal_mm * _digital_zoom(tags) / sensor.cropped_mm(frame))
+
+
+def _digital_zoom(tags: Tags) -> float:
+    return max(1.0, positive(tags.get(Base.DigitalZoomRatio)) or 1.0)
+
+
 def _focal_lengths(
     tags: Tags,
     size_px: tuple[int, int],
     noted: tuple[float, float] | None,
-    frame: tuple[float, float],
-    sensor: Sensor | None,
-) -> tuple[list[_FocalLength], list[str]]:
-    """Return the focal lengths that EXIF gives, and the reasons against those left aside."""
+    known: _FocalLength | None,
+) -> tuple[list[_Source], list[str]]:
+    """Return the focal lengths that EXIF notes, and the reasons against those left aside.
+
+    ``noted`` is the frame whose size the camera noted, ``known`` the focal length on the sensor.
+    """
     equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
-    focal_mm = positive(tags.get(Base.FocalLength))
-    film = known = None
+    focal_mm, zoom = positive(tags.get(Base.FocalLength)), _digital_zoom(tags)
+    film: _Source = ()
     against = []
     if equivalent_mm is not None:
-        film = _FocalLength("35 mm equivalent", equivalent_mm / _FULL_FRAME_MM)
-        if not _is_lens(film.diagonals, focal_mm):
+        diagonals = equivalent_mm / _FULL_FRAME_MM
+        film = _readings(_FocalLength("35 mm equivalent", diagonals), zoom, focal_mm)
+        if not film:
             against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm fits no lens")
-            film = None
-    if focal_mm is not None and sensor is not None:
-        zoom = max(1.0, positive(tags.get(Base.DigitalZoomRatio)) or 1.0)
-        source = f"focal length on the sensor of {sensor.camera}"
-        known = _FocalLength(source, focal_mm * zoom / sensor.cropped_mm(frame))
-    found = [one for one in (film, known) if one is not None]
     across = _pixels_per_mm(tags)
     if focal_mm is None or noted is None or across is None:
-        return found, against
-    plane = _FocalLength("focal plane", focal_mm * across / hypot(*noted), _PLANE_ALONE)
+        return [film] if film else [], against
+    noted_plane = _FocalLength("focal plane", focal_mm * across / hypot(*noted), _PLANE_ALONE)
+    plane = _readings(noted_plane, zoom, focal_mm)
     wide = f"EXIF's focal plane would be {max(noted) / across:.1f} mm wide"
     is_of_file = sorted(noted) == sorted(size_px)
-    is_like_film = film is not None and film.log_ratio(plane) <= _AGREE
-    if not _is_lens(plane.diagonals, focal_mm):
+    if not plane:
         against.append("EXIF's focal plane fits no camera")
-    elif known is not None and known.log_ratio(plane) > _AGREE and not is_like_film:
+    elif known is not None and not (
+        _agree(plane, (known,)) or _agree(plane, film) or _is_crop(plane, film, known, noted, tags)
+    ):
         against.append(f"{wide}, which that sensor is not")
     elif known is None and is_of_file and _is_reduced(plane, film, noted):
         against.append(f"{wide}: the photo was reduced, and its size noted anew")
     else:
-        found.append(plane)
-    return found, against
+        return [source for source in (film, plane) if source], against
+    return [film] if film else [], against
 
 
-def _is_reduced(plane: _FocalLength, film: _FocalLength | None, noted: tuple[float, float]) -> bool:
+def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Source:
+    """Return what a value may mean beside a digital zoom, which is counted in it or not.
+
+    A reading counts if there could be such a lens, without the zoom.
+    """
+    lenses = dict.fromkeys((noted.diagonals / zoom, noted.diagonals))
+    possible = [diagonals for diagonals in lenses if _is_lens(diagonals, focal_mm)]
+    source = noted.source
+    if len(possible) > 1:
+        source += f", with or without the digital zoom of {zoom:g},"
+    return tuple(replace(noted, source=source, diagonals=one * zoom) for one in possible)
+
+
+def _agree(one: _Source, other: _Source) -> bool:
+    """Return whether a reading of one source agrees with a reading of another."""
+    return any(a.log_ratio(b) <= _AGREE for a, b in product(one, other))
+
+
+def _is_crop(
+    plane: _Source,
+    film: _Source,
+    known: _FocalLength,
+    noted: tuple[float, float],
+    tags: Tags,
+) -> bool:
+    """Return whether a focal plane may be the part of a sensor that a crop mode reads.
+
+    A program that reduces a photo and notes its new size leaves a small focal plane, too, but few
+    pixels, or a later time of change.
+    """
+    if _agree(film, (known,)) or noted[0] * noted[1] < _LEAST_PIXELS or _was_edited(tags):
+        return False
+    return min(one.longer_by(known) for one in plane) > _AGREE
+
+
+def _was_edited(tags: Tags) -> bool:
+    """Return whether a file says that it was changed after its photo was taken."""
+    taken, changed = (_time_of(tags, tag) for tag in (Base.DateTimeOriginal, Base.DateTime))
+    return taken is not None and changed is not None and abs(changed - taken) > _EXPOSURE
+
+
+def _time_of(tags: Tags, tag: int) -> datetime | None:
+    try:
+        return datetime.strptime(text_of(tags, tag), "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return None
+
+
+def _is_reduced(plane: _Source, film: _Source, noted: tuple[float, float]) -> bool:
     """Return whether a focal plane seems to be that of a reduced picture with its size in it."""
-    if film is None:
+    if not film:
         return noted[0] * noted[1] < _LEAST_PIXELS
-    return log(plane.diagonals / film.diagonals) > _AGREE
+    return min(one.longer_by(other) for one, other in product(plane, film)) > _AGREE
 
 
-def _combined(focals: list[_FocalLength]) -> _FocalLength:
-    """Return the middle of the two focal lengths that agree best; of all if none agree."""
-    if len(focals) == 1:
-        return replace(focals[0], source=f"EXIF's {focals[0].source} alone")
-    one, two = min(combinations(focals, 2), key=lambda pair: pair[0].log_ratio(pair[1]))
-    middle, off = sqrt(one.diagonals * two.diagonals), one.log_ratio(two)
-    both = f"EXIF's {one.source} and its {two.source}"
-    if off <= _AGREE:
-        return _FocalLength(f"{both} agree", middle, None)
-    return _FocalLength(f"{both} contradict one another", middle, max(off / 2.0, ALONE_SD))
+def _combined(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
+    """Return the focal length on which most sources agree, or else one that covers them all."""
+    every = [*sources, *([(known,)] if known else [])]
+    pairs = [pair for two in combinations(every, 2) for pair in product(*two)]
+    agreeing = [pair for pair in pairs if _agree(pair[:1], pair[1:])]
+    if not agreeing:
+        return _of_one_witness(sources, known)
+
+    def backing(pair: tuple[_FocalLength, _FocalLength]) -> int:
+        return sum(_agree(pair[:1], source) and _agree(pair[1:], source) for source in every)
+
+    most = max(map(backing, agreeing))
+    best = sorted(
+        (pair for pair in agreeing if backing(pair) == most),
+        key=lambda pair: pair[0].log_ratio(pair[1]),
+    )
+    source = f"EXIF's {best[0][0].source} and its {best[0][1].source} agree"
+    middles = [sqrt(one.diagonals * two.diagonals) for one, two in best]
+    if log(max(middles) / min(middles)) > _AGREE:
+        return _covering(source, middles)
+    return _FocalLength(source, middles[0], None)
+
+
+def _of_one_witness(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
+    """Return a focal length that covers all sources, no two of which agree.
+
+    A photo shows no more than its camera's whole sensor, and may show less.
+    """
+    if not sources and known is not None:
+        return replace(known, source=f"EXIF's {known.source} alone")
+    readings = [one for source in sources for one in source]
+    names = " and its ".join(source[0].source for source in sources)
+    is_part = known is not None and min(one.longer_by(known) for one in readings) > _AGREE
+    if known is not None and not is_part:
+        names += f" and its {known.source}"
+        readings.append(known)
+    is_alone = len(sources) == 1 and (known is None or is_part)
+    found = _covering(
+        f"EXIF's {names} {'alone' if is_alone else 'contradict one another'}",
+        [one.diagonals for one in readings],
+        (readings[0].sd if is_alone else None) or ALONE_SD,
+    )
+    if known is None or not is_part:
+        return found
+    sd = max(found.sd or 0.0, 0.5 * found.longer_by(known))
+    return replace(found, source=f"{found.source}, a part of what its {known.source} shows", sd=sd)
+
+
+def _covering(source: str, diagonals: Sequence[float], least_sd: float = ALONE_SD) -> _FocalLength:
+    """Return the middle of focal lengths, with all of them within about a deviation."""
+    short, long = min(diagonals), max(diagonals)
+    sd = max(0.5 * log(long / short), least_sd)
+    return _FocalLength(source, sqrt(short * long), sd, (short, long) if short < long else ())
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:

@@ -118,7 +118,7 @@ class Lens:
     sd_deg : float or None
         Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
     most_deg : float or None
-        The greatest possible field of view, if the photo was cropped.
+        The greatest possible field of view, if the photo was cropped or digitally zoomed.
     reason : str
         The source of the values in words, or the reason that there are none; empty if the file
         notes no lens.

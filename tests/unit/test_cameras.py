@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 from PIL.ExifTags import Base
 
+from skyline.match.query_rays import QueryRays
 from skyline.photo.lens import lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")
@@ -88,3 +90,116 @@ def test_crops_are_searched_wide(camera, across, down, is_noted_anew):
         assert "cropped" in found.reason
         assert true <= found.most_deg
         assert abs(true - found.fov_deg) < 2.5 * found.sd_deg
+
+
+ZOOMED = [
+    # Hugin's bug 2064625: the equivalent has the zoom in it.
+    ("iPhone SE (3rd generation)", (4032, 3024), 3.99, 55, 1.951, None, 34.9),
+    # The same bug: "For images from other phones this line was needed."
+    ("SM-A202F", (4128, 3096), 3.6, 27, 2, None, 35.5),
+    # photo.stackexchange.com/questions/117162: the 35 mm equivalent is not noted.
+    ("F3115", (4096, 2304), 3.5, 25, 1.4, None, 56.8),
+    # Focus-Points' issue 253: neither focal length has the digital teleconverter of 2 in it.
+    ("E-M5", (4608, 3456), 40.0, 80, 2, None, 12.3),
+    # A PowerShot's focal plane is the sensor's: 4000 pixels on 6.17 mm.
+    ("Canon PowerShot SX50 HS", (4000, 3000), 4.3, None, 2, 25.4 * 4000 / 6.17, 39.5),
+    # A zoom that is counted in the equivalent, and noted besides.
+    ("DSC-HX20V", (4896, 3672), 4.45, 50, 2, None, 38.2),
+]
+"""Model, pixels, focal length and equivalent in mm, digital zoom, pixels per inch of the focal
+plane, and the true field of view."""
+CROP_MODES = [
+    # Focus-Points' issue 252: DX mode, 23.5 mm of 36 mm, is in the equivalent.
+    ("NIKON D850", (5408, 3600), 35.0, 52, 1, None, 37.1),
+    ("NIKON Z 6", (3984, 2656), 50.0, 75, 1, None, 26.5),
+    # Canon notes no equivalent: 3408 pixels on 22.4 mm, and the same in centimetres.
+    ("Canon EOS R6", (3408, 2272), 35.0, None, 1, 3871.5, 35.4),
+    ("Canon EOS R5", (5088, 3392), 24.0, None, 1, 25.4 * 5088 / 22.4, 50.0),
+    # Sony's APS-C mode on full frame: equivalent and focal plane, 3936 pixels on 23.5 mm.
+    ("ILCE-7M2", (3936, 2624), 31.0, 46, 1, 25.4 * 3936 / 23.5, 41.5),
+    # A cropped equivalent of 35 mm from a lens of 18.3 mm, whose whole sensor sees 28 mm.
+    ("GR III", (4800, 3200), 18.3, 35, 1, None, 54.4),
+]
+
+
+def notes_of(camera):
+    model, (width, height), focal_mm, equivalent_mm, zoom, per_inch, _ = camera
+    noted = {
+        Base.Model: model, Base.FocalLength: focal_mm, Base.DigitalZoomRatio: zoom,
+        Base.FocalLengthIn35mmFilm: equivalent_mm, Base.FocalPlaneXResolution: per_inch,
+        Base.ExifImageWidth: width, Base.ExifImageHeight: height,
+    }  # fmt: skip
+    return {tag: value for tag, value in noted.items() if value is not None}
+
+
+@pytest.mark.parametrize("camera", ZOOMED + CROP_MODES, ids=lambda camera: camera[0])
+@pytest.mark.parametrize("is_upright", [False, True])
+def test_zoomed_and_cropped_frames_are_within_what_is_searched(camera, is_upright):
+    size, true_deg = camera[1], camera[-1]
+    if is_upright:
+        half = math.tan(math.radians(true_deg) / 2.0) * size[1] / size[0]
+        true_deg, size = 2.0 * math.degrees(math.atan(half)), size[::-1]
+    found = lens_of(notes_of(camera), size)
+    sd_deg = 0.025 * found.fov_deg if found.sd_deg is None else found.sd_deg
+    assert abs(true_deg - found.fov_deg) <= 1.5 * sd_deg
+    rays = QueryRays(*np.zeros((2, 1)), np.ones(1), found.fov_deg)
+    low_deg, high_deg = rays.about(sd_deg, found.most_deg or math.inf).fov_bounds_deg
+    assert low_deg < true_deg < high_deg
+
+
+@pytest.mark.parametrize("model", ["E-M5", "Canon PowerShot SX50 HS", "ILCE-7M2", "DSC-HX20V"])
+def test_two_sources_that_agree_say_how_a_zoom_is_counted(model):
+    camera = next(one for one in ZOOMED + CROP_MODES if one[0] == model)
+    found = lens_of(notes_of(camera), camera[1])
+    assert found.fov_deg == pytest.approx(camera[-1], rel=0.03)
+    assert found.sd_deg is None
+
+
+@pytest.mark.parametrize(
+    ("focal_mm", "equivalent_mm", "zoom", "true_deg"),
+    [
+        # 24 mm with a zoom of 4 in them would be a lens of 6 mm, 149 degrees: it is not.
+        (5.6, 24, 4, 20.4),
+        # 260 mm without the zoom of 10 would need a sensor of 1.1 mm: it is in them.
+        (6.7, 260, 10, 7.6),
+    ],
+)
+def test_only_a_possible_lens_counts(focal_mm, equivalent_mm, zoom, true_deg):
+    tags = {
+        Base.FocalLength: focal_mm, Base.FocalLengthIn35mmFilm: equivalent_mm,
+        Base.DigitalZoomRatio: zoom,
+    }  # fmt: skip
+    found = lens_of(tags, (4000, 3000))
+    assert found.fov_deg == pytest.approx(true_deg, rel=0.01)
+    assert found.sd_deg == pytest.approx(
+        0.1 * math.degrees(math.sin(math.radians(true_deg))), rel=0.01
+    )
+    assert found.most_deg is None
+
+
+def test_a_line_says_both_readings_of_a_zoom():
+    tags = {Base.FocalLengthIn35mmFilm: 29, Base.DigitalZoomRatio: 2}
+    found = lens_of(tags, (3000, 2000))
+    # 36 mm over 29 mm, and over 58 mm.
+    assert "with or without the digital zoom of 2" in found.reason
+    assert found.reason.endswith("63.7 or 34.5 degrees")
+    assert abs(63.7 - found.fov_deg) < 1.2 * found.sd_deg
+    assert abs(34.5 - found.fov_deg) < found.sd_deg
+    assert lens_of(tags | {Base.DigitalZoomRatio: 0}, (3000, 2000)).fov_deg == pytest.approx(
+        63.7, abs=0.1
+    )
+
+
+def test_a_program_that_shrinks_a_photo_makes_no_crop_mode():
+    """It notes the new size, and its own time, but keeps the resolution of the focal plane."""
+    tags = {
+        Base.Model: "Canon EOS R6", Base.FocalLength: 35.0,
+        Base.ExifImageWidth: 3408, Base.ExifImageHeight: 2272,
+        Base.FocalPlaneXResolution: 25.4 * 5472 / 36.0,  # 22.4 mm for 3408 pixels
+        Base.DateTimeOriginal: "2024:05:01 10:00:00", Base.DateTime: "2024:06:02 12:00:00",
+    }  # fmt: skip
+    found = lens_of(tags, (3408, 2272))
+    assert found.fov_deg == pytest.approx(54.4, abs=0.1)
+    assert "which that sensor is not" in found.reason
+    same = lens_of(tags | {Base.DateTime: "2024:05:01 10:00:02"}, (3408, 2272))
+    assert same.fov_deg == pytest.approx(35.5, abs=0.1)
