@@ -2,11 +2,13 @@
 
 Made photos see the elevation model with errors of 10 m rms added, and the given place is 50 m
 beside the true one: models and phones are off by as much. Unmarked panoramas and fisheyes are given
-as perspective photos, at their places. Strangers are photos of other terrain, with any place given.
+as perspective photos, at their places. Strangers are photos of other terrain, with any place
+given. `skyline_bench.heights` makes photos that note heights.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, SupportsFloat
@@ -27,6 +29,7 @@ from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
+from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, height_rows
 from skyline_bench.measuring import Row, square_km
 from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
@@ -37,8 +40,6 @@ from skyline_bench.search.stores import middle_deg
 from skyline_bench.search.trials import ALL, groups
 from skyline_bench.sights import Posed, label_row, pixel_row
 
-BESIDE_M = 50.0
-"""Distance of the place that is given from the true one."""
 NEAR_DEG, FOV_SHARE = 0.3, 0.03
 """Errors of a heading, and of a field of view as a share of it, that are small."""
 SHARP_DEG = 0.15
@@ -50,6 +51,8 @@ _FOGGY = 10
 _WEBCAM_M = 2000.0
 """Least median distance of the skyline that a webcam is pointed at."""
 _RENDERED_PX = 2048
+_HEIGHT_SHARE = 10
+"""For one made photo in so many there is one of each kind that notes heights."""
 _PIXEL_SHARE = 10
 """Places in pixels are compared for one made photo in so many: each takes seconds."""
 _ORIENTED = """of measured=queries group km2 n answered within_0.3_deg within_1_deg=within_1
@@ -61,6 +64,7 @@ _TABLES = {
     "made photos": _ORIENTED,
     "unmarked": _ORIENTED,
     "strangers": _ORIENTED,
+    MEASURED: HEIGHTS,
     "labels": """measured pose model km2 photos=n summits visible named within_5_px hidden
         hidden_named median_px p95_px""",
     "pixels": """measured pose model km2 photos=n pixels sky_right median_off_m p99_off_m
@@ -183,6 +187,8 @@ def made_rows(
             progress(count + len(found), steps)
         about = {"measured": "strangers", "group": ALL}
         rows.append(about | summarize(found, is_strange=True))
+    find = partial(_oriented, orienter_at)
+    rows += height_rows(find, terrain, seen, area, -(-count // _HEIGHT_SHARE), seed)
     own: list[Posed] = [(query, None) for query in make_queries(terrain, area, count, seed + 2)]
     given: list[Posed] = [(query, None) for query, _ in held]
     answered: list[Posed] = [(query, one.pose) for query, one in held if one.answer is not None]

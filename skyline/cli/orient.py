@@ -43,9 +43,11 @@ from skyline.photo.read import read_photo, read_query
 from skyline.report.peaks import read_peaks
 from skyline.report.viewer import PIXEL_FILES, Viewer
 from skyline.terrain.folders import dem_names
-from skyline.terrain.viewpoints import check_eye_elevation
+from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
+_ROUNDED_M = 0.01
+"""An eye that is too low by less than this is rounded."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _EXPECTED = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
@@ -327,10 +329,23 @@ def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) ->
 
 
 def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
-    """Return the pose of a record; without an elevation the eye stands on the ground."""
+    """Return the pose of a record; without an elevation the eye stands on the ground.
+
+    An eye lower than a camera is held is lifted, and a line says so.
+    """
     given = {name: record[name] for name in (*_NEEDED, "pitch_deg", "roll_deg") if name in record}
     others = {name: record[name] for name in record if name not in given}
     standing = viewer.pose(**given)
-    if "eye_elevation_m" in others:
-        check_eye_elevation(others["eye_elevation_m"], standing.eye_elevation_m)
-    return replace(standing, **others)
+    if "eye_elevation_m" not in others:
+        return replace(standing, **others)
+    check_eye_elevation(others["eye_elevation_m"], standing.eye_elevation_m)
+    pose = replace(standing, **others)
+    held = viewer.held(pose)
+    height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
+    if height_m < LEAST_EYE_HEIGHT_M - _ROUNDED_M:
+        side = "above" if height_m >= 0.0 else "below"
+        print_note(
+            f"the pose's eye is {abs(height_m):.1f} m {side} the ground of the DEM, lower than a "
+            f"camera is held; it is lifted to {LEAST_EYE_HEIGHT_M:g} m above it"
+        )
+    return held

@@ -29,7 +29,7 @@ from skyline.match.retrieval import Retriever
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
 _SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
 """Poses that retrieval returns for each place of the store, and their least and greatest number:
@@ -150,7 +150,7 @@ class FullMatcher:
         """Return a pose refined by rendering; None where nothing near it fits.
 
         A start farther off is fitted with ``about_start``, the query's rays about the start's field
-        of view, while the eye keeps its height above the ground. The pose is then fitted as in a
+        of view, while the eye keeps its height above the ground, if a camera can be held so low. The pose is then fitted as in a
         search, so its score compares with those of a search with the same query and prior. The
         confidence is that of `confidence.FITTED`. Raises `InputError` without a scene, and for a
         pose off the map or on a hole.
@@ -159,7 +159,7 @@ class FullMatcher:
         off_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(off_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
-        above_m, effort = max(0.0, float(off_m[0])), replace(WHOLE, restarts=1)
+        above_m, effort = max(LEAST_EYE_HEIGHT_M, float(off_m[0])), replace(WHOLE, restarts=1)
         held = Prior(Narrowing(eye_height_m=above_m))
         poses = Refinement(about_start, scene, effort, held).run(pose)
         poses = Refinement(query, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])

@@ -5,6 +5,9 @@ ring of places around it are rendered, and a pose is fitted to each of them from
 retrieval fits poses to the places of a store. The best poses are then refined by rendering, with
 the known place as a prior, so the eye may move.
 
+Most eyes stand on the ground. Where a photo notes a height far above it, poses are fitted from
+there as well (`skyline.match.prior.Standing`), and the costs of both tell which is right.
+
 An orientation is trusted where the skylines fit, no other heading fits nearly as well, and the
 fit leaves little doubt about the heading. The weights of these three were learned like the
 confidence of a match (`skyline.match.confidence`).
@@ -21,17 +24,27 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
-from skyline.geodesy import Curvature
+from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
 from skyline.match.answer import to_dataframe
 from skyline.match.candidate import Candidate, RefinedPoses, candidates_of, hypothesis_of
 from skyline.match.confidence import MatchConfig, at_bound, too_little
 from skyline.match.full import one_blas_thread
 from skyline.match.matcher import named_skyline
-from skyline.match.prior import GPS_SD_M, LEAST_GPS_SD_M, PlacePrior, Prior
+from skyline.match.prior import (
+    GPS_SD_M,
+    LEAST_GPS_SD_M,
+    EyeHeightPrior,
+    KnownGround,
+    PlacePrior,
+    Prior,
+    Standing,
+)
 from skyline.match.query_rays import QueryRays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
+from skyline.match.solver import TEMPERATURE
+from skyline.photo.exif import NotedPlace
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture
 from skyline.render.context import Releasable
@@ -41,6 +54,7 @@ from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
     check_eye_elevation,
     stand_at_one,
     stand_where_possible,
@@ -61,6 +75,8 @@ _MOST_WITHIN_M = 500.0
 """Places that are known less well are searched for: that is a match."""
 _RING = 8
 """Places rendered around the known one."""
+_TAKEOFF_M = 200.0
+"""Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
 _HEADINGS, _PLACES = 48, 32
 """Numbers of fits that are refined: the best fit of each heading, and the best of all fits."""
 _SEPARATION_M, _TURN_DEG = 15.0, 4.0
@@ -73,6 +89,10 @@ _EFFORT = Effort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
+_SAME_EYE_SDS = 3.0
+"""Eyes that differ in height by less than so many deviations of the terrain model are the same."""
+_CLOSE_EYE = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
+"""An eye of another height whose score is behind by less is too likely to trust the best one."""
 _FAR_SD = 4.0
 """A pose farther from the known place than so many of its standard errors is of another place."""
 _CLOSE = 20.0
@@ -95,6 +115,8 @@ class Orientation:
         Estimated probability that the heading is right within 1 degree.
     moved_m : float
         Distance of the pose from the known place; NaN without a pose.
+    eye_height_m : float
+        Height of the eye above the DEM's ground; NaN without a pose.
     seconds : float
         From the query to the pose.
     refusal : str or None
@@ -111,6 +133,7 @@ class Orientation:
     fov_sd_deg: float = math.nan
     confidence: float = 0.0
     moved_m: float = math.nan
+    eye_height_m: float = math.nan
     seconds: float = 0.0
     refusal: str | None = None
     name: str = ""
@@ -139,6 +162,7 @@ class Orientation:
             row[name] = getattr(self.pose, name, None)
         return row | {
             "moved_m": None if self.pose is None else self.moved_m,
+            "eye_height_m": None if self.pose is None else self.eye_height_m,
             "confidence": self.confidence,
             "seconds": self.seconds,
             "refusal": self.refusal and printable(self.refusal),
@@ -159,7 +183,8 @@ class Orientation:
             )
             lines.append(
                 f"confidence {self.confidence:.2f} that the heading is right within "
-                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given"
+                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
+                f"{self.eye_height_m:.0f} m above the ground"
             )
         if self.query.lens is not None:
             lines.append(self.query.lens.in_words)
@@ -178,8 +203,8 @@ class Orienter(Releasable):
     lon, lat : float
         The place, degrees (WGS 84).
     elevation_m : float, optional
-        Elevation of the eye above the DEM's datum; by default the eye stands on the ground, which
-        the fit may correct.
+        Elevation of the eye above the DEM's datum. By default the eye stands on the ground, or at a
+        height that the photo notes, and the fit decides.
     within_m : float
         Standard error of the place, metres.
 
@@ -212,22 +237,45 @@ class Orienter(Releasable):
         self._within_m = within_m
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
-        self._elevation_m, self._eye_height_m = elevation_m, DEFAULT_EYE_HEIGHT_M
-        ring = within_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
-        around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
-        eyes = stand_where_possible(self.terrain, around.real, around.imag)[0]
+        self._ground_m, self._elevation_m = float(ground.eye_elevation_m[0]), elevation_m
         if elevation_m is not None:
-            check_eye_elevation(elevation_m, float(eyes.eye_elevation_m.min()))
-            np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
-            above_m = elevation_m - float(ground.eye_elevation_m[0])
-            self._eye_height_m = max(DEFAULT_EYE_HEIGHT_M, above_m)
+            lowest_m = self._around(within_m).eye_elevation_m.min() - DEFAULT_EYE_HEIGHT_M
+            check_eye_elevation(elevation_m, float(lowest_m))
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views)
         # Kept, since it holds the terrain's textures, which the scene shares.
         self._panoramas = PanoramaRenderer(self.terrain, BINS, self.curvature)
-        places = Places.of(self._panoramas.render(eyes), within_m / 2.0)
-        self._retriever = Retriever(places, self._scene.ground_m)
+        self._retriever = self._retriever_at(elevation_m)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
+
+    def _around(self, away_m: float) -> Viewpoints:
+        """Return eyes at the known place and on a ring around it, 2 m above the ground."""
+        ring = away_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
+        return stand_where_possible(self.terrain, around.real, around.imag)[0]
+
+    def _retriever_at(self, elevation_m: float | None) -> Retriever:
+        """Return a retriever of poses of eyes at an elevation; by default on the ground."""
+        eyes = self._around(self._within_m)
+        if elevation_m is not None:
+            np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
+        places = Places.of(self._panoramas.render(eyes), self._within_m / 2.0)
+        return Retriever(places, self._scene.ground_m)
+
+    def _standings(self, noted: NotedPlace) -> list[Standing]:
+        """Return the ways in which the eye may stand at the known place."""
+        height_sd_m = self._scene.height_sd_m
+        if self._elevation_m is not None:
+            above_m = max(DEFAULT_EYE_HEIGHT_M, self._elevation_m - self._ground_m)
+            return [Standing(EyeHeightPrior(above_m, height_sd_m), self._elevation_m)]
+        reliefs_m = self._relief_m(self._within_m), self._relief_m(_TAKEOFF_M)
+        ground = KnownGround(self._ground_m, *reliefs_m, height_sd_m)
+        return Standing.of_noted(noted, ground)
+
+    def _relief_m(self, away_m: float) -> float:
+        """Return the rms difference of the ground so far away from that of the place."""
+        ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
+        return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
     def release(self) -> None:
         """Free the orienter's GPU memory."""
@@ -268,22 +316,42 @@ class Orienter(Releasable):
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
     def _refined(self, rays: QueryRays, query: QuerySkyline) -> RefinedPoses:
-        """Return the best pose of each heading, best first."""
-        fitted = self._retriever.fitted_all_round(rays)
-        each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
-        best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
-        return self._refinement(rays, query).run(fitted[np.union1d(each, best)])
+        """Return the best pose of each heading in each standing, best first."""
+        found = list[RefinedPoses]()
+        for number, standing in enumerate(self._standings(query.noted)):
+            retriever = self._retriever
+            if number > 0:
+                retriever = self._retriever_at(standing.elevation_m)
+            fitted = retriever.fitted_all_round(rays)
+            each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
+            best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
+            refinement = self._refinement(rays, query.noted, standing)
+            poses = refinement.run(fitted[np.union1d(each, best)])
+            found.append(replace(poses, score=poses.score + TEMPERATURE * standing.cost))
+        poses = RefinedPoses.concatenate(found)
+        return poses[np.argsort(poses.score, kind="stable")]
 
-    def _refinement(self, rays: QueryRays, query: QuerySkyline) -> Refinement:
+    def _refinement(
+        self, rays: QueryRays, noted: NotedPlace, standing: Standing
+    ) -> "_RefinementByHeading":
         """Return the refinement of a photo's rays, with what is known of its pose."""
-        noted = PlacePrior.of_noted(query.noted, self.frame)
-        known = PlacePrior(self._east, self._north, self._within_m, elevation_m=self._elevation_m)
-        if noted is not None:
-            known = replace(
-                known, heading_deg=noted.heading_deg, heading_sd_deg=noted.heading_sd_deg
-            )
-        return _RefinementByHeading(
-            rays, self._scene, _EFFORT, Prior(noted=known), self._eye_height_m
+        prior = Prior(noted=self._known(noted, standing))
+        return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
+
+    def _known(self, noted: NotedPlace, standing: Standing) -> PlacePrior:
+        """Return the known place as a prior, with the direction that a photo notes."""
+        known = PlacePrior(
+            self._east,
+            self._north,
+            self._within_m,
+            elevation_m=standing.elevation_m,
+            elevation_sd_m=standing.elevation_sd_m,
+        )
+        from_exif = PlacePrior.of_noted(noted, self.frame)
+        if from_exif is None:
+            return known
+        return replace(
+            known, heading_deg=from_exif.heading_deg, heading_sd_deg=from_exif.heading_sd_deg
         )
 
     def _orientation(
@@ -292,11 +360,13 @@ class Orienter(Releasable):
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
             return Orientation(query, None, refusal="no heading fits at this place")
+        other_eye = self._other_eye(poses)
+        poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _APART_DEG)]
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         pose = replace(candidates_of(self.frame, poses[:1])[0], rank=None)
-        refusal = at_bound(pose, rays)
+        refusal = at_bound(pose, rays) or other_eye
         if moved_m[0] > _FAR_SD * self._within_m:
             refusal = (
                 f"the best pose is {moved_m[0]:.0f} m from the place, which is known to "
@@ -304,19 +374,49 @@ class Orienter(Releasable):
             )
         if sure < LEAST_CONFIDENCE:
             refusal = self._doubt(poses, pose, sure)
-        if refusal and refusal != at_bound(pose, rays):
+        if refusal and refusal not in {at_bound(pose, rays), other_eye}:
             refusal += confidence.fov_hint(pose, query, rays)
         if sure >= projections.LEAST_CONFIDENCE:
+            above_m = float(self._eye_heights_m(poses[:1])[0])
+            standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
             other = projections.other_projection(
-                rays, hypothesis_of(pose), lambda bent: self._refinement(bent, query)
+                rays,
+                hypothesis_of(pose),
+                lambda bent: self._refinement(bent, query.noted, standing),
             )
             refusal = projections.with_projection(refusal, other)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
-        moved = float(moved_m[0])
         return Orientation(
-            query, pose, **errors_deg, confidence=sure, moved_m=moved, refusal=refusal
+            query,
+            pose,
+            **errors_deg,
+            confidence=sure,
+            moved_m=float(moved_m[0]),
+            eye_height_m=float(self._eye_heights_m(poses[:1])[0]),
+            refusal=refusal,
         )
+
+    def _other_eye(self, poses: RefinedPoses) -> str | None:
+        """Return the refusal of a best pose that another standing rivals; None if none does."""
+        heights_m = self._eye_heights_m(poses)
+        is_same = np.abs(in_turn(poses.heading_deg - poses.heading_deg[0])) < _APART_DEG
+        off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
+        is_other = is_same & (off_m > _SAME_EYE_SDS * self._scene.height_sd_m)
+        is_close = poses.score - poses.score[0] < _CLOSE_EYE
+        rivals = np.flatnonzero(is_other & is_close)
+        if not len(rivals):
+            return None
+        return (
+            f"the eye may stand {heights_m[0]:.0f} m above the ground, or "
+            f"{heights_m[rivals[0]]:.0f} m, as the photo notes a height; give its elevation "
+            "(--at LON,LAT,ELEV)"
+        )
+
+    def _eye_heights_m(self, poses: RefinedPoses) -> Float64Array:
+        """Return the heights (M,) of eyes above the ground."""
+        ground_m = self._scene.ground_m(poses.easting_m, poses.northing_m)
+        return np.asarray(poses.eye_elevation_m - ground_m)
 
     def _moved_m(self, poses: RefinedPoses) -> Float64Array:
         """Return how far poses (M,) lie from the known place."""

@@ -12,6 +12,7 @@ a noted position is therefore
 and a distant place is never less likely than in a search of area A without a noted position.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from skyline.match.candidate import Hypotheses
 from skyline.match.screening import turns_within
 from skyline.photo.exif import NotedPlace
 from skyline.store.places import Places
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
 _WRONG_SHARE = 0.05
 """w. Of 20 photos examined, one had a position 6 km off."""
@@ -40,6 +42,30 @@ is off too."""
 _LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
 """Heights are two to three times as uncertain as places, and their datum may differ from the
 model's."""
+_HEIGHT_TAIL = 1.5
+"""Exponent of the density of an altitude's error e of scale s, (1 + (e / s)^2)^-1.5 / (2 s)."""
+_GEOID_M = 30.0
+"""Root mean square of the geoid's height above the ellipsoid, over the Earth (EGM96)."""
+_ALTITUDE_SD_M = math.hypot(_GEOID_M / math.sqrt(2.0), _LEAST_ALTITUDE_SD_M)
+"""Scale of an altitude without an accuracy. Half of the devices are taken to note heights above the
+ellipsoid as heights above the sea: Android's `Location.getAltitude` gives these, and so do some
+drones (OpenAthena's issues 24 and 65)."""
+_BAROMETER_SD_M = 90.0
+"""Scale of a drone's altitude, which its barometer gives for the standard atmosphere. The pressure
+at sea level varies by 10 hPa, of 8.4 m each, and the temperature by 10 K, 3.5 % of the height. One
+hill's altitude varied by 150 m in two weeks (DroneDeploy's forum 7617), another's by 200 m in some
+months (mavicpilots.com, thread 147682)."""
+_TAKEOFF_SD_M, _TAKEOFF_SHARE = 5.0, 0.035
+"""Deviation of a drone's height above its take-off: drift, and the temperature's share."""
+_ALOFT_SHARE, _DRONE_SHARE = 0.05, 0.99
+"""Share of photos that are taken from drones, towers, cable cars and balloons; and of those of
+drones that are taken in flight. Both are assumed."""
+_ALOFT_M = 100.0
+"""Median height of an eye in flight. Drones may fly up to 120 m; cable cars and balloons are
+higher."""
+_ALOFT_SDS = 3.0
+"""An eye that stands this many deviations of the terrain model higher than usual may still stand on
+the ground."""
 _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
 """The declination is not modelled, and reaches 20 degrees where people live. A compass that does
 not name its north may refer to the magnetic one."""
@@ -66,7 +92,7 @@ class PlacePrior:
     heading_sd_deg: float = _COMPASS_SD_DEG
     """Standard deviation of the heading, where the compass is not disturbed."""
     elevation_m: float | None = None
-    """Elevation of the eye; its error has a Cauchy distribution."""
+    """Elevation of the eye; its error is distributed as the position's is along a line."""
     elevation_sd_m: float = _LEAST_ALTITUDE_SD_M
     """Scale of that distribution."""
 
@@ -85,9 +111,9 @@ class PlacePrior:
         compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
         elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
         if noted.accuracy_m is not None:
-            # A device that notes its accuracy has satellites in view, and corrects for the geoid.
+            # Other altitudes would pull an eye of unknown place to ground that is too high.
             elevation_m = noted.elevation_m
-            elevation_sd_m = max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
+            elevation_sd_m = _altitude_sd_m(noted)
         return cls(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
 
     def cost(
@@ -106,7 +132,8 @@ class PlacePrior:
             right *= 1.0 - _COMPASS_WRONG_SHARE
             cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
         if self.elevation_m is not None:
-            cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
+            off = (eye_m - self.elevation_m) / self.elevation_sd_m
+            cost = cost + _HEIGHT_TAIL * np.log1p(off**2)
         return np.asarray(cost)
 
     def pull(
@@ -125,7 +152,8 @@ class PlacePrior:
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
-            precision[:, 2] = 2.0 / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
+            spread = self.elevation_sd_m**2 + offset_m[:, 2] ** 2
+            precision[:, 2] = 2.0 * _HEIGHT_TAIL / spread
         return precision, offset_m
 
     @property
@@ -153,7 +181,7 @@ class EyeHeightPrior:
     @property
     def range_m(self) -> tuple[float, float]:
         """The smallest and the greatest height that are tried."""
-        least_m = self.usual_m if self.sd_m == 0.0 else 0.0
+        least_m = self.usual_m if self.sd_m == 0.0 else LEAST_EYE_HEIGHT_M
         return least_m, self.usual_m + _GREATEST_SD * self.sd_m
 
     def cost(self, height_m: Float64Array) -> Float64Array:
@@ -167,6 +195,100 @@ class EyeHeightPrior:
 
     def _deviations(self, height_m: Float64Array) -> Float64Array:
         return (height_m - self.usual_m) / max(self.sd_m, _LEAST_SD_M)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownGround:
+    """The ground at a known place."""
+
+    elevation_m: float
+    relief_m: float
+    """Deviation of the ground within the error of the place."""
+    takeoff_relief_m: float
+    """Deviation of the ground where a drone that is there may have taken off."""
+    height_sd_m: float
+    """Deviation of the terrain model's heights."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """One of the ways in which an eye may stand at a known place: on the ground, or aloft."""
+
+    eye: EyeHeightPrior
+    elevation_m: float | None = None
+    """Elevation of an eye aloft, as the photo notes it."""
+    elevation_sd_m: float = _LEAST_ALTITUDE_SD_M
+    """Scale of its error."""
+    cost: float = 0.0
+    """Negative log of the density of the usual height, given all heights that the photo notes."""
+
+    @classmethod
+    def of_noted(cls, noted: NotedPlace, ground: KnownGround) -> "list[Standing]":
+        """Return the ways that the heights noted in a photo leave open, the ground first.
+
+        A noted height may be wrong by far, so many photos are likely taken on the ground below it.
+        """
+        on_ground = cls(EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, ground.height_sd_m))
+        heights = _noted_heights(noted, ground)
+        if not heights:
+            return [on_ground]
+        flying = _ALOFT_SHARE if noted.takeoff_height_m is None else _DRONE_SHARE
+        peak = (1.0 - flying) / (math.pi * ground.height_sd_m)
+        cost = sum(one.cost(DEFAULT_EYE_HEIGHT_M) for one in heights) - math.log(peak)
+        found = [replace(on_ground, cost=cost)]
+        for height in sorted(heights, key=lambda one: one.sd_m):
+            above_m = height.height_m
+            if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT_SDS * ground.height_sd_m:
+                continue
+            if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
+                continue
+            density = flying * 2.0 / (math.pi * _ALOFT_M) / (1.0 + (above_m / _ALOFT_M) ** 2)
+            cost = sum(one.cost(above_m) for one in heights) - math.log(density)
+            eye = EyeHeightPrior(above_m, max(height.sd_m, ground.height_sd_m))
+            elevation_m = ground.elevation_m + above_m
+            found.append(cls(eye, elevation_m, height.elevation_sd_m, cost))
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class _NotedHeight:
+    """A height above the ground of a known place that a photo notes.
+
+    Its error is distributed as in `PlacePrior`.
+    """
+
+    height_m: float
+    sd_m: float
+    """Scale of the error above the ground, whose elevation is not quite known."""
+    elevation_sd_m: float
+    """Scale of the error of the elevation."""
+
+    def cost(self, height_m: float) -> float:
+        """Return the negative log density of noting this height at another one."""
+        off = (height_m - self.height_m) / self.sd_m
+        return _HEIGHT_TAIL * math.log1p(off**2) + math.log(2.0 * self.sd_m)
+
+
+def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]:
+    found = []
+    if noted.takeoff_height_m is not None:
+        drift_m = _TAKEOFF_SHARE * abs(noted.takeoff_height_m)
+        sd_m = math.hypot(ground.takeoff_relief_m, _TAKEOFF_SD_M, drift_m)
+        found.append(_NotedHeight(noted.takeoff_height_m, sd_m, sd_m))
+    if noted.elevation_m is not None:
+        above_m, sd_m = noted.elevation_m - ground.elevation_m, _altitude_sd_m(noted)
+        found.append(_NotedHeight(above_m, math.hypot(sd_m, ground.relief_m), sd_m))
+    return found
+
+
+def _altitude_sd_m(noted: NotedPlace) -> float:
+    """Return the scale of the error of a photo's altitude."""
+    if noted.takeoff_height_m is not None:
+        return _BAROMETER_SD_M
+    if noted.accuracy_m is None:
+        return _ALTITUDE_SD_M
+    # A device that notes its accuracy has satellites in view, and corrects for the geoid.
+    return max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
 
 
 @dataclass(frozen=True, slots=True)

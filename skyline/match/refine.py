@@ -155,8 +155,9 @@ class Particles(Rows):
 class Refinement:
     """The refinement of one query.
 
-    The height of the eye above the ground is solved for, about the usual one, unless the prior's
-    narrowing gives it. It starts at ``first_eye_height_m``, by default at the usual one.
+    The height of the eye above the ground is solved for, about the usual one of ``eye``, by default
+    that of a person, unless the prior's narrowing gives it. It starts at ``first_eye_height_m``, by
+    default at the usual one.
     """
 
     def __init__(
@@ -165,12 +166,12 @@ class Refinement:
         scene: RenderedScene,
         effort: Effort,
         prior: Prior = NOTHING_KNOWN,
-        usual_eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+        eye: EyeHeightPrior | None = None,
         first_eye_height_m: float | None = None,
     ) -> None:
         self._scene, self.effort = scene, effort
         self._first_eye_height_m = first_eye_height_m
-        eye = EyeHeightPrior(usual_eye_height_m, scene.height_sd_m)
+        eye = eye or EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.fine = (

@@ -1,4 +1,4 @@
-"""The place and the heading that a photo's EXIF notes.
+"""The place and the heading that a photo's EXIF notes, and the height that a drone's XMP notes.
 
 Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
 meaning of a number is missing, the number is left aside, with a sentence that gives the reason.
@@ -15,11 +15,19 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from skyline.geodesy import GROUND_M
+from skyline.photo.xmp import NO_XMP, Xmp
 
 _ERROR_PER_DOP_M = 5.0
 """Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
 _MOST_ERROR_M = 10_000.0
 """Error beyond which a position names a region: the place is not searched for so far away."""
+_ABOVE_TAKEOFF = ("RelativeAltitude", "AboveGroundAltitude")
+"""XMP's names of the height above the take-off. DJI, Autel and Skydio write the first, each in a
+namespace of its own, Parrot and senseFly the second in Pix4D's (OpenAthena and TinyEXIF read
+them)."""
+_NUMBER = re.compile(r"([+-]?\d+\.?\d*)(?:/([1-9]\d*))?")
+"""A decimal or a rational, as XMP writes them."""
+_MOST_TAKEOFF_M = 10_000.0
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
 _UP, _DOWN, _UP_ELLIPSOIDAL, _DOWN_ELLIPSOIDAL = range(4)
 """GPSAltitudeRef; EXIF 3.0 added heights above the ellipsoid."""
@@ -46,6 +54,8 @@ class NotedPlace:
         The camera's own estimate of the error of its position.
     left_aside : str
         Sentences on GPS tags that cannot be used and the reason, without the position itself.
+    takeoff_height_m : float, optional
+        Height above the place where a drone took off, by its barometer.
     """
 
     lonlat_deg: tuple[float, float] | None = None
@@ -54,6 +64,7 @@ class NotedPlace:
     is_magnetic: bool | None = False
     accuracy_m: float | None = None
     left_aside: str = ""
+    takeoff_height_m: float | None = None
 
 
 NOTHING_NOTED = NotedPlace()
@@ -63,8 +74,8 @@ class _UnusableError(Exception):
     """The reason, in words, that a GPS tag cannot be used."""
 
 
-def place_from_exif(gps: Tags) -> NotedPlace:
-    """Return the place and the heading noted in a photo's GPS directory."""
+def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
+    """Return the place and the heading noted in a photo's GPS directory, and the height in XMP."""
     left_aside: list[str] = []
 
     def noted(name: str, read: Callable[[Tags], T | None]) -> T | None:
@@ -85,7 +96,17 @@ def place_from_exif(gps: Tags) -> NotedPlace:
         False if heading_deg is None else north,
         None if place is None else _accuracy_m(gps),
         " ".join(left_aside),
+        _takeoff_height_m(xmp),
     )
+
+
+def _takeoff_height_m(xmp: Xmp) -> float | None:
+    """Return the height above the take-off in XMP; None if it notes none, or an impossible one."""
+    noted = _NUMBER.match(xmp.first(*_ABOVE_TAKEOFF) or "")
+    if noted is None:
+        return None
+    height_m = float(noted[1]) / float(noted[2] or 1.0)
+    return height_m if abs(height_m) <= _MOST_TAKEOFF_M else None
 
 
 def _accuracy_m(gps: Tags) -> float | None:

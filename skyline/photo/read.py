@@ -211,8 +211,9 @@ def read_photo(
             width, height = height, width
         exif = image.getexif()
         tags = {**exif, **exif.get_ifd(IFD.Exif)}
-        noted, lens = camera_of(tags, xmp_of(image), (width, height))
-        place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
+        xmp = xmp_of(image)
+        noted, lens = camera_of(tags, xmp, (width, height))
+        place = place_from_exif(exif.get_ifd(IFD.GPSInfo), xmp)
         rgb = _to_rgb(upright)
     if min(rgb.shape[:2]) < 2:
         raise InputError(f"{name} has {width} x {height} px; expected a photo or a sky mask")
@@ -275,7 +276,7 @@ def read_noted_place(path: Picture) -> NotedPlace:
     if is_table(path):
         return NOTHING_NOTED
     with opened_image(path) as image:
-        return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo))
+        return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo), xmp_of(image))
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

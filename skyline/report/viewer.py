@@ -9,7 +9,7 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Lock
 
@@ -33,6 +33,7 @@ from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.sightlines import first_hits_m
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
+    LEAST_EYE_HEIGHT_M,
     Viewpoints,
     at_elevation,
     stand_at_one,
@@ -305,6 +306,14 @@ class Viewer(Releasable):
             score=math.nan,
         )
 
+    def held(self, pose: Candidate) -> Candidate:
+        """Return a pose whose eye is lifted to the least height at which a camera is held.
+
+        A view from the ground itself would show nothing but that ground. Every view of a pose is
+        from this eye. Raises `OffMapError` for a pose off the map or on a hole.
+        """
+        return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
+
     def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
         """Return the skyline rendered at a pose, in pixels of the query's photo.
 
@@ -398,9 +407,9 @@ class Viewer(Releasable):
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Candidate) -> Viewpoints:
-        """Return the eye of a pose, lifted to the ground if it is below; raises `OffMapError`."""
+        """Return the eye of a pose, as high as a camera is held at least; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
-        eye = stand_on(self.terrain, **place, eye_height_m=0.0)
+        eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
         return eye
 

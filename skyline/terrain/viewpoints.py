@@ -15,6 +15,9 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
+LEAST_EYE_HEIGHT_M = 0.3
+"""Height of a camera on the lowest tripods, or in the hands of someone who lies down. An eye that
+seems lower stands where the terrain model is too high."""
 _HIGHEST_EYE_M = 20_000.0
 """Greatest elevation of an eye, above all aeroplanes from which people take photos."""
 _MOST_BELOW_M = 200.0

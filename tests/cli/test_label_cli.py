@@ -131,6 +131,27 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
     assert "not trusted: fog" in notes["refused"]
 
 
+@pytest.mark.parametrize(
+    ("above_m", "said"), [(0.0, "0.0 m above the ground"), (-4.0, "4.0 m below the ground")]
+)
+def test_an_eye_lower_than_a_camera_is_held_is_lifted(
+    run, dem, photo, pose, tmp_path, above_m, said
+):
+    record = json.loads(pose.read_text())
+    ground_m = float(read_dem([dem]).height_at(lon=record["lon"], lat=record["lat"]))
+    low = tmp_path / "low.json"
+    low.write_text(json.dumps(record | {"eye_elevation_m": ground_m + above_m}))
+    common = "pixels", photo, "--pose", low, "--dem", dem, "--step", 20
+    done = run(*common, "-o", tmp_path / "low.npz").ok()
+    assert f"the pose's eye is {said}" in done.err
+    assert "it is lifted to 0.3 m above it" in done.err
+    with np.load(tmp_path / "low.npz") as file:
+        seen_m = file["distance_m"][np.isfinite(file["distance_m"])]
+        held = json.loads(str(file["pose"]))
+    assert held["eye_elevation_m"] == pytest.approx(ground_m + 0.3, abs=1e-6)
+    assert np.mean(seen_m < 0.3) < 0.1
+
+
 _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
 
 

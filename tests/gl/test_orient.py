@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scenes import NORTH_M, WEST_M, at_deg, field_of
+from scenes import NORTH_M, WEST_M, at_deg, field_of, fractal
 from test_matcher import MIDDLE, SHARP
 
 from skyline import Orienter, orient
@@ -96,3 +96,79 @@ def test_a_flat_horizon_has_no_heading():
     level = QuerySkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
     found = orient(level, plain, **place)
     assert found.answer is None
+
+
+def ground_at(terrain, pose):
+    return float(terrain.height_at(easting_m=pose.easting_m, northing_m=pose.northing_m))
+
+
+def noting(terrain, query, **heights):
+    """Return a query's skyline with its place, 30 m off, and heights that its photo notes."""
+    place = beside(terrain, query.truth)
+    return replace(query.skyline, noted=NotedPlace((place["lon"], place["lat"]), **heights))
+
+
+@pytest.mark.parametrize("height_m", [60.0, 120.0, 350.0])
+@pytest.mark.parametrize("kind", ["altitude", "take-off", "a drone's in low pressure"])
+def test_an_eye_far_above_the_ground_is_found_from_a_noted_height(terrain, height_m, kind):
+    config = replace(SHARP, eye_height_m=height_m)
+    query = make_queries(terrain, MIDDLE, 2, seed=3, config=config)[1]
+    eye_m = query.truth.eye_elevation_m
+    heights = {
+        "altitude": {"elevation_m": eye_m + 10.0},
+        "take-off": {"takeoff_height_m": height_m - 15.0},
+        "a drone's in low pressure": {
+            "elevation_m": eye_m + 150.0, "takeoff_height_m": height_m - 15.0,
+        },
+    }[kind]  # fmt: skip
+    found = orient(noting(terrain, query, **heights), terrain)
+    assert found.refusal is None
+    assert np.abs(off_deg(found, query.truth)[:3]).max() < 0.3
+    assert abs(found.pose.eye_elevation_m - eye_m) < 15.0
+    above_m = found.pose.eye_elevation_m - ground_at(terrain, found.pose)
+    assert found.to_row()["eye_height_m"] == pytest.approx(above_m, abs=0.01)
+    assert f"and {above_m:.0f} m above the ground" in found.to_text()
+
+
+@pytest.mark.parametrize("off_m", [-50.0, 50.0, 90.0])
+def test_a_wrong_altitude_lifts_no_eye_from_the_ground(terrain, queries, off_m):
+    """Many devices note heights above the ellipsoid, 50 m above the sea's in the Alps."""
+    for query in queries:
+        altitude_m = query.truth.eye_elevation_m + off_m
+        found = orient(noting(terrain, query, elevation_m=altitude_m), terrain)
+        assert found.refusal is None
+        assert abs(off_deg(found, query.truth)[0]) < 0.6
+        assert abs(found.pose.eye_elevation_m - query.truth.eye_elevation_m) < 15.0
+
+
+def test_a_skyline_that_says_nothing_of_a_noted_height_is_refused():
+    """Ridges 45 km away, all round a plain, look the same from 150 m above it."""
+    north, east = np.mgrid[:200, :200] - 99.5
+    is_far = 0.5 * np.hypot(north, east) > 45.0
+    heights_m = is_far * (1000.0 + fractal(200, 200, 900.0, seed=2))
+    ring = field_of(heights_m, 500.0, west_m=WEST_M, north_m=NORTH_M)
+    middle = (WEST_M + 49_500.0, NORTH_M - 49_700.0, WEST_M + 49_700.0, NORTH_M - 49_500.0)
+    (query,) = make_queries(ring, middle, 1, seed=3, config=SHARP)
+    eye_m = query.truth.eye_elevation_m
+    found = orient(noting(ring, query, elevation_m=eye_m + 150.0), ring)
+    assert "the eye may stand 3 m above the ground, or 149 m" in found.refusal
+    assert "give its elevation (--at LON,LAT,ELEV)" in found.refusal
+    assert orient(noting(ring, query, elevation_m=eye_m), ring).refusal is None
+
+
+def test_no_eye_is_lower_than_a_camera_is_held(terrain):
+    config = replace(SHARP, eye_height_m=0.0)
+    for query in make_queries(terrain, MIDDLE, 6, seed=3, config=config):
+        pose = orient(query.skyline, terrain, **beside(terrain, query.truth, 0.0)).pose
+        assert pose.eye_elevation_m - ground_at(terrain, pose) > 0.299
+
+
+@pytest.mark.slow
+def test_the_made_photo_of_a_drone(shared_data):
+    found = orient(
+        shared_data / "cases" / "drone_120m.jpg", shared_data / "davos" / "davos_srtm1_30m.tif"
+    )
+    assert found.refusal is None
+    assert found.pose.eye_elevation_m == pytest.approx(2543.4, abs=5.0)
+    assert found.pose.heading_deg == pytest.approx(180.0, abs=0.1)
+    assert abs(found.pose.pitch_deg) < 0.1

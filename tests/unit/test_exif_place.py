@@ -1,11 +1,15 @@
 """The place, altitude and direction in a photo's EXIF, and notes that are left aside."""
 
 import pytest
-from PIL.ExifTags import GPS
+from PIL import Image
+from PIL.ExifTags import GPS, IFD
 from PIL.TiffImagePlugin import IFDRational
+from xmp_packets import xmp_packet
 
 from skyline import NotedPlace
 from skyline.photo.exif import place_from_exif
+from skyline.photo.read import read_noted_place, read_photo
+from skyline.photo.xmp import Xmp
 
 SOUTH_WEST = {
     GPS.GPSLatitude: (33.0, 30.0, 36.0),
@@ -100,3 +104,33 @@ def test_other_tags_that_cannot_be_used_are_left_aside(gps, said):
     assert said in noted.left_aside
     beside = place_from_exif(SOUTH_WEST | {GPS.GPSImgDirection: 655.0})
     assert beside.lonlat_deg == (-70.25, -33.51)
+
+
+@pytest.mark.parametrize(
+    ("namespace", "name", "value", "height_m"),
+    [
+        ("http://www.dji.com/drone-dji/1.0/", "RelativeAltitude", "+120.00", 120.0),
+        ("http://www.dji.com/drone-dji/1.0/", "RelativeAltitude", "-7.5", -7.5),
+        ("https://www.skydio.com/drone-skydio/1.0/", "RelativeAltitude", "31.25", 31.25),
+        ("http://pix4d.com/camera/1.0", "AboveGroundAltitude", " 4936/100 ", 49.36),
+        ("http://pix4d.com/camera/1.0", "AboveGroundAltitude", "4936/0", 4936.0),
+        ("http://www.dji.com/drone-dji/1.0/", "RelativeAltitude", "high", None),
+        ("http://www.dji.com/drone-dji/1.0/", "RelativeAltitude", "123456", None),
+        ("http://www.dji.com/drone-dji/1.0/", "FlightYawDegree", "12", None),
+    ],
+)
+def test_a_drone_notes_its_height_above_the_take_off(namespace, name, value, height_m):
+    xmp = Xmp({(namespace.rstrip("/"), name): value.strip()})
+    assert place_from_exif({}, xmp) == NotedPlace(takeoff_height_m=height_m)
+
+
+def test_the_height_of_a_drone_s_photo_is_read_with_its_place(tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(IFD.GPSInfo).update(SOUTH_WEST | {GPS.GPSAltitude: 900.0})
+    packet = xmp_packet(
+        prefix="x", namespace="http://www.dji.com/drone-dji/1.0/", RelativeAltitude="+80.00"
+    )
+    path = tmp_path / "drone.jpg"
+    Image.new("RGB", (40, 30)).save(path, exif=exif, xmp=packet.encode())
+    expected = NotedPlace((-70.25, -33.51), 900.0, takeoff_height_m=80.0)
+    assert read_photo(path).place == read_noted_place(path) == expected

@@ -85,6 +85,19 @@ def test_a_plane_is_met_where_it_is(name):
     np.testing.assert_allclose(places.lat[inside], lat, rtol=0.0, atol=1e-8)
 
 
+@pytest.mark.parametrize("below_m", [0.0, 7.0])
+def test_an_eye_on_the_ground_sees_as_from_the_lowest_camera(below_m):
+    plane = field_from(lambda east, north: 0.0 * east, 81, 50.0)
+    pose, query = pose_at(plane, 13.0, -21.0, -below_m, "level")
+    places = Viewer(plane, curvature=FLAT).places(pose, query)
+    _, elevation_tan = rays_of(pose, query)
+    true_m = np.where(elevation_tan < -1e-3, 0.3 / -np.minimum(elevation_tan, -1e-9), np.nan)
+    near = true_m < 1000.0
+    np.testing.assert_allclose(places.distance_m[near], true_m[near], rtol=1e-4)
+    assert near.sum() > 0.4 * near.size
+    assert Viewer(plane, curvature=FLAT).held(pose).eye_elevation_m == pytest.approx(0.3)
+
+
 @pytest.fixture(scope="module")
 def rough():
     heights = 1000.0 + fractal(90, 100, 500.0, seed=4)

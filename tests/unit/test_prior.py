@@ -9,8 +9,9 @@ from scipy.integrate import quad
 
 from skyline import InputError
 from skyline.match.matcher import named_skyline, paths_of
-from skyline.match.prior import EyeHeightPrior, Narrowing, PlacePrior
+from skyline.match.prior import EyeHeightPrior, KnownGround, Narrowing, PlacePrior, Standing
 from skyline.match.solver import FINE, Curves, Solver
+from skyline.photo.exif import NotedPlace
 
 NOTED = PlacePrior(1000.0, 2000.0, 25.0)
 THERE = np.array([1000.0 + 2000.0j])
@@ -62,6 +63,63 @@ def test_a_step_is_pulled_to_the_noted_place(prior):
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
     # Terrain so far away does not constrain the place.
     assert (east < -50.0) == (prior is not None)
+
+
+def test_no_eye_is_lower_than_a_camera_is_held():
+    assert EyeHeightPrior(2.0, 5.0).range_m == (0.3, 102.0)
+    assert EyeHeightPrior(0.0, 0.0).range_m == (0.0, 0.0)
+
+
+def standings(noted, relief_m=0.0, takeoff_relief_m=10.0):
+    """Return the heights at which an eye may stand over ground at 1000 m, likeliest first."""
+    found = Standing.of_noted(noted, KnownGround(1000.0, relief_m, takeoff_relief_m, 5.0))
+    assert found[0].eye == EyeHeightPrior(2.0, 5.0)
+    assert all(one.eye.usual_m > 17.0 for one in found[1:])
+    found.sort(key=lambda one: one.cost)
+    return [one.eye.usual_m for one in found]
+
+
+def noted_at(elevation_m=None, takeoff_m=None, accuracy_m=None):
+    return NotedPlace(elevation_m=elevation_m, takeoff_height_m=takeoff_m, accuracy_m=accuracy_m)
+
+
+@pytest.mark.parametrize(
+    ("noted", "heights_m"),
+    [
+        (noted_at(), [2.0]),
+        # As high as a person, within the errors of the model, and below the ground.
+        (noted_at(1002.0), [2.0]),
+        (noted_at(1015.0), [2.0]),
+        (noted_at(940.0), [2.0]),
+        # Most altitudes are wrong by less than 50 m, and hardly any by 400 m.
+        (noted_at(1050.0), [2.0, 50.0]),
+        (noted_at(1400.0), [400.0, 2.0]),
+        (noted_at(1150.0, accuracy_m=5.0), [150.0, 2.0]),
+        # A drone flies. Its own two heights agree, or the altitude is off by the weather.
+        (noted_at(1120.0, 120.0), [120.0, 2.0]),
+        (noted_at(1220.0, 120.0), [120.0, 220.0, 2.0]),
+        (noted_at(None, 60.0), [60.0, 2.0]),
+    ],
+)
+def test_an_eye_stands_on_the_ground_or_as_high_as_a_photo_notes(noted, heights_m):
+    assert standings(noted) == heights_m
+
+
+def test_a_drone_below_its_take_off_is_as_high_as_its_altitude_says():
+    assert standings(noted_at(1090.0, -40.0), takeoff_relief_m=60.0) == [90.0, 2.0]
+
+
+def test_standings_share_one_probability():
+    """Of 1,000 photos with an altitude 50 m above the ground, by hand."""
+    ground, aloft = Standing.of_noted(noted_at(1050.0), KnownGround(1000.0, 0.0, 10.0, 5.0))
+    sd_m = np.hypot(30.0 / np.sqrt(2.0), 15.0)
+    on_ground = 0.95 / (np.pi * 5.0) * (1.0 + (48.0 / sd_m) ** 2) ** -1.5
+    in_flight = 0.05 * 2.0 / (np.pi * 100.0) / (1.0 + 0.5**2)
+    assert aloft.cost - ground.cost == pytest.approx(np.log(on_ground / in_flight))
+    assert (aloft.elevation_m, aloft.elevation_sd_m) == (1050.0, pytest.approx(sd_m))
+    # On a slope, where the ground is not quite known, an altitude above it says less.
+    slope, over_it = Standing.of_noted(noted_at(1050.0), KnownGround(1000.0, 30.0, 10.0, 5.0))
+    assert over_it.cost - slope.cost > aloft.cost - ground.cost + 0.4
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,129 @@
+"""Made photos that note heights: from the air, as drones, towers and balloons, and from the ground.
+
+A drone notes its height above its take-off and the altitude of its barometer. Other photos note an
+altitude alone, many above the ellipsoid, as if it were above the sea.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from skyline import Orientation, QuerySkyline
+from skyline.geodesy import Rectangle, in_turn
+from skyline.match.orient import RIGHT_DEG
+from skyline.photo.exif import NotedPlace
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
+
+MEASURED = "noted heights"
+BESIDE_M = 50.0
+"""Distance of the place that is given from the true one."""
+RIGHT_EYE_M = 30.0
+"""Largest error of the elevation of an eye that is right: three times the model's error."""
+HEIGHTS = """group n answered wrong lowest_m highest_m median_deg median_eye_m worst_eye_m
+    strongest seconds=s"""
+"""Columns of the printed table."""
+_ALOFT_M = 40.0, 400.0
+"""Heights of eyes above the ground."""
+_TAKEOFF_M = 200.0
+"""Greatest distance of a drone from its take-off."""
+_BAROMETER_SD_M, _ALTITUDE_SD_M = 90.0, 15.0
+"""Deviations of a drone's altitude and of a phone's; `skyline.match.prior` has the sources."""
+_GEOID_M = 50.0
+"""Height of the geoid above the ellipsoid in the Alps."""
+
+_Find = Callable[[QuerySkyline, tuple[float, float]], Orientation]
+"""Orients a skyline at a longitude and a latitude."""
+_Tried = tuple[Truth, Orientation, float]
+"""A photo's truth, how it was oriented, and the height of its eye above the ground."""
+
+
+def height_rows(
+    find: _Find,
+    terrain: HeightField,
+    seen: HeightField,
+    area: Rectangle,
+    count: int,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Return a row for each kind of photos that note heights, ``count`` of each.
+
+    The photos see ``seen``, and are oriented at places beside those where they were taken.
+    """
+    return [
+        {"measured": MEASURED, "group": group}
+        | _summary([_tried(find, terrain, seen, area, [seed, kind, one]) for one in range(count)])
+        for kind, group in enumerate(_GROUPS)
+    ]
+
+
+def _tried(
+    find: _Find, terrain: HeightField, seen: HeightField, area: Rectangle, entropy: list[int]
+) -> _Tried:
+    """Make one photo that notes heights, and orient it."""
+    rng, noting = np.random.default_rng(entropy), list(_GROUPS.values())[entropy[1]]
+    height_m = DEFAULT_EYE_HEIGHT_M
+    if noting is not _grounded:
+        height_m = float(np.exp(rng.uniform(*np.log(_ALOFT_M))))
+    config, drawn = QueryConfig(eye_height_m=height_m), int(rng.integers(2**31))
+    (query,) = make_queries(seen, area, 1, drawn, config)
+    off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
+    east, north = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
+    lon, lat = map(float, terrain.frame.to_lonlat(east, north))
+    noted = replace(noting(terrain, query.truth, rng), lonlat_deg=(lon, lat))
+    return query.truth, find(replace(query.skyline, noted=noted), (lon, lat)), height_m
+
+
+def _of_drone(terrain: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPlace:
+    ground_m = math.nan
+    while math.isnan(ground_m):
+        away = rng.uniform(0.0, _TAKEOFF_M) * np.exp(2j * np.pi * rng.uniform())
+        at = {"easting_m": truth.easting_m + away.real, "northing_m": truth.northing_m + away.imag}
+        ground_m = float(terrain.height_at(**at))
+    altitude_m = truth.eye_elevation_m + _BAROMETER_SD_M * rng.standard_normal()
+    above_m = truth.eye_elevation_m - ground_m
+    return NotedPlace(elevation_m=altitude_m, takeoff_height_m=above_m)
+
+
+def _aloft(_: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPlace:
+    off_m = _GEOID_M * rng.integers(2) + _ALTITUDE_SD_M * rng.standard_normal()
+    return NotedPlace(elevation_m=truth.eye_elevation_m + off_m)
+
+
+def _grounded(_: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPlace:
+    off_m = _GEOID_M + _ALTITUDE_SD_M * rng.standard_normal()
+    return NotedPlace(elevation_m=truth.eye_elevation_m + off_m)
+
+
+_GROUPS = {"drones": _of_drone, "aloft": _aloft, "on the ground": _grounded}
+"""Kinds of photos, and the heights that they note."""
+
+
+def _summary(tried: Sequence[_Tried]) -> dict[str, Any]:
+    """Return how many are answered, and how far off the answers' headings and eyes are."""
+    answers = [(truth, one.answer) for truth, one, _ in tried if one.answer is not None]
+    off_deg = np.array(
+        [abs(in_turn(pose.grid_heading_deg - truth.heading_deg)) for truth, pose in answers]
+    )
+    off_m = np.array([abs(pose.eye_elevation_m - truth.eye_elevation_m) for truth, pose in answers])
+    heights_m = [height_m for *_, height_m in tried]
+    line: dict[str, Any] = {
+        "n": len(tried),
+        "answered": len(answers),
+        "wrong": int(((off_deg > RIGHT_DEG) | (off_m > RIGHT_EYE_M)).sum()),
+        "lowest_m": min(heights_m),
+        "highest_m": max(heights_m),
+        "strongest": max(one.confidence for _, one, _ in tried),
+        "seconds": float(np.median([one.seconds for _, one, _ in tried])),
+    }
+    if answers:
+        line |= {
+            "median_deg": float(np.median(off_deg)),
+            "median_eye_m": float(np.median(off_m)),
+            "worst_eye_m": float(off_m.max()),
+        }
+    return line
