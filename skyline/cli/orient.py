@@ -343,7 +343,7 @@ def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
     held = viewer.held(pose)
     height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
     if height_m < LEAST_EYE_HEIGHT_M - _ROUNDED_M:
-        side = "above" if height_m >= 0.0 else "below"
+        side = "below" if height_m < -_ROUNDED_M else "above"
         print_note(
             f"the pose's eye is {abs(height_m):.1f} m {side} the ground of the DEM, lower than a "
             f"camera is held; it is lifted to {LEAST_EYE_HEIGHT_M:g} m above it"

@@ -59,6 +59,8 @@ length on a known sensor is taken to be as good: converters and crops inside a c
 _PLANE_ALONE = 0.5 * log(1.5)
 """Deviation of the logarithm of a focal length from the focal plane: wrong values are off by the
 step between two sensor formats, 1.5 (Exiv2's issue 3097)."""
+_MOST_ZOOM = 100.0
+"""The greatest digital zoom of phones."""
 _EXPOSURE = timedelta(minutes=1)
 """A camera may note the end of an exposure as the time of change."""
 _NARROWEST = 1.8
@@ -154,10 +156,6 @@ class _FocalLength:
         """Return how much the logarithm of this focal length is above another one's."""
         return log(self.diagonals / other.diagonals)
 
-    def fov_deg(self, width: float) -> float:
-        """Return the field of view of a width of the frame, in diagonals."""
-        return _fov_deg(width, self.diagonals)
-
 
 _Source = tuple[_FocalLength, ...]
 """The readings of a source: two where a digital zoom may be counted in it or not."""
@@ -194,7 +192,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
     if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
         return Lens(reason=f"{focal.source} left aside: the photo is a panorama or a strip")
     width = _cropped_width(size_px, frame) / hypot(*frame)
-    fov_deg, source = focal.fov_deg(width), focal.source
+    fov_deg, source = _fov_deg(width, focal.diagonals), focal.source
     if focal.readings:
         wide_deg, narrow_deg = (_fov_deg(width, one) for one in focal.readings)
         fov_deg = min(fov_deg, _NARROWEST * narrow_deg)
@@ -303,7 +301,12 @@ def _on_sensor(
 
 
 def _digital_zoom(tags: Tags) -> float:
-    return max(1.0, positive(tags.get(Base.DigitalZoomRatio)) or 1.0)
+    """Return how many times a digital zoom has enlarged the frame; 1 for none or an impossible one.
+
+    EXIF's 0 stands for none.
+    """
+    zoom = positive(tags.get(Base.DigitalZoomRatio)) or 1.0
+    return zoom if 1.0 < zoom <= _MOST_ZOOM else 1.0
 
 
 def _focal_lengths(
@@ -406,7 +409,7 @@ def _combined(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalL
     pairs = [pair for two in combinations(every, 2) for pair in product(*two)]
     agreeing = [pair for pair in pairs if _agree(pair[:1], pair[1:])]
     if not agreeing:
-        return _of_one_witness(sources, known)
+        return _without_agreement(sources, known)
 
     def backing(pair: tuple[_FocalLength, _FocalLength]) -> int:
         return sum(_agree(pair[:1], source) and _agree(pair[1:], source) for source in every)
@@ -423,7 +426,7 @@ def _combined(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalL
     return _FocalLength(source, middles[0], None)
 
 
-def _of_one_witness(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
+def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
     """Return a focal length that covers all sources, no two of which agree.
 
     A photo shows no more than its camera's whole sensor, and may show less.
