@@ -89,8 +89,9 @@ _EFFORT = Effort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
-_SAME_EYE_SDS = 3.0
-"""Eyes that differ in height by less than so many deviations of the terrain model are the same."""
+_SAME_EYE_SDS, _SAME_EYE_SHARE = 3.0, 0.2
+"""Eyes are the same that differ in height by less than so many deviations of the terrain model, or
+by less than this share of their height above the ground, by which distances of the ground grow."""
 _CLOSE_EYE = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
 """An eye of another height whose score is behind by less is too likely to trust the best one."""
 _FAR_SD = 4.0
@@ -402,7 +403,8 @@ class Orienter(Releasable):
         heights_m = self._eye_heights_m(poses)
         is_same = np.abs(in_turn(poses.heading_deg - poses.heading_deg[0])) < _APART_DEG
         off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
-        is_other = is_same & (off_m > _SAME_EYE_SDS * self._scene.height_sd_m)
+        same_m = max(_SAME_EYE_SDS * self._scene.height_sd_m, _SAME_EYE_SHARE * heights_m[0])
+        is_other = is_same & (off_m > same_m)
         is_close = poses.score - poses.score[0] < _CLOSE_EYE
         rivals = np.flatnonzero(is_other & is_close)
         if not len(rivals):
