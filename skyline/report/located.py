@@ -181,10 +181,10 @@ def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
     kept.insert(1 if kept and kept[0][0] == _APP0 else 0, (_APP1, exif))
     for _, body in kept:
         if len(body) > _LONGEST:
-            kind = "EXIF" if body is exif else "XMP"
+            kind, part = ("EXIF", "its preview picture") if body is exif else ("XMP", "some of it")
             raise InputError(
                 f"the photo's {kind} would have {len(body)} bytes; expected at most {_LONGEST}: "
-                "remove its preview picture"
+                f"remove {part}"
             )
     segments = (struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body for marker, body in kept)
     return jpeg[:2] + b"".join(segments) + jpeg[start:]
