@@ -24,8 +24,8 @@ BESIDE_M = 50.0
 """Distance of the place that is given from the true one."""
 RIGHT_EYE_M = 30.0
 """Largest error of the elevation of an eye that is right: three times the model's error."""
-HEIGHTS = """group n answered wrong lowest_m highest_m median_deg median_eye_m worst_eye_m
-    strongest seconds=s"""
+HEIGHTS = """measured=queries group km2 n answered wrong lowest_m highest_m median_deg median_eye_m
+    worst_eye_m strongest seconds=s"""
 """Columns of the printed table."""
 _ALOFT_M = 40.0, 400.0
 """Heights of eyes above the ground."""

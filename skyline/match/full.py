@@ -150,9 +150,9 @@ class FullMatcher:
         """Return a pose refined by rendering; None where nothing near it fits.
 
         A start farther off is fitted with ``about_start``, the query's rays about the start's field
-        of view, while the eye keeps its height above the ground, if a camera can be held so low. The
-        pose is then fitted as in a search, so its score compares with those of a search with the
-        same query and prior. The confidence is that of `confidence.FITTED`. Raises `InputError`
+        of view, while the eye keeps its height above the ground, if a camera can be held so low.
+        The pose is then fitted as in a search, so its score compares with those of a search with
+        the same query and prior. The confidence is that of `confidence.FITTED`. Raises `InputError`
         without a scene, and for a pose off the map or on a hole.
         """
         scene, pose = self._needed_scene(), hypothesis_of(start)
