@@ -161,14 +161,3 @@ def test_no_eye_is_lower_than_a_camera_is_held(terrain):
     for query in make_queries(terrain, MIDDLE, 6, seed=3, config=config):
         pose = orient(query.skyline, terrain, **beside(terrain, query.truth, 0.0)).pose
         assert pose.eye_elevation_m - ground_at(terrain, pose) > 0.299
-
-
-@pytest.mark.slow
-def test_the_made_photo_of_a_drone(shared_data):
-    found = orient(
-        shared_data / "cases" / "drone_120m.jpg", shared_data / "davos" / "davos_srtm1_30m.tif"
-    )
-    assert found.refusal is None
-    assert found.pose.eye_elevation_m == pytest.approx(2543.4, abs=5.0)
-    assert found.pose.heading_deg == pytest.approx(180.0, abs=0.1)
-    assert abs(found.pose.pitch_deg) < 0.1

@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 from font_scenes import UNDRAWN
-from matplotlib.figure import Figure
 from scenes import candidate_at, field_from
 
-from skyline import PanoramaConfig, Peaks, read_peaks, save_panorama, stand_on
+from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
 from skyline.build.plans import uniform_grid
 from skyline.photo.query import QuerySkyline
-from skyline.report.figures import UnnamedPeaks, encode_figure, labels_of
+from skyline.report.figures import UnnamedPeaks, encode_figure
 from skyline.report.labelled_panorama import draw_panorama
 from skyline.report.landscape import panorama_view
 from skyline.report.maps import detail_area, draw_match_map
@@ -118,19 +117,6 @@ def test_a_title_that_says_all_fits_the_picture():
         assert words in title.get_text()
     assert title.get_window_extent().x1 <= figure.bbox.x1
     assert title.get_fontsize() > 8.0
-
-
-def test_names_in_many_scripts_are_each_drawn_or_said_not_to_be(shared_data):
-    """Whatever fonts are installed; a letter that is drawn as a box would be an error."""
-    peaks = read_peaks(shared_data / "cases" / "peaks_many_scripts.csv", FIELD.frame)
-    labels, no_font = labels_of(SEEN * 7, peaks.names)
-    assert len(labels) + len(no_font) == len(peaks) == 14
-    assert {"Plain", "Эльбрус", "Ἄθως"} <= {one.text for one in labels}
-    figure = Figure()
-    for label in labels:
-        figure.text(0.1, 0.1, label.text, **label.style)
-    for kind in ("png", "svg", "pdf"):
-        assert encode_figure(figure, kind)
 
 
 def test_peaks_without_a_name_in_words():
