@@ -2,8 +2,10 @@
 
 import contextlib
 import io
+import math
 import multiprocessing
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -30,7 +32,7 @@ from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
 from skyline.store.format import PLACES
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import examine
+from skyline.store.write import examine, is_whole
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
@@ -41,8 +43,10 @@ from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
 """Of the area that is built again and again."""
-_PLACES_A_PART, _VIEWPOINTS_A_PART = 256, 16
-"""Parts of a fraction of a second, so that builds are killed between many of them."""
+_PLACES_A_JOB, _VIEWPOINTS_A_JOB = 256, 16
+_PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE = 64, 4
+_A_PART_S = 0.05
+"""Jobs and parts of a fraction of a second, so that builds are killed between many of them."""
 _LONGER = 1.3
 """A build is killed at some time within so many times what an unbroken one takes."""
 _KILLS_A_BUILD = 3
@@ -78,7 +82,7 @@ def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkPr
     def work() -> None:
         os.setsid()
         with runner_of(str(workers) if workers else None) as runner:
-            build_store(terrain, path, plan, runner)
+            build_store(terrain, path, plan, runner, a_part_s=_A_PART_S)
 
     process = _FORK.Process(target=work)
     process.start()
@@ -89,7 +93,8 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
     """Kill builds at random instants, and let the same command finish them."""
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
     generator = np.random.default_rng(0)
-    plans._PLACES_A_PART, plans._VIEWPOINTS_A_PART = _PLACES_A_PART, _VIEWPOINTS_A_PART
+    plans._PLACES_A_JOB, plans._VIEWPOINTS_A_JOB = _PLACES_A_JOB, _VIEWPOINTS_A_JOB
+    plans._PLACES_AT_ONCE, plans._VIEWPOINTS_AT_ONCE = _PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
         started = time.perf_counter()
@@ -100,7 +105,7 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
         for _ in range(number, builds, len(kinds)):
             path = folder / "killed.h5"
             for _ in range(_KILLS_A_BUILD):
-                before = _parts(path)
+                before = _kept(path)
                 build = _start(terrain, path, plan, workers)
                 build.join(generator.uniform(0.0, _LONGER * lasts_s))
                 with contextlib.suppress(ProcessLookupError):
@@ -110,8 +115,8 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
                 if build.exitcode == 0 or path.exists():
                     break
                 tally["kills"] += 1
-                after = _parts(path)
-                tally["lost"] += sum(after.get(part) != data for part, data in before.items())
+                after = _kept(path)
+                tally["lost"] += sum(after.get(job, 0) < rows for job, rows in before.items())
             _start(terrain, path, plan, workers).join()
             tally["builds"] += 1
             tally["equal"] += path.read_bytes() == unbroken and not parts_folder(path).exists()
@@ -119,9 +124,17 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
         yield {"test": "kills", "rows": name, **tally, "unbroken_s": lasts_s}
 
 
-def _parts(path: Path) -> dict[str, bytes]:
-    """Return the parts of a store by name."""
-    return {part.name: part.read_bytes() for part in parts_folder(path).rglob("*-of-*.h5")}
+def _kept(path: Path) -> dict[int, float]:
+    """Return how many rows of each job are in whole parts; infinite for a finished job."""
+    kept: dict[int, float] = {}
+    for part in parts_folder(path).rglob("*-of-*.h5"):
+        first, last = map(int, re.findall("[0-9]+", part.name)[:2])
+        with open_store(part) as store:
+            if is_whole(store) and "-from-" in part.name:
+                kept[first] = max(kept.get(first, 0), last + len(store))
+            elif is_whole(store):
+                kept |= dict.fromkeys(range(first, last + 1), math.inf)
+    return kept
 
 
 def _damage(

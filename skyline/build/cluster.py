@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -46,24 +47,42 @@ class Runner:
     client: Any
 
     def __call__(
-        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+        self,
+        work: Callable[..., R],
+        items: Sequence[T],
+        names: Sequence[str],
+        listen: Callable[..., object] | None = None,
     ) -> Iterator[R | SkylineError]:
         """Run ``work`` on every item; ``names`` are distinct names of the items.
 
         Yields results in the items' order, each as soon as those before it are done. A job that
         failed at its last attempt yields its error, as a `BuildError` unless it is a
-        `SkylineError`.
+        `SkylineError`. With ``listen`` work is given a second argument, a function: what a job
+        calls it with, numbers or texts, ``listen`` is called with here, in this thread.
         """
         run, submit = uuid4().hex[:8], self.client.submit
+        topic = f"skyline-{run}" if listen else None
+        heard: SimpleQueue[Any] = SimpleQueue()
+        if listen:
+            self.client.subscribe_topic(topic, lambda event: heard.put(event[1]))
         with warnings.catch_warnings():
             # The viewpoints make the graph large, so it is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [
-                submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
+                submit(
+                    _do_alone, work, item, topic, key=f"{name}-{run}", retries=RETRIES, pure=False
+                )
                 for name, item in zip(names, items, strict=True)
             ]
         # When the client leaves, the scheduler forgets the jobs that were not waited for.
-        yield from map(_outcome, futures)
+        for future in futures:
+            if listen:
+                future.add_done_callback(lambda _: heard.put(None))
+                while not future.done():
+                    message = heard.get()
+                    if message is not None:
+                        listen(*message)
+            yield _outcome(future)
 
 
 @contextmanager
@@ -131,8 +150,16 @@ def _distributed() -> Any:
     return distributed
 
 
-def _do_alone(work: Callable[[T], R], item: T) -> R:
-    return _job_thread.submit(work, item).result()
+def _do_alone(work: Callable[..., R], item: T, topic: str | None) -> R:
+    """Do a job in the thread for jobs, with a function that tells the client if it listens."""
+    if topic is None:
+        return _job_thread.submit(work, item).result()
+    worker = _distributed().get_worker()
+
+    def tell(*message: float | str) -> None:
+        worker.log_event(topic, message)
+
+    return _job_thread.submit(work, item, tell).result()
 
 
 def _outcome(future: Any) -> Any:

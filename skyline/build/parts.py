@@ -1,18 +1,21 @@
-"""Building a store: its parts are rendered one by one, each a finished file, and merged.
+"""Building a store: it is rendered in parts, each a finished file, which are merged.
 
-A part is a store of its own in the folder ``STORE.parts``, in the subfolder of its build: one box,
-DEM and settings. It is rendered in memory and then written under its name at once, so a build that
-is killed loses at most the part in hand, and the same command continues with the parts that are
-missing. Builds of other boxes leave each other's parts alone. Merging sorts the rows: the number of
-workers, the order of the parts, and how often a build was killed change no byte of the store.
+A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds, what was rendered
+is written as a part: a store of its own in the folder ``STORE.parts``, in the subfolder of its
+build, which is one box, DEM and settings. A part has the rows of one job or of several in a row. A
+job that takes longer has begun parts: the rows that it has rendered so far, in its order, from
+which it continues. So a build that is killed loses the last few seconds, and the same command
+continues. Builds of other boxes leave each other's parts alone. Merging sorts the rows: the number
+of workers, the order and the number of the parts, and how often a build was killed change no byte
+of the store.
 
-Every part is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
+Every job is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
 import logging
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,19 +25,20 @@ from uuid import uuid4
 
 from skyline.arrays import Progress
 from skyline.build.cluster import Runner
-from skyline.build.plans import PartRenderer, PlacePlan, Plan, RenderingPlan
+from skyline.build.jobs import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
+from skyline.build.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
-from skyline.store.format import StoreHeader, attributes_digest, explained, refuse_mismatch
-from skyline.store.read import open_store, part_name, parts_folder
-from skyline.store.write import check_store_path, merged_rows, whole_rows, write_store
+from skyline.store.format import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
+from skyline.store.read import open_store, parts_folder
+from skyline.store.write import check_store_path, is_whole, merged_rows, write_store
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _NAMED = 5
-"""Failed parts that an error names."""
+"""Failed jobs that an error names."""
 
 _log = logging.getLogger(__name__)
 
@@ -83,7 +87,8 @@ def build_places(
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
-        Called with the number of parts that are done, and the number of all parts.
+        Called with the number of places that are there, at first those of an earlier call, and
+        about the number of all places.
     places : int, optional
         About how many places to plan if there is no spacing. By default 100,000; fewer if fewer
         lose only 5 % of the views, which are 60 degrees wide, and more if 100,000 would lose over
@@ -134,46 +139,49 @@ def build_store(
     plan: Plan,
     runner: Runner | None = None,
     progress: Progress | None = None,
+    a_part_s: float = A_PART_S,
 ) -> BuildResult:
-    """Render the missing parts of a store, here or by a runner, and merge all of them.
+    """Render the missing rows of a store, here or by a runner, and merge all parts.
+
+    Every ``a_part_s`` seconds a part is written; otherwise as `build_places`.
 
     Raises
     ------
     BuildError
-        Parts failed on workers; the others are kept.
+        Jobs failed on workers; the parts of the others are kept.
     InputError, StoreMismatchError
         As `build_places`.
     """
     path = Path(path).resolve()
     check_store_path(path)
-    work, header = plan.parts(terrain), plan.header(terrain)
+    jobs, header = plan.jobs(terrain), plan.header(terrain)
     # Parts may be continued by another release, on a DEM that has moved.
     build = replace(header, dem_files=(), package_version="")
-    folder = parts_folder(path) / attributes_digest(build.attributes)[:12]
+    subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
+    folder = PartsFolder(subfolder, header.holds, len(jobs))
     if path.exists() and (finished := finished_store(path, header)):
         # A build that was killed at its very end leaves parts beside a finished store.
-        _remove(folder)
+        _remove(folder.path)
         return finished
-    numbers = range(1, len(work) + 1)
-    parts = [folder / part_name(header.holds, number, len(work)) for number in numbers]
-    there = _whole_parts(folder, header)
-    left = {part: some for part, some in zip(parts, work, strict=True) if part not in there}
-    done, rendered = len(parts) - len(left), 0
-    show = progress or (lambda *_: None)
-    written: Iterable[int] = ()
+    parts, kept = _whole_parts(folder, header)
+    there = {number for part in parts for number in folder.jobs_in(part)}
+    left = {number: job for number, job in enumerate(jobs, 1) if number not in there}
+    sizes = [len(job) for job in jobs if isinstance(job, Viewpoints)]
+    count = _Count(progress, kept, rows_an_eye(header.holds) * sum(sizes))
+    rendered = 0
     opened = plan.opened(terrain) if runner is None and left else None
     with nullcontext() if opened is None else opened.renderer:
         started = time.perf_counter()
-        show(done, len(parts))
-        if runner is not None:
-            written = _on_workers(runner, header, plan, left)
-        elif opened is not None:
-            written = map(partial(_render_part, opened), left.items())
         try:
-            for rows_of_part in written:
-                rendered += rows_of_part
-                done += 1
-                show(done, len(parts))
+            if runner is not None:
+                written, rendered = _on_workers(runner, header, plan, folder, a_part_s, left, count)
+                parts += written
+            elif opened is not None:
+                writer = JobWriter(opened, folder, a_part_s, count.add)
+                writer.write(left)
+                parts += writer.written
+                rendered = writer.rendered
+            count.end()
             rows = _merge_parts(parts, path)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
@@ -182,9 +190,9 @@ def build_store(
             rows = finished.rows
         finally:
             with suppress(OSError):  # Both are empty if the first part could not be written.
-                folder.rmdir()
-                folder.parent.rmdir()
-    _remove(folder)
+                folder.path.rmdir()
+                folder.path.parent.rmdir()
+    _remove(folder.path)
     if not rows:
         area = header.config.get("bounds_deg") or "all of the DEM"
         raise InputError(
@@ -192,6 +200,29 @@ def build_store(
             "places, or the spacing of a uniform grid"
         )
     return BuildResult(rows, rendered, time.perf_counter() - started)
+
+
+class _Count:
+    """Counts the rows of a build, and reports them."""
+
+    def __init__(self, progress: Progress | None, done: int, total: int) -> None:
+        """Begin with the rows that are ``done``; ``total`` is 0 until a plan expects some."""
+        self._progress, self._done, self._total = progress, done, total
+
+    def add(self, rows: int, expected: int) -> None:
+        """Report rows that were rendered, and about how many jobs are expected to render."""
+        self._done += rows
+        self._total = max(self._total, expected)
+        # The end is reported when all parts are written.
+        self._report(max(self._total, self._done + 1))
+
+    def end(self) -> None:
+        """Report that all are there."""
+        self._report(self._done)
+
+    def _report(self, total: int) -> None:
+        if self._progress is not None:
+            self._progress(self._done, total)
 
 
 def _merge_parts(parts: list[Path], path: Path) -> int:
@@ -238,31 +269,47 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
         return BuildResult(len(store), 0, 0.0) if store.header.covers(header) else None
 
 
-def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
-    """Return the parts of a build that are whole.
+def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], int]:
+    """Return the parts of a build that are whole, and the rows in these and in begun parts.
 
     Raises `StoreMismatchError` where another build of the same store has parts of other settings,
     which could not be joined.
     """
-    whole = set()
-    for part in sorted(folder.parent.glob("*/*-of-*.h5")):
+    whole, rows = [], 0
+    for part in sorted(folder.path.parent.glob("*/*-of-*.h5")):
         # The other build may end now, and remove its parts.
         with suppress(StoreError, FileNotFoundError), open_store(part) as store:
+            there = store.header
+            if there.holds == BEGUN:
+                there = replace(there, holds=PLACES, width=0)
             refuse_mismatch(
-                store.header.anywhere,
+                there.anywhere,
                 header.anywhere,
                 f"{part.parent} has parts of a store that was built otherwise",
                 "repeat its settings, or remove the folder to build anew",
             )
-            if part.parent == folder and all(damage is None for *_, damage in whole_rows(store)):
-                whole.add(part)
-    return whole
+            if part.parent != folder.path:
+                continue
+            if folder.jobs_in(part):
+                if not is_whole(store):
+                    continue
+                whole.append(part)
+            rows += len(store)
+    return whole, rows
 
 
-def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, Any]) -> int:
-    """Render and write a part in a worker; return its number of rows.
+def _write_job(
+    build: str,
+    plan: Plan,
+    header: StoreHeader,
+    folder: PartsFolder,
+    a_part_s: float,
+    job: tuple[int, Any],
+    tell: Tell,
+) -> tuple[list[Path], int]:
+    """Render a job in a worker and write it; return its parts, and the rows rendered for them.
 
-    The worker keeps terrain and renderer for the next part of a build, which has an identifier.
+    The worker keeps terrain and renderer for the next job of a build, which has an identifier.
     All calls in a process must come from one thread, which owns the OpenGL context. The store's
     header has the DEM's files, by paths that are the same on every machine.
     """
@@ -277,55 +324,59 @@ def _write_part(build: str, plan: Plan, header: StoreHeader, item: tuple[Path, A
                 "libraries"
             ) from error
         _open_renderer[build] = plan.opened(terrain)
-    return _render_part(_open_renderer[build], item)
+    writer = JobWriter(_open_renderer[build], folder, a_part_s, tell)
+    writer.write(dict([job]))
+    return writer.written, writer.rendered
 
 
-def _render_part(renderer: PartRenderer, item: tuple[Path, Any]) -> int:
-    path, work = item
-    columns = renderer.columns(work)
-    with explained(path, "it cannot be written", "check the folder's rights and space"):
-        for folder in (path.parent.parent, path.parent):
-            folder.mkdir(exist_ok=True)
-    return write_store(path, renderer.header, columns)
-
-
-_open_renderer: dict[str, PartRenderer] = {}
+_open_renderer: dict[str, JobRenderer] = {}
 """The renderer that this worker keeps, by the build."""
 
 
 def _on_workers(
-    runner: Runner, header: StoreHeader, plan: Plan, left: dict[Path, Any]
-) -> Iterator[int]:
-    """Render and write parts by a runner; yield the number of rows of each.
+    runner: Runner,
+    header: StoreHeader,
+    plan: Plan,
+    folder: PartsFolder,
+    a_part_s: float,
+    left: Mapping[int, Any],
+    count: _Count,
+) -> tuple[list[Path], int]:
+    """Render and write jobs by a runner; return their parts, and the rows rendered for them.
 
-    Raises at the end the error of the parts if all of them failed with the same one, and
-    `BuildError` with the names of the first few otherwise.
+    Raises at the end the error of the jobs if all of them failed with the same one, and
+    `BuildError` with the numbers of the first few otherwise.
     """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
-    names = [part.stem for part in left]
+    names = [f"job {number}" for number in left]
+    written: list[Path] = []
+    rendered = 0
     failures: dict[str, SkylineError] = {}
-    write = partial(_write_part, uuid4().hex, plan, header)
-    jobs = runner(write, list(left.items()), names)
-    for name, outcome in zip(names, jobs, strict=True):
+    write = partial(_write_job, uuid4().hex, plan, header, folder, a_part_s)
+    outcomes = runner(write, list(left.items()), names, count.add)
+    for name, outcome in zip(names, outcomes, strict=True):
         if isinstance(outcome, SkylineError):
             failures[name] = outcome
             _log.warning("%s failed: %s", name, outcome)
         else:
-            yield outcome
+            parts, rows = outcome
+            written += parts
+            rendered += rows
     if failures:
         if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
             raise failures[names[0]]
         named = [f"{name} ({error})" for name, error in failures.items()]
         more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
         raise BuildError(
-            f"{len(failures)} of {len(names)} failed: {'; '.join(named[:_NAMED])}{more}. The "
+            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:_NAMED])}{more}. The "
             "others are kept: mend the cause and give the same command, which continues with the "
             "rest"
         )
+    return written, rendered
 
 
 def _remove(folder: Path) -> None:

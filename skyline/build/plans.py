@@ -1,4 +1,4 @@
-"""Plans of a store: its viewpoints, its parts, and the renderer of a part."""
+"""Plans of a store: its viewpoints, its jobs, and the renderer of a job."""
 
 import hashlib
 import logging
@@ -9,7 +9,14 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.build.spacing import Prices, blocks_of, planned_places
+from skyline.build.spacing import (
+    LEVELS,
+    NODES_AROUND,
+    Prices,
+    Sights,
+    blocks_of,
+    planned_places,
+)
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
 from skyline.render.horizon import (
@@ -20,7 +27,7 @@ from skyline.render.horizon import (
 )
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
-from skyline.store.format import PLACES, Columns, StoreHeader, columns_of
+from skyline.store.format import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
 from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
@@ -30,9 +37,11 @@ DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
 the share of views that a plan loses: a small area gets fewer places, so that it loses the first
 share, and a large area more, so that it loses no more than the second."""
 
-_PLACES_A_PART = 4096
-_VIEWPOINTS_A_PART = 1024
-"""Size of a part: some seconds of work without a GPU, which are lost if the process is killed."""
+_PLACES_A_JOB, _VIEWPOINTS_A_JOB = 4096, 1024
+"""Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
+_PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE = 512, 64
+"""Viewpoints that are rendered at once, after which what was rendered may be kept: up to a second
+of work without a GPU. With fewer, rendering itself becomes slower."""
 
 _MOST_VIEWPOINTS = 50_000_000
 """Viewpoints of the largest uniform grid."""
@@ -46,16 +55,39 @@ _KEYPOINT_TOLERANCE_PX = 1.0
 _log = logging.getLogger(__name__)
 
 
+Look = Callable[[Viewpoints], Columns]
+"""A function that renders viewpoints and returns their rows."""
+
+
 @dataclass(frozen=True, slots=True)
-class PartRenderer:
-    """Renders parts of one plan."""
+class JobRenderer:
+    """Renders jobs of one plan.
+
+    Attributes
+    ----------
+    renderer : ColumnRenderer
+        Frees its memory on the GPU, as a context manager at the end.
+    header : StoreHeader
+        Header of the store, with the renderer's name.
+    look : callable
+        Renders viewpoints, and returns their rows as a part with the header ``begun`` holds them.
+    begun : StoreHeader
+    at_once : int
+        Viewpoints that one call of ``look`` should be given.
+    rows : callable
+        Returns the rows of the store for a job. It is given the job and a function that stands for
+        ``look``, which it calls with the same viewpoints in the same order however often it runs.
+    expected : int
+        About how many rows the jobs of the plan render; 0 where their viewpoints are known before.
+    """
 
     renderer: ColumnRenderer
-    """Frees its memory on the GPU, as a context manager at the end."""
     header: StoreHeader
-    """Header of the parts, with the renderer's name."""
-    columns: Callable[[Any], Columns]
-    """Returns the rows of a part."""
+    look: Look
+    begun: StoreHeader
+    at_once: int
+    rows: Callable[[Any, Look], Columns]
+    expected: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,39 +124,55 @@ class PlacePlan:
         }
         return header_of(terrain, settings, self.curvature, holds=PLACES)
 
-    def parts(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
-        """Return the parts of the store: viewpoints, or blocks of the map.
+    def jobs(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
+        """Return the jobs of the build: viewpoints to render, or blocks of the map to plan.
 
         Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
         """
         area = _area_to_build(terrain, self.bounds_deg)
         if self.spacing_m is not None:
-            return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_PART)
+            return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_JOB)
         if self.places is not None and self.places < 1:
             raise InputError(f"{self.places} places are asked for; expected at least 1")
         return blocks_of(area)
 
-    def opened(self, terrain: HeightField) -> PartRenderer:
-        """Return a renderer of the parts; raises as `Prices`."""
+    def opened(self, terrain: HeightField) -> JobRenderer:
+        """Return a renderer of the jobs; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
+        at_once = _PLACES_AT_ONCE if renderer.is_resident else _PLACES_A_JOB
         if self.spacing_m is not None:
             half_m = self.spacing_m / 2.0
-            return PartRenderer(
+            return JobRenderer(
                 renderer,
                 header,
                 lambda eyes: columns_of(header, Places.of(renderer.render(eyes), half_m)),
+                header,
+                at_once,
+                lambda eyes, look: look(eyes),
             )
-        look, area = renderer.render, map_bounds(terrain, self.bounds_deg)
-        prices = Prices(terrain, area, look)
+        area = map_bounds(terrain, self.bounds_deg)
+        prices = Prices(terrain, area, lambda eyes: Sights.of(renderer.render(eyes)))
         price = prices.of_number(self.places or DEFAULT_PLACES)
         if self.places is None:
             densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
             price = min(max(price, densest), sparsest)
-        return PartRenderer(
+        begun = replace(header, holds=BEGUN, width=LEVELS)
+
+        def rows(block: tuple[int, int], look: Look) -> Columns:
+            planned = planned_places(
+                terrain, lambda eyes: _sights(begun, look(eyes)), area, price, block
+            )
+            return columns_of(header, planned)
+
+        return JobRenderer(
             renderer,
             header,
-            lambda block: columns_of(header, planned_places(terrain, look, area, price, block)),
+            lambda eyes: _begun_columns(begun, Sights.of(renderer.render(eyes))),
+            begun,
+            at_once,
+            rows,
+            prices.places(price) + NODES_AROUND * len(blocks_of(area)),
         )
 
 
@@ -170,20 +218,36 @@ class RenderingPlan:
         """Return the header of the store, without the renderer's name."""
         return rendering_header(terrain, self.settings, self.config)
 
-    def parts(self, _: HeightField) -> list[Viewpoints]:
-        """Return the parts of the store."""
-        return _cut(self.viewpoints, _VIEWPOINTS_A_PART)
+    def jobs(self, _: HeightField) -> list[Viewpoints]:
+        """Return the jobs of the build: viewpoints to render."""
+        return _cut(self.viewpoints, _VIEWPOINTS_A_JOB)
 
-    def opened(self, terrain: HeightField) -> PartRenderer:
-        """Return a renderer of the parts."""
+    def opened(self, terrain: HeightField) -> JobRenderer:
+        """Return a renderer of the jobs."""
         renderer = HorizonRenderer(terrain, self.config)
         header = replace(self.header(terrain), renderer=renderer.description)
-        return PartRenderer(
-            renderer, header, lambda eyes: rendering_columns(header, renderer.render(eyes))
+        return JobRenderer(
+            renderer,
+            header,
+            lambda eyes: rendering_columns(header, renderer.render(eyes)),
+            header,
+            _VIEWPOINTS_AT_ONCE if renderer.is_resident else _VIEWPOINTS_A_JOB,
+            lambda eyes, look: look(eyes),
         )
 
 
 Plan = PlacePlan | RenderingPlan
+
+
+def _begun_columns(header: StoreHeader, sights: Sights) -> Columns:
+    """Return sights as a part of an unfinished plan holds them."""
+    return {**columns_of(header, sights.places), LOST: sights.lost}
+
+
+def _sights(header: StoreHeader, columns: Columns) -> Sights:
+    """Return the sights in the rows of a part of an unfinished plan."""
+    fields: Any = {field: columns[name] for field, name in header.fields.items()}
+    return Sights(Places(**fields), columns[LOST])
 
 
 def header_of(

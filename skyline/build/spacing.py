@@ -14,12 +14,12 @@ searches for synthetic views, 60 degrees wide; docs/method.md has the terrain.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, Int64Array, IntArray
+from skyline.arrays import Float32Array, Float64Array, Int64Array, IntArray, Rows
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
@@ -28,13 +28,10 @@ from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
-Look = Callable[[Viewpoints], Horizons]
-"""A function that renders viewpoints."""
-
 _COARSEST_M = 1280.0
 _FINEST_M = 10.0
-_LEVELS = 15
-_SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
+LEVELS = 15
+_SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(LEVELS) / 2.0)
 """Spacing of each level's lattice: the side of the square that each place has to itself."""
 
 _DENSITY = 1.0 / _SPACING_M**2
@@ -44,6 +41,9 @@ _ROOTS = 4
 """Squares of the coarsest lattice to a side of a block."""
 
 BLOCK_M = _ROOTS * _COARSEST_M
+
+NODES_AROUND = (_ROOTS + 2) ** 2 - _ROOTS**2
+"""Nodes around a block that are rendered for the squares at its sides."""
 
 _UNITS = round(_COARSEST_M / _FINEST_M)
 """The coarsest spacing, in finest spacings."""
@@ -84,6 +84,31 @@ _TOO_NEAR_M, _TOO_NEAR_POWER = 25.0, 1.75
 the odds: wrong slopes fit them as well. Plans leave this out, since no spacing changes it."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights(Rows):
+    """What a plan sees at N viewpoints.
+
+    Attributes
+    ----------
+    places : Places
+        Their tolerances are not set yet.
+    lost : (N, LEVELS) float64
+        The shares of the views round each place that each level's spacing is expected to lose.
+    """
+
+    places: Places
+    lost: Float64Array
+
+    @classmethod
+    def of(cls, horizons: Horizons) -> "Sights":
+        """Return the sights of rendered skylines in 360 bins."""
+        return cls(Places.of(horizons, 0.0), lost_shares(horizons.distance_m, _SPACING_M))
+
+
+Look = Callable[[Viewpoints], Sights]
+"""A function that renders viewpoints."""
+
+
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
     """Return the blocks that meet an area, row by row from the north-west.
 
@@ -105,7 +130,7 @@ class Prices:
 
     def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:
         eyes, self._surface_m2 = spread_over(terrain, area)
-        self._lost = lost_shares(look(eyes).distance_m, _SPACING_M)
+        self._lost = look(eyes).lost
 
     def of_loss(self, loss: float) -> float:
         """Return the highest price at which a plan loses at most a given share of the views.
@@ -119,13 +144,22 @@ class Prices:
         """Return the price of a plan of about so many places, or of the finest lattice if fewer."""
         return self._limit(lambda level: self._surface_m2 * _DENSITY[level].mean() < number)
 
+    def places(self, price: float) -> int:
+        """Return about how many places a plan of a price has."""
+        return round(self._surface_m2 * float(_DENSITY[self._levels(price)].mean()))
+
+    def _levels(self, price: float) -> IntArray:
+        """Return the level that costs least at each viewpoint."""
+        levels: IntArray = np.argmin(self._lost + price * _DENSITY, axis=1)
+        return levels
+
     def _limit(self, is_too_coarse: Callable[[IntArray], bool]) -> float:
         """Return the highest price at which the levels of the viewpoints are not too coarse."""
         # From less than any place can save to more than a whole square of the coarsest lattice.
         low, high = 1e-3, 1e12
         for _ in range(_BISECTIONS):
             price = float(np.sqrt(low * high))
-            if is_too_coarse(np.argmin(self._lost + price * _DENSITY, axis=1)):
+            if is_too_coarse(self._levels(price)):
                 high = price
             else:
                 low = price
@@ -170,7 +204,7 @@ def planned_places(
     seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
     nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
     west, south, east, north = area
-    for level in range(_LEVELS):
+    for level in range(LEVELS):
         # Only squares that meet the area.
         left_m, low_m = seen.position_m(nodes - nodes % _side(level))
         side_m = _side(level) * _FINEST_M
@@ -179,7 +213,7 @@ def planned_places(
         seen.fill(nodes)
         # They are divided where a denser lattice pays.
         halved = np.zeros(len(nodes), dtype=bool)
-        if level < _LEVELS - 1:
+        if level < LEVELS - 1:
             cost = seen.lost_around(nodes, level) + price * _DENSITY
             pays = cost[:, level + 1 :].min(axis=1) < cost[:, level]
             halved = np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, pays)
@@ -208,7 +242,7 @@ class _Seen:
         self._terrain, self._look = terrain, look
         self._corner_m = np.array(block) * BLOCK_M
         self._row: Int64Array = np.full(2 * ((_ROOTS + 2) * _UNITS,), _UNTRIED)
-        self._lost: Float64Array = np.zeros((0, _LEVELS))
+        self._lost: Float64Array = np.zeros((0, LEVELS))
         self.places: list[Places] = []
 
     def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
@@ -222,9 +256,9 @@ class _Seen:
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE
         self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
-        horizons = self._look(eyes)
-        self.places.append(Places.of(horizons, 0.0))
-        self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
+        seen = self._look(eyes)
+        self.places.append(seen.places)
+        self._lost = np.concatenate([self._lost, seen.lost])
 
     def rows(self, nodes: Int64Array) -> Int64Array:
         """Return the rows, in `places`, of those of nodes (N, 2) that have a place."""
@@ -244,7 +278,7 @@ class _Seen:
         around = nodes[:, None] + np.concatenate([np.zeros((1, 2), np.int64), steps])
         row = self._row[_index(around)]
         known = row >= 0
-        lost = np.zeros((*known.shape, _LEVELS))
+        lost = np.zeros((*known.shape, LEVELS))
         lost[known] = self._lost[row[known]]
         number = known.sum(axis=1)[:, None]
         return np.where(number > 0, lost.sum(axis=1) / np.maximum(number, 1), np.nan)

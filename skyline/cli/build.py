@@ -1,11 +1,13 @@
 """``skyline build`` and ``render``: stores of places, and of renderings for the paper."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 from typer import Option
 
+from skyline.arrays import Progress
 from skyline.build.cluster import runner_of
 from skyline.build.parts import BuildResult, build_store
 from skyline.build.plans import PlacePlan, RenderingPlan
@@ -22,6 +24,7 @@ from skyline.cli.console import (
     panel,
     parse_bounds,
     print_line,
+    print_note,
     progress_bar,
     read_terrain,
 )
@@ -82,7 +85,7 @@ def build(
         spacing, None if bounds is None else parse_bounds(bounds), places, Curvature(refraction_k=k)
     )
     terrain = read_terrain(dem, crs)
-    with runner_of(workers) as runner, progress_bar("rendering") as bar:
+    with runner_of(workers) as runner, _bar(output, "places") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     _print_built(result, output, "places")
     with open_store(output) as opened:
@@ -215,7 +218,7 @@ def render(
         from skyline.report import plan_pictures  # noqa: PLC0415  (slow to load)
 
         plan_pictures.check_depth_folder(depth_images, len(plan.viewpoints), labels)
-    with runner_of(workers) as runner, progress_bar("rendering") as bar:
+    with runner_of(workers) as runner, _bar(output, "renderings") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
         plan_pictures.save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
@@ -279,6 +282,22 @@ def _advise_to_continue(store: Path) -> None:
         "what was built is kept, and the same command continues from there",
         lambda: any(parts_folder(store.resolve()).glob("*/*.h5")),
     )
+
+
+@contextmanager
+def _bar(output: Path, rows: str) -> Iterator[Progress]:
+    """Show the progress of a build, after a note on what an earlier command has left."""
+    with progress_bar("rendering") as bar:
+        is_first = True
+
+        def show(done: int, total: int) -> None:
+            nonlocal is_first
+            if is_first and done:
+                print_note(f"{output}: {done} of about {total} {rows} are there already")
+            is_first = False
+            bar(done, total)
+
+        yield show
 
 
 def _print_built(result: BuildResult, path: Path, rows: str) -> None:

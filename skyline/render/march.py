@@ -230,6 +230,11 @@ class ColumnRenderer(Renderer):
         self._results, self._programs, self._resident = (), {}, {}
         super().release()
 
+    @property
+    def is_resident(self) -> bool:
+        """Whether the whole field stays on the GPU; otherwise each rendering loads it anew."""
+        return sum(one.rows * one.cols for one in self._windows) <= _RESIDENT_SAMPLES
+
     def _skylines(
         self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:

@@ -50,6 +50,10 @@ PACKAGE_VERSION = version("skyline")
 RENDERINGS, PLACES = "renderings", "places"
 """The two kinds of rows; a store holds one of them."""
 
+BEGUN = "begun"
+"""The rows of a part of an unfinished plan: places, each with the shares of views that spacings
+lose round it, from which the plan continues."""
+
 MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
 """The command that makes a store of each kind."""
 
@@ -68,7 +72,7 @@ _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
 can be mapped."""
 
-KEYPOINTS = "features/keypoint_column"
+KEYPOINTS, LOST = "features/keypoint_column", "places/lost"
 
 KeypointColumns = NDArray[np.uint16]
 
@@ -99,8 +103,9 @@ _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
         "checksum": ("places/checksum", "<u4", ()),
     },
 }
+_SPECS[BEGUN] = {"lost": (LOST, "<f8", None), **_SPECS[PLACES]}
 """By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
-for the width (W,). Keypoints and checksums are fields of neither."""
+for the width (W,). Keypoints, lost shares and checksums are fields of neither."""
 
 PLACE_CODING = {
     "bins": BINS,
@@ -138,9 +143,9 @@ class StoreHeader:
     renderer : str
         Name of the renderer and of the OpenGL under it; empty before anything is rendered.
     width : int
-        Columns W of a view; 0 in a store of places.
+        Columns W of a view, or spacings of an unfinished plan; 0 in a store of places.
     holds : str
-        "renderings" or "places".
+        "renderings", "places" or "begun".
     package_version : str
         Release that built the store.
 
@@ -181,7 +186,7 @@ class StoreHeader:
         return {
             field: name
             for field, (name, *_) in _SPECS[self.holds].items()
-            if field not in ("keypoints", "checksum")
+            if field not in ("keypoints", "lost", "checksum")
         }
 
     @property
@@ -199,7 +204,7 @@ class StoreHeader:
 
     def chunk_rows(self, rows: int) -> int:
         """Return the number of rows in a chunk of every dataset, in a store of ``rows`` rows."""
-        return max(1, min(rows, _PLACES_A_CHUNK if self.holds == PLACES else _VIEWS_A_CHUNK))
+        return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else _PLACES_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
         """Return the settings, as h5py names them, of a dataset of ``rows`` rows."""

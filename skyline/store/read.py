@@ -480,7 +480,10 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 
 
 def parts_folder(path: Path) -> Path:
-    """Return the folder in which the parts of a store lie while it is built, a folder a build."""
+    """Return the folder in which the parts of a store lie while it is built, a folder a build.
+
+    The name of a part begins with what its store holds.
+    """
     return path.with_name(f"{path.name}.parts")
 
 
@@ -500,23 +503,16 @@ def open_hdf5(path: Path) -> io.FileIO:
     return raw
 
 
-def part_name(holds: str, number: int, total: int) -> str:
-    """Return the name of a part: ``places-00003-of-00037.h5``."""
-    return f"{holds}-{number:05d}-of-{total:05d}.h5"
-
-
 def _absence(path: Path) -> str:
     """Return the reason why there is no store at a path, in one line."""
     folder = parts_folder(path)
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"
-    parts = list(folder.glob("*/*-*-of-*.h5"))
+    parts = list(folder.glob("*/*-of-*.h5"))
     there, command = "no part of it is there yet", MADE_BY[PLACES]
     if parts:
         command = MADE_BY.get(parts[0].name.partition("-")[0], command)
-        totals = {part.parent: part.stem.rpartition("-")[2] for part in parts}
-        number, of = len(parts), sum(int(one) for one in totals.values() if one.isdecimal())
-        there = f"{number} of {of} parts {'is' if number == 1 else 'are'} there"
+        there = "a part is there" if len(parts) == 1 else f"{len(parts)} parts are there"
     return (
         f"store {path} cannot be read: its build is not finished ({there}); give the same "
         f"{command} command again, which continues from there"

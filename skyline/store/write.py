@@ -440,6 +440,11 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, IntArray, Damage | None]
                     yield {}, np.zeros(0, dtype=np.intp), Damage(str(error), first, last - first)
 
 
+def is_whole(store: Store) -> bool:
+    """Return whether all rows of a store can be read and have their checksums."""
+    return all(damage is None for *_, damage in whole_rows(store))
+
+
 def _compared(store: Store, start: int, stop: int) -> tuple[Columns, IntArray, Damage | None]:
     """Compare rows with their checksums."""
     columns = store.stored(slice(start, stop))

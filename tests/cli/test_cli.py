@@ -94,17 +94,17 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
 @pytest.mark.parametrize("command", ["build", "render"])
 def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monkeypatch, command):
     out, whole = tmp_path / "store.h5", tmp_path / "all.h5"
-    monkeypatch.setattr(plans, "_PLACES_A_PART", 300)
-    monkeypatch.setattr(plans, "_VIEWPOINTS_A_PART", 3)
+    monkeypatch.setattr(plans, "_PLACES_AT_ONCE", 300)
+    monkeypatch.setattr(plans, "_VIEWPOINTS_AT_ONCE", 3)
     options = ("--spacing", 80) if command == "build" else ("--grid", 900, "--width", 64)
 
     def stop(done, _total):
-        if done == 2:
+        if done >= (600 if command == "build" else 24):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(
-            "skyline.cli.build.build_store", lambda *given: build_store(*given[:-1], stop)
+            "skyline.cli.build.build_store", lambda *given: build_store(*given[:-1], stop, 0.0)
         )
         done = run(command, dem, "-o", out, *options)
     assert done.code == 130
@@ -112,10 +112,12 @@ def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monke
     assert done.err.count("\n") == 1
     # It is no store yet, and every command that reads one reports how far it is.
     for reading in (("info", out), ("store", "check", out), ("match", out, photo)):
-        parts = 7 if command == "build" else 6
-        there = f"its build is not finished (2 of {parts} parts are there)"
+        there = "its build is not finished (2 parts are there)"
         assert_refused(run(*reading), f"{there}; give the same `skyline {command}` command again")
-    again = run(command, dem, "-o", out, *options).ok()
+    again = run(command, dem, "-o", out, *options)
+    assert again.code == 0
+    rows = "600 of about 1804 places" if command == "build" else "24 of about 64 renderings"
+    assert again.err == f"{out}: {rows} are there already\n"
     assert run(command, dem, "-o", whole, *options).code == 0
     assert (" 1204 of them new" if command == "build" else " 40 of them new") in again.out
     assert "complete: nothing was left to render" in run(command, dem, "-o", out, *options).out

@@ -1,4 +1,8 @@
-"""Builds: the store equals the renderings, on any workers and however often the build broke."""
+"""Builds: the store equals the renderings, on any workers and however often the build broke.
+
+Jobs are small here, and what was rendered is written at once (``a_part_s=0.0``) where a build is to
+be stopped.
+"""
 
 import os
 import shutil
@@ -14,7 +18,7 @@ import pytest
 from scenes import field_of, fractal, write_dem
 
 from skyline import RenderConfig, read_dem, render_to_store, stand_on
-from skyline.build import cluster, parts, plans
+from skyline.build import cluster, jobs, parts, plans, spacing
 from skyline.build.cluster import runner_of
 from skyline.build.parts import build_places, build_store
 from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
@@ -27,13 +31,17 @@ from skyline.store.write import check_store, merge_stores
 
 SPACING_M = 120.0
 PLACES = 1500
+BESIDE = spacing.NODES_AROUND * 6
+"""Viewpoints round the six blocks of the terrain, which are rendered and belong to other blocks."""
 CONFIG = RenderConfig(width=64)
 
 
 @pytest.fixture(autouse=True)
-def small_parts(monkeypatch):
-    monkeypatch.setattr(plans, "_PLACES_A_PART", 400)
-    monkeypatch.setattr(plans, "_VIEWPOINTS_A_PART", 30)
+def small_jobs(monkeypatch):
+    monkeypatch.setattr(plans, "_PLACES_A_JOB", 400)
+    monkeypatch.setattr(plans, "_VIEWPOINTS_A_JOB", 30)
+    monkeypatch.setattr(plans, "_PLACES_AT_ONCE", 100)
+    monkeypatch.setattr(plans, "_VIEWPOINTS_AT_ONCE", 8)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +51,7 @@ def terrain(tmp_path_factory):
 
 
 def plan_of(terrain, kind):
-    """Return a plan of several parts."""
+    """Return a plan of several jobs."""
     if kind == "planned":
         return PlacePlan(places=PLACES)
     if kind == "uniform":
@@ -68,26 +76,41 @@ def runner(dask_cluster):
         yield runner
 
 
-def begin(terrain, path, plan):
-    """Build two parts of a store, and return them."""
+def parts_of(path):
+    return sorted(parts_folder(path).glob("*/*"))
 
-    def stop(done, _):
-        if done == 2:
+
+def begin(terrain, path, plan):
+    """Build a store until two of its jobs have parts and the third has begun; return the parts."""
+
+    def stop(*_):
+        if len(finished_parts(path)) == 2 and len(parts_of(path)) > 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_store(terrain, path, plan, progress=stop)
-    begun = sorted(parts_folder(path).glob("*/*"))
-    assert len(begun) == 2
+        build_store(terrain, path, plan, progress=stop, a_part_s=0.0)
     assert not path.exists()
-    return begun
+    return parts_of(path)
+
+
+def finished_parts(path):
+    return [part for part in parts_of(path) if "-from-" not in part.name]
+
+
+def rows_in(parts):
+    """Return the number of rows in parts."""
+    total = 0
+    for part in parts:
+        with open_store(part) as store:
+            total += len(store)
+    return total
 
 
 def test_a_first_part_that_cannot_be_written_leaves_nothing(terrain, tmp_path, monkeypatch):
     def write_nothing(*_):
         raise StoreError("no space left on device")
 
-    monkeypatch.setattr(parts, "write_store", write_nothing)
+    monkeypatch.setattr(jobs, "write_store", write_nothing)
     with pytest.raises(StoreError, match="no space"):
         build_places(terrain, tmp_path / "s.h5", SPACING_M)
     assert not list(tmp_path.iterdir())
@@ -180,7 +203,7 @@ class TestAreas:
         with pytest.raises(StoreMismatchError, match=r"spacing_m is 150\.0 there, 100\.0 here"):
             build_places(terrain, path, 100.0, east)
         with pytest.raises(ZeroDivisionError):
-            build_places(terrain, path, 150.0, east, lambda done, _: 1 / (done - 1))
+            build_places(terrain, path, 150.0, east, lambda done, _: 1 / (done < 1))
         assert path.read_bytes() == before
 
     def test_boxes_that_are_built_at_once_are_both_kept(self, terrain, tmp_path):
@@ -209,7 +232,7 @@ class TestAreas:
             patch.setattr(parts, "write_store", write_late)
             with pytest.raises(StoreError, match=r"another build wrote .* run the same command"):
                 build_store(terrain, path, west)
-        assert all(part.exists() for part in begun)
+        assert all(part.exists() for part in begun[:2])
         done = build_store(terrain, path, west)
         assert done.rendered == 0 < done.rows
         with open_store(path) as store:
@@ -220,25 +243,65 @@ class TestAreas:
 class TestBroken:
     def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):
         plan, unbroken = whole
-        path = tmp_path / "s.h5"
+        path, steps = tmp_path / "s.h5", []
         begun = begin(terrain, path, plan)
-        with open_store(begun[0]) as first, open_store(begun[1]) as second:
-            held = len(first) + len(second)
-        done = build_store(terrain, path, plan)
-        assert done.rows - done.rendered == held > 0
+        held, finished = rows_in(begun), rows_in(begun[:2])
+        done = build_store(terrain, path, plan, progress=lambda *step: steps.append(step))
+        assert held >= done.rows - done.rendered > finished > 0
+        assert steps[0][0] == held, "what was there already"
+        assert steps[-1][0] == steps[-1][1]
         assert path.read_bytes() == unbroken
         assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
         begun[0].parent.mkdir(parents=True)
-        shutil.copy(path, begun[0].with_name("places-00001-of-00002.h5"))
+        shutil.copy(path, begun[0].with_name("places-00001-00001-of-00002.h5"))
         begun[0].with_name(".s.h5.0123456789ab.partial").touch()
         assert build_store(terrain, path, plan).rendered == 0
         assert path.read_bytes() == unbroken
         assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
 
-    def test_a_damaged_part_is_rendered_again(self, terrain, whole, tmp_path):
+    def test_a_job_that_takes_long_is_kept_as_it_goes(self, terrain, tmp_path):
+        """All that was rendered of a block is kept, and nothing of it is rendered again."""
+        in_one_block = {
+            "easting_m": (600_600.0, 603_900.0),
+            "northing_m": (5_176_900.0, 5_179_800.0),
+        }
+        plan = PlacePlan(None, terrain.frame.box_deg(**in_one_block), PLACES)
+        path, steps = tmp_path / "s.h5", []
+
+        def stop(done, total):
+            steps.append((done, total))
+            if done > 500:
+                raise KeyboardInterrupt
+
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):
+                build_store(terrain, path, plan, progress=stop, a_part_s=0.0)
+            assert steps[-1][0] == rows_in(parts_of(path)) < 600
+        assert steps[-1] == steps[-2], "the second one stopped before it had rendered anything"
+        build_store(terrain, path, plan, progress=lambda *step: steps.append(step))
+        done = build_store(terrain, tmp_path / "whole.h5", plan)
+        assert path.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+        rendered = np.diff([done for done, _ in steps])
+        assert 0 <= rendered.min() < rendered.max() <= 100, "progress after each rendering"
+        assert done.rows == pytest.approx(steps[0][1], rel=0.1), "about as many as expected"
+
+    def test_jobs_that_take_little_have_one_part(self, terrain, tmp_path, monkeypatch):
+        path, found = tmp_path / "s.h5", []
+
+        def look(done, total):
+            if done == total:
+                found[:] = [part.name for part in parts_of(path)]
+
+        monkeypatch.setattr(plans, "_PLACES_A_JOB", 5)
+        number = -(-len(uniform_grid(terrain, 700.0)) // 5)
+        build_store(terrain, path, PlacePlan(700.0), progress=look, a_part_s=1e9)
+        assert found == [f"places-00001-{number:05d}-of-{number:05d}.h5"]
+
+    def test_damaged_parts_are_rendered_again(self, terrain, whole, tmp_path):
         plan, unbroken = whole
         path = tmp_path / "s.h5"
-        cut, flipped = begin(terrain, path, plan)
+        parts = begin(terrain, path, plan)
+        cut, *_, flipped = parts
         cut.write_bytes(cut.read_bytes()[:-100])
         data = bytearray(flipped.read_bytes())
         data[-data[::-1].index(0) // 2] ^= 1
@@ -261,17 +324,19 @@ class TestBroken:
             assert str(parts_folder(path)) in str(caught.value)
         assert [part.read_bytes() for part in begun] == before
 
-    def test_killed_at_random_instants(self, terrain, tmp_path, monkeypatch):
-        """Each time at most the part in hand is lost."""
+    @pytest.mark.parametrize("plan", [PlacePlan(200.0), PlacePlan(places=PLACES)], ids=str)
+    def test_killed_at_random_instants(self, terrain, tmp_path, plan):
+        """Each time at most the rendering in hand is lost."""
         script = f"""
             from pathlib import Path
             from skyline import read_dem
             from skyline.build import parts, plans
-            plans._PLACES_A_PART = 90
-            terrain, plan = read_dem({list(terrain.provenance.files)!r}), plans.PlacePlan(200.0)
+            plans._PLACES_AT_ONCE = 60
+            terrain = read_dem({list(terrain.provenance.files)!r})
+            plan = plans.PlacePlan({plan.spacing_m}, places={plan.places})
             def progress(done, total):
                 print(done, flush=True)
-            parts.build_store(terrain, Path("s.h5"), plan, progress=progress)
+            parts.build_store(terrain, Path("s.h5"), plan, progress=progress, a_part_s=0.0)
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
         folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
@@ -280,23 +345,22 @@ class TestBroken:
         def start():
             return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
 
-        monkeypatch.setattr(plans, "_PLACES_A_PART", 90)
-        build_store(terrain, tmp_path / "unbroken.h5", PlacePlan(200.0))
-        for wait_for in (0, 6, 13):
+        build_store(terrain, tmp_path / "unbroken.h5", plan)
+        for wait_for, how in ((0, signal.SIGTERM), (300, signal.SIGKILL), (800, signal.SIGINT)):
             child = start()
             done = int(child.stdout.readline())
-            # All parts that were finished before are there.
-            assert done >= before
+            # All that was kept before is there, but for viewpoints that belong to other blocks.
+            assert done >= before - BESIDE
             while done < wait_for:
                 done = int(child.stdout.readline())
             threading.Event().wait(generator.uniform(0.0, 0.02))
-            os.kill(child.pid, signal.SIGKILL)
+            os.kill(child.pid, how)
             child.communicate()
             before = done
             assert not (folder / "s.h5").exists()
         last = start()
         assert last.wait() == 0
-        assert int(last.communicate()[0].split()[0]) >= before
+        assert int(last.communicate()[0].split()[0]) >= before - BESIDE
         assert (folder / "s.h5").read_bytes() == (tmp_path / "unbroken.h5").read_bytes()
         assert [file.name for file in folder.iterdir()] == ["s.h5"]
 
@@ -308,11 +372,11 @@ class TestBroken:
         path = tmp_path / "s.h5"
 
         def finish(done, _):
-            if done == 2:
+            if done > 800 and not path.exists():
                 shutil.copy(other / "s.h5", path)
                 shutil.rmtree(parts_folder(path))
 
-        done = build_store(terrain, path, plan, progress=finish)
+        done = build_store(terrain, path, plan, progress=finish, a_part_s=0.0)
         with open_store(path) as store:
             assert done.rows == len(store)
         assert path.read_bytes() == (other / "s.h5").read_bytes()
@@ -322,17 +386,24 @@ class TestBroken:
 class TestWorkers:
     def test_make_the_same_bytes(self, terrain, whole, runner, tmp_path):
         plan, unbroken = whole
-        path, steps = tmp_path / "s.h5", []
-        begin(terrain, path, plan)
-        build_store(terrain, path, plan, runner, lambda *step: steps.append(step))
+        path, steps, threads = tmp_path / "s.h5", [], set()
+
+        def progress(*step):
+            steps.append(step)
+            threads.add(threading.get_ident())
+
+        held = rows_in(begin(terrain, path, plan))
+        build_store(terrain, path, plan, runner, progress)
         assert path.read_bytes() == unbroken
-        assert steps[0][0] == 2
-        assert steps[-1][0] == steps[-1][1] == len(steps) + 1
+        assert steps[0][0] == held
+        assert steps[-1][0] == steps[-1][1]
+        assert held < steps[len(steps) // 2][0] < steps[-1][0]
+        assert threads == {threading.get_ident()}
 
     def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(300.0), tmp_path / "s.h5"
         build_store(terrain, tmp_path / "here.h5", plan)
-        monkeypatch.setattr(parts, "_write_part", dying)
+        monkeypatch.setattr(parts, "_write_job", dying)
         build_store(terrain, path, plan, runner)
         assert (parts_folder(path).with_name("died")).exists()
         assert path.read_bytes() == (tmp_path / "here.h5").read_bytes()
@@ -340,13 +411,13 @@ class TestWorkers:
     def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(150.0), tmp_path / "s.h5"
         monkeypatch.setattr(cluster, "RETRIES", 0)
-        monkeypatch.setattr(parts, "_write_part", failing)
-        message = r"1 of \d+ failed: places-00002-of-\d+ \(no room"
+        monkeypatch.setattr(parts, "_write_job", failing)
+        message = r"1 of \d+ jobs failed: job 2 \(no room"
         with pytest.raises(BuildError, match=message) as failed:
             build_store(terrain, path, plan, runner)
         assert "\n" not in str(failed.value)
         monkeypatch.undo()
-        monkeypatch.setattr(plans, "_PLACES_A_PART", 400)
+        monkeypatch.setattr(plans, "_PLACES_A_JOB", 400)
         done = build_store(terrain, path, plan)
         assert 0 < done.rendered <= 400
 
@@ -364,20 +435,24 @@ class TestWorkers:
         assert list(tmp_path.iterdir()) == []
 
 
-write_part = parts._write_part
+write_job = parts._write_job
 
 
-def dying(build, plan, header, item):
-    """Write a part, but the first worker dies."""
-    mark = item[0].parents[2] / "died"
-    if "00002" in item[0].name and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return write_part(build, plan, header, item)
+def dying(build, plan, header, folder, a_part_s, job, tell):
+    """Write a job, but the first worker dies at the second one, after some of it."""
+    mark = folder.path.parents[1] / "died"
+
+    def die(rows, expected):
+        if rows and job[0] == 2 and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        tell(rows, expected)
+
+    return write_job(build, plan, header, folder, a_part_s, job, die)
 
 
-def failing(build, plan, header, item):
-    """Write a part, but one cannot be written."""
-    if "00002" in item[0].name:
+def failing(build, plan, header, folder, a_part_s, job, tell):
+    """Write a job, but one cannot be written."""
+    if job[0] == 2:
         raise StoreError("no room")
-    return write_part(build, plan, header, item)
+    return write_job(build, plan, header, folder, a_part_s, job, tell)

@@ -7,7 +7,14 @@ import pytest
 from scenes import field_of
 
 from skyline.build import spacing
-from skyline.build.spacing import BLOCK_M, blocks_of, expected_finds, lost_shares, planned_places
+from skyline.build.spacing import (
+    BLOCK_M,
+    Sights,
+    blocks_of,
+    expected_finds,
+    lost_shares,
+    planned_places,
+)
 from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
 
@@ -36,7 +43,8 @@ def looking(distance_m):
         distance = np.broadcast_to(distance_m(eyes.easting_m)[:, None], shape)
         nothing, place = np.zeros(shape, np.float32), (eyes.easting_m, eyes.northing_m)
         flags = nothing.astype(np.uint8)
-        return Horizons(*place, eyes.eye_elevation_m, nothing, np.float32(distance), flags)
+        elevation_m = eyes.eye_elevation_m
+        return Sights.of(Horizons(*place, elevation_m, nothing, np.float32(distance), flags))
 
     return look
 
@@ -74,7 +82,7 @@ class TestPrice:
     @pytest.mark.parametrize("loss", [0.05, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
         price = spacing.Prices(plain, AREA, self.look).of_loss(loss)
-        lost = lost_shares(self.look(spacing.spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
+        lost = self.look(spacing.spread_over(plain, AREA)[0]).lost
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -89,6 +97,9 @@ class TestPrice:
         places = planned(plain, near_in_the_west, price)
         # Spacings are steps of the root of 2, so numbers are steps of 2 where all is alike.
         assert number <= 1.05 * len(places) <= 2.1 * number
+        assert spacing.Prices(plain, AREA, self.look).places(price) == pytest.approx(
+            len(places), rel=0.1
+        )
 
 
 class TestPlan:
@@ -104,7 +115,7 @@ class TestPlan:
     def test_it_is_dense_where_skylines_are_near(self, plain):
         look = looking(near_in_the_west)
         price = spacing.Prices(plain, AREA, look).of_loss(0.15)
-        lost = lost_shares(look(spacing.spread_over(plain, AREA)[0]).distance_m, SPACINGS_M)
+        lost = look(spacing.spread_over(plain, AREA)[0]).lost
         wanted = SPACINGS_M[np.argmin(lost + price / SPACINGS_M**2, axis=1)]
         places = planned(plain, near_in_the_west, price)
         west = places.easting_m < BLOCK_M

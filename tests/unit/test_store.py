@@ -33,7 +33,7 @@ from skyline.geodesy import Frame
 from skyline.store import write
 from skyline.store.format import columns_of, refuse_mismatch
 from skyline.store.places import Places
-from skyline.store.read import is_store, open_store, part_name, parts_folder
+from skyline.store.read import is_store, open_store, parts_folder
 from skyline.store.write import check_store, examine, merge_stores, repair_store, write_store
 
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
@@ -469,14 +469,16 @@ def test_an_unfinished_build_is_reported(tmp_path, header):
     for read in (open_store, check_store):
         with pytest.raises(MissingFileError, match="no part of it is there yet"):
             read(path)
-    for number in (1, 3):
-        write_rows(folder / part_name(header.holds, number, 37), 0, 3, header)
+    write_rows(folder / f"{header.holds}-00001-00004-of-00037.h5", 0, 3, header)
+    with pytest.raises(MissingFileError, match="a part is there"):
+        open_store(path)
+    write_rows(folder / f"{header.holds}-00005-from-3-of-00037.h5", 0, 3, header)
     command = "skyline build" if header.holds == "places" else "skyline render"
     for read in (open_store, check_store):
-        with pytest.raises(MissingFileError, match=rf"2 of 37 parts .* `{command}`") as caught:
+        with pytest.raises(MissingFileError, match=rf"2 parts are there\).* `{command}`") as caught:
             read(path)
         assert one_line(caught.value, path)
-    write_rows(other / part_name(header.holds, 1, 5), 0, 3, header)
-    with pytest.raises(MissingFileError, match="3 of 42 parts"):
+    write_rows(other / f"{header.holds}-00001-00001-of-00005.h5", 0, 3, header)
+    with pytest.raises(MissingFileError, match="3 parts are there"):
         open_store(path)
     assert is_store(path)
