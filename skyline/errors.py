@@ -81,6 +81,10 @@ class FetchError(SkylineError, OSError):
     """A server that does not answer, or whose answer cannot be used."""
 
 
+class BusyError(SkylineError, BlockingIOError):
+    """A file that another process is writing."""
+
+
 class BuildError(SkylineError, RuntimeError):
     """A build in which some jobs failed; the parts of the others are kept."""
 

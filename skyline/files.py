@@ -15,7 +15,7 @@ import re
 import stat
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePath
@@ -208,6 +208,32 @@ def has_locks(path: Path) -> bool:
     return True
 
 
+def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) -> TextIO | None:
+    """Make a file if it is missing, and lock it; return it open, which holds the lock.
+
+    None is returned while another process holds the lock. With ``before_waiting``, that is called
+    instead, and the lock waited for. Where no file can be locked, the file is returned all the
+    same. Who holds the lock may remove the file. Raises `OSError` where it cannot be made.
+    """
+    while True:
+        with ExitStack() as opened:
+            file = opened.enter_context(path.open("w"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if before_waiting is None:
+                    return None
+                before_waiting()
+                fcntl.flock(file, fcntl.LOCK_EX)
+            except OSError:
+                pass  # Some network folders have no locks.
+            # A file that another process has removed meanwhile locks nothing.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    opened.pop_all()
+                    return file
+
+
 def for_gdal(name: str) -> str:
     """Return a path or address that GDAL is to open; `InputError` where it is not UTF-8."""
     try:
@@ -365,7 +391,7 @@ def read_table(
     found = []
     try:
         for record in reader:
-            cells = [_as_it_was(cell.strip()) for cell in record]
+            cells = [unguarded(cell.strip()) for cell in record]
             where = f"{path}, line {before + reader.line_num}"
             if not any(cells):
                 continue
@@ -415,7 +441,7 @@ def _cell(value: object) -> object:
     return f"'{text}" if is_formula else text
 
 
-def _as_it_was(cell: str) -> str:
+def unguarded(cell: str) -> str:
     """Return a cell without the apostrophe of `csv_lines`."""
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 

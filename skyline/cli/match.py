@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -156,44 +156,40 @@ def match(
     queries = list(listed(photos, common))
     _check_files(queries, [*stores, *photos, *filter(None, [peaks])], exports, results, report)
     surfaces = dem_names(surface or ())
-    file = None
-    if results is not None:
-        file = ResultsFile(results, _search_of(stores, matcher, common, surfaces))
-        queries = _unanswered(queries, file)
-    output = _Output(as_json, file, goes_on=bool(exports or report or results))
-    # These checks come before the store is opened, which may take a minute.
-    checked, refused = _attempted(queries, Query.check)
-    usable = [one for one, _ in checked]
-    skylines, unread = _attempted(usable if same_place else (), Query.read)
-    if same_place and len(skylines) < 2:
-        raise InputError(
-            f"--same-place needs two photos or more that can be read, and has {len(skylines)}; "
-            "name more, or leave --same-place out"
-        )
-    if not usable:
-        _match_each(output, queries, refused, iter(()))
-        raise typer.Exit(output.exit_code)
-    # Workers may have another working directory.
-    tiles = dem_names(dem or ()) or None
-    name = FULL if matcher == _UNREFINED else matcher
-    asked = stores, tiles, name, MatchConfig(refine=matcher != _UNREFINED), None, surfaces or None
-    opened = time.perf_counter()
-    with note_if_slow(f"opening {', '.join(map(str, stores))} and its elevation model"):
-        matching = Matcher(*asked)
-    output.loading_s = time.perf_counter() - opened
-    _check_refined(file, matching, matcher)
-    gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    done = f"{matching.rows} {matching.holds} were searched."
-    if same_place:
-        done += f" {len(skylines)} photos of one place were matched together."
-        found = _match_together(output, matching, skylines)
-        output.exit_code = InputError.exit_code if refused or unread else 0
-    else:
-        with runner_of(workers) as runner:
-            each = match_here(matching, usable)
-            if runner is not None:
-                each = match_many(runner, asked, usable)
-            found = _match_each(output, queries, refused, each)
+    others = [*exports, *filter(None, [report])]
+    search = _search_of(stores, matcher, common, surfaces)
+    with nullcontext() if results is None else ResultsFile(results, search) as file:
+        output = _Output(as_json, file, goes_on=bool(others or results))
+        known = {} if file is None else _matched_before(queries, file, others)
+        # These checks come before the store is opened, which may take a minute.
+        checked, refused = _attempted([one for one in queries if one not in known], Query.check)
+        usable = [one for one, _ in checked]
+        skylines, unread = _read_together(usable) if same_place else ([], {})
+        if not usable:
+            _match_each(output, queries, known, refused, iter(()))
+            raise typer.Exit(output.exit_code)
+        # Workers may have another working directory.
+        tiles = dem_names(dem or ()) or None
+        name = FULL if matcher == _UNREFINED else matcher
+        config = MatchConfig(refine=matcher != _UNREFINED)
+        asked = stores, tiles, name, config, None, surfaces or None
+        started = time.perf_counter()
+        with note_if_slow(f"opening {', '.join(map(str, stores))} and its elevation model"):
+            matching = Matcher(*asked)
+        output.loading_s = time.perf_counter() - started
+        _check_refined(file, matching, matcher)
+        gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
+        done = f"{matching.rows} {matching.holds} were searched."
+        if same_place:
+            done += f" {len(skylines)} photos of one place were matched together."
+            found = _match_together(output, matching, skylines)
+            output.exit_code = InputError.exit_code if refused or unread else 0
+        else:
+            with runner_of(workers) as runner:
+                each = match_here(matching, usable)
+                if runner is not None:
+                    each = match_many(runner, asked, usable)
+                found = _match_each(output, queries, known, refused, each)
     for path in exports if found else ():
         export_matches(path, found, matching.frame)
     if report is not None and found:
@@ -226,6 +222,19 @@ def _check_files(
         suffix_of(path, EXPORTS)
 
 
+def _read_together(
+    queries: Sequence[Query],
+) -> tuple[list[tuple[Query, QuerySkyline]], dict[Query, SkylineError]]:
+    """Read photos of one place, as `_attempted`; raises `InputError` for fewer than two."""
+    skylines, unread = _attempted(queries, Query.read)
+    if len(skylines) < 2:
+        raise InputError(
+            f"--same-place needs two photos or more that can be read, and has {len(skylines)}; "
+            "name more, or leave --same-place out"
+        )
+    return skylines, unread
+
+
 def _check_refined(file: ResultsFile | None, matching: Matcher, matcher: str) -> None:
     """Raise `InputError` if a file of results would keep answers that lack refinement."""
     if file is not None and matcher == FULL and matching.terrain is None:
@@ -235,17 +244,26 @@ def _check_refined(file: ResultsFile | None, matching: Matcher, matcher: str) ->
         )
 
 
-def _unanswered(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
-    """Return the queries that a file of results lacks; print how many it has."""
+def _matched_before(
+    queries: Sequence[Query], file: ResultsFile, others: Sequence[Path]
+) -> dict[Query, str | None]:
+    """Return the queries that need not be matched, with their errors; print how many there are.
+
+    These are the queries of which a file of results has rows. There are none if ``others`` are
+    written, an export or a report, which need more than the rows have.
+    """
+    named = " and ".join(map(str, others))
     on_interrupt(
-        f"{file.path} has the answers so far, and the same command continues with the others",
+        f"{file.path} has the answers so far, and the same command "
+        f"{f'without {named} ' if others else ''}continues with the others",
         lambda: bool(file.photos),
     )
-    left = [one for one in queries if _photo_of(one) not in file.photos]
-    if len(left) < len(queries):
-        done = len(queries) - len(left)
-        print_note(f"{file.path}: {done} of {len(queries)} are there already")
-    return left
+    photos = {one: _photo_of(one) for one in queries}
+    known = {one: file.photos[photo] for one, photo in photos.items() if photo in file.photos}
+    if known:
+        again = f", and are matched again for {named}" if others else ""
+        print_note(f"{file.path}: {len(known)} of {len(photos)} are there already{again}")
+    return {} if others else known
 
 
 class _Output:
@@ -268,6 +286,12 @@ class _Output:
     def show(self, result: MatchResult | JointResult) -> None:
         """Print a result."""
         self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
+
+    def known(self, query: Query, error: str | None) -> None:
+        """Print the error, if it had one, of a query whose row an earlier command has written."""
+        if error is not None:
+            self.exit_code = InputError.exit_code
+            print_error(_of_photo(query, InputError(error)))
 
     def error(self, query: Query, error: SkylineError, is_tried: bool) -> None:
         """Print that a query failed.
@@ -323,12 +347,16 @@ def _of_photo(query: Query, error: SkylineError) -> str:
 def _match_each(
     output: _Output,
     queries: Sequence[Query],
-    refused: dict[Query, SkylineError],
+    known: Mapping[Query, str | None],
+    refused: Mapping[Query, SkylineError],
     results: Iterator[MatchResult | SkylineError],
 ) -> list[MatchResult]:
     """Print the results of all queries in order, as they come; return those without an error."""
     found: list[MatchResult] = []
     for one in queries:
+        if one in known:
+            output.known(one, known[one])
+            continue
         with nullcontext() if found else note_if_slow(f"matching {one.path}"):
             result = refused.get(one) or next(results)
         if isinstance(result, SkylineError):

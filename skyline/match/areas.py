@@ -9,15 +9,15 @@ needs no server.
 """
 
 import errno
-import fcntl
 import hashlib
 import math
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 from urllib.parse import urlsplit
@@ -29,7 +29,7 @@ from skyline.build.parts import build_places
 from skyline.build.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
-from skyline.files import version_of
+from skyline.files import lock_file, version_of
 from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
 from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
@@ -368,37 +368,27 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
     without it, the function gives up at once. A folder that contains only the lock at the end is
     removed.
     """
-    file, is_alone = _lock(folder, print_note)
-    with file:
+    file = _lock(folder, print_note)
+    with nullcontext() if file is None else file:
         try:
-            yield is_alone
+            yield file is not None
         finally:
-            if is_alone:
+            if file is not None:
                 _remove_unused(folder)
 
 
-def _lock(folder: Path, print_note: PrintNote | None) -> tuple[TextIO, bool]:
-    """Return the open file of an area's lock, and whether the lock is held."""
-    path = folder / _LOCK
+def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
+    """Return the open file of an area's lock, or None if the lock was not obtained."""
+    before_waiting = None
+    if print_note is not None:
+        before_waiting = partial(
+            print_note, f"waiting for another skyline, which is making {folder}"
+        )
     for _ in range(1000):
         # Another process may remove the folder at any time: mkdir raises either error then.
-        with suppress(FileNotFoundError, FileExistsError), ExitStack() as opened:
+        with suppress(FileNotFoundError, FileExistsError):
             folder.mkdir(parents=True, exist_ok=True)
-            file = opened.enter_context(path.open("w"))
-            is_alone = True
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                is_alone = print_note is not None
-                if print_note is not None:
-                    print_note(f"waiting for another skyline, which is making {folder}")
-                    fcntl.flock(file, fcntl.LOCK_EX)
-            except OSError:
-                pass  # Some network folders have no locks.
-            # A file that another process has removed meanwhile locks nothing.
-            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                opened.pop_all()
-                return file, is_alone
+            return lock_file(folder / _LOCK, before_waiting)
     raise _unwritable(f"{folder} cannot be made, or is removed at once")
 
 

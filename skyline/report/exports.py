@@ -6,6 +6,7 @@ devices and hiking maps read, as GPX 1.1. The places of a store are a GeoPackage
 
 ``match --results`` writes a row for each photo as soon as it is done, so that a stopped search can
 go on: to CSV (RFC 4180), or to a GeoPackage (OGC 12-128r18), whose points are the best candidates.
+One process at a time writes such a file.
 """
 
 import csv
@@ -17,9 +18,9 @@ import sqlite3
 import struct
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from urllib.parse import quote
 from xml.etree import ElementTree as Xml
 
@@ -27,8 +28,8 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.errors import InputError, printable, suffix_of
-from skyline.files import STANDARD, csv_lines, has_locks, write_whole, write_with_folders
+from skyline.errors import BusyError, InputError, SkylineError, printable, suffix_of
+from skyline.files import STANDARD, csv_lines, has_locks, lock_file, write_whole, write_with_folders
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
@@ -318,11 +319,28 @@ def write_geopackage(store: Store, path: Path) -> int:
 
 
 class ResultsFile:
-    """A file with the results of one search, made if there is none.
+    """A file with the results of one search, made if there is none; a context manager.
 
-    ``search`` identifies the store and the options, and ``photos`` the photos of the rows, each
-    with its own settings. Raises `InputError` where the suffix is unknown, the file holds other
-    data or the results of another search, or it cannot be written.
+    A lock file beside it keeps other processes out until the end of the block.
+
+    Parameters
+    ----------
+    path : Path
+    search : str
+        Identifies the store and the options.
+
+    Attributes
+    ----------
+    photos : dict
+        By photo and its own settings: the error that it could not be used for, or None.
+
+    Raises
+    ------
+    BusyError
+        Another process has the file in use.
+    InputError
+        The suffix is unknown, the file holds other data or the results of another search, or it
+        cannot be written.
     """
 
     def __init__(self, path: Path, search: str) -> None:
@@ -332,34 +350,81 @@ class ResultsFile:
             raise InputError(
                 f"--results {path}: the suffix is {path.suffix!r}; expected {' or '.join(RESULTS)}"
             )
-        with self._input_errors():
-            read, self._append = kind
+        read, self._append = kind
+        with ExitStack() as held, self._input_errors():
+            held.enter_context(_alone(path))
             rows = read(path)
-        if any(of_search != search for of_search, _ in rows):
-            raise InputError(
-                f"--results {path} has results of another store or other options; name another file"
-            )
-        self.photos = {photo for _, photo in rows}
+            if any(of_search != search for (of_search, _), _ in rows):
+                raise InputError(
+                    f"--results {path} has results of another store or other options; name "
+                    "another file"
+                )
+            self._held = held.pop_all()
+        self.photos = {photo: error for (_, photo), error in rows}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._held.close()
 
     def add(self, row: Row, photo: str) -> None:
-        """Write a photo's row, of `MatchResult.to_row`; it is kept whatever happens afterwards."""
+        """Write a photo's row, of `MatchResult.to_row`, unless there is one.
+
+        It is kept whatever happens afterwards.
+        """
+        if photo in self.photos:
+            return
+        values = {name: row.get(name) for name in _COLUMN_TYPES}
         with self._input_errors():
-            values = {name: row.get(name) for name in _COLUMN_TYPES}
             self._append(self.path, values | {"search": f"{self._search}-{photo}"})
-        self.photos.add(photo)
+        self.photos[photo] = _error_of(values)
 
     @contextmanager
     def _input_errors(self) -> Iterator[None]:
         try:
             yield
+        except SkylineError:
+            raise
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
             raise InputError(
                 f"--results {self.path} cannot be used ({error}); name another one"
             ) from error
 
 
-def _read_csv(path: Path) -> list[tuple[str, str]]:
-    """Return the search and the photo of each row; cut off a row whose writing was interrupted."""
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep other processes from writing a file; raises `BusyError` while one does."""
+    target = Path(os.path.realpath(path))
+    lock = target.with_name(f".{target.name}.lock")
+    file = lock_file(lock)
+    if file is None:
+        raise BusyError(
+            f"--results {path} is in use by another skyline; wait for its end, or name another file"
+        )
+    with file:
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
+
+
+def _error_of(row: Row) -> str | None:
+    """Return the error in a row; only the row of a photo that could not be used has no time."""
+    return row["reason"] if row["seconds"] in (None, "") else None
+
+
+_Known = tuple[tuple[str, str], str | None]
+"""The search and the photo of a row, and its error."""
+
+
+def _known(row: Row) -> _Known:
+    search, _, photo = row["search"].partition("-")
+    return (search, photo), _error_of(row)
+
+
+def _read_csv(path: Path) -> list[_Known]:
+    """Return what is known of each row; cut off a row whose writing was interrupted."""
     held = path.read_bytes() if path.exists() else b""
     header = ",".join(_COLUMN_TYPES).encode() + b"\n"
     whole = held[: held.rfind(b"\n") + 1] or header
@@ -368,7 +433,7 @@ def _read_csv(path: Path) -> list[tuple[str, str]]:
         raise InputError(f"--results {path} is no file of results; name another one")
     if whole != held:
         path.write_bytes(whole)
-    return [row["search"].partition("-")[::2] for row in rows]
+    return [_known({name: unguarded(cell) for name, cell in row.items()}) for row in rows]
 
 
 def _append_csv(path: Path, row: Row) -> None:
@@ -379,15 +444,15 @@ def _append_csv(path: Path, row: Row) -> None:
         os.fsync(file.fileno())
 
 
-def _read_points(path: Path) -> list[tuple[str, str]]:
-    """Return the search and the photo of each row of a GeoPackage, made if there is none."""
+def _read_points(path: Path) -> list[_Known]:
+    """Return what is known of each row of a GeoPackage, made if there is none."""
     if not path.exists():
         with closing(sqlite3.connect(":memory:")) as made:
             made.executescript(_GEOPACKAGE)
             write_whole(path, made.serialize())
     with closing(_connection(path)) as opened:
-        rows = opened.execute("SELECT search FROM photos")
-        return [search.partition("-")[::2] for (search,) in rows]
+        opened.row_factory = sqlite3.Row
+        return [_known(row) for row in opened.execute("SELECT * FROM photos")]
 
 
 def _append_point(path: Path, row: Row) -> None:

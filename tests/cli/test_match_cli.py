@@ -18,6 +18,7 @@ from scenes import write_dem
 from skyline.errors import ContextError
 from skyline.geodesy import Frame
 from skyline.match.matcher import PROFILE_MATCHERS, Matcher
+from skyline.report.exports import ResultsFile
 from skyline.store.read import open_store
 from skyline.store.write import write_store
 
@@ -203,6 +204,39 @@ def test_a_folder_is_matched_with_its_subfolders_but_without_reports(
     caplog.clear()
     assert run(*command, "--quiet").ok().err == ""
     assert caplog.messages == []
+
+
+def test_a_repeated_match_ends_as_one_that_did_all_at_once(run, store, photo, tmp_path):
+    """It reports the photo that cannot be read, and its export and report have all photos."""
+    broken, results = tmp_path / "broken.jpg", tmp_path / "results.csv"
+    broken.write_bytes(photo.read_bytes()[:2000])
+    command = ["match", store, broken, photo, "--fov-deg", "60", "--matcher", "unrefined"]
+    first = run(*command, "--results", results, "--export", tmp_path / "first.geojson")
+    rows = results.read_text()
+    again = run(*command, "--results", results)
+    assert again.out == ""
+    assert first.err.startswith(f"error: {broken}")
+    assert again.err == f"{results}: 2 of 2 are there already\n{first.err}"
+    assert (first.code, again.code) == (2, 2)
+    others = "--export", tmp_path / "again.geojson", "--report", tmp_path / "report"
+    again = run(*command, "--results", results, *others)
+    named = f"{others[1]} and {others[3]}"
+    already = f"{results}: 2 of 2 are there already, and are matched again for {named}\n"
+    assert (again.code, again.err) == (2, already + first.err)
+    assert others[1].read_bytes() == (tmp_path / "first.geojson").read_bytes()
+    assert "photo.jpg" in (tmp_path / "report" / "index.html").read_text()
+    assert results.read_text() == rows
+
+
+def test_results_that_another_process_writes_are_refused(run, store, photo, tmp_path):
+    results = tmp_path / "results.csv"
+    command = "match", store, photo, "--fov-deg", "60", "--matcher", "unrefined"
+    with ResultsFile(results, "another search"):
+        done = run(*command, "--results", results)
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith(f"error: --results {results} is in use by another skyline; wait")
+    run(*command, "--results", results).ok()
+    assert len(results.read_text().splitlines()) == 2
 
 
 def test_rows_of_a_list_that_are_new_or_changed_are_matched(run, store, photo, tmp_path):

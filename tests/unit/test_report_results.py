@@ -1,4 +1,7 @@
-"""Files of results: rows are kept, a stopped search continues, other files are refused."""
+"""Files of results: rows are kept, a stopped search continues, other files are refused.
+
+One process at a time writes a file.
+"""
 
 import csv
 import errno
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.errors import InputError
+from skyline.errors import BusyError, InputError
 from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import RESULTS, ResultsFile
@@ -33,26 +36,51 @@ def path(request, tmp_path):
 
 
 def write(path, *rows):
-    """Add rows to a file of results; return the photos that were there before."""
-    kept = ResultsFile(path, "one")
-    before = set(kept.photos)
-    for row in rows:
-        kept.add(row, row["query"])
+    """Add rows to a file of results; return the photos that were there before, and their errors."""
+    with ResultsFile(path, "one") as kept:
+        before = dict(kept.photos)
+        for row in rows:
+            kept.add(row, row["query"])
     return before
 
 
 def test_a_search_goes_on_where_it_was_stopped(path):
-    assert write(path, FOUND, NOTHING, BROKEN) == set()
-    kept = ResultsFile(path, "one")
-    assert kept.photos == {"a,b.jpg", "c.jpg", "d.jpg"}
-    kept.add(replace(RESULT, name="e\n\udce4.jpg").to_row(), "e")
-    assert ResultsFile(path, "one").photos == kept.photos == {"a,b.jpg", "c.jpg", "d.jpg", "e"}
+    assert write(path, FOUND, NOTHING, BROKEN) == {}
+    with ResultsFile(path, "one") as kept:
+        assert kept.photos == {"a,b.jpg": None, "c.jpg": None, "d.jpg": BROKEN["reason"]}
+        kept.add(replace(RESULT, name="e\n\udce4.jpg").to_row(), "e")
+    assert list(write(path)) == list(kept.photos) == ["a,b.jpg", "c.jpg", "d.jpg", "e"]
+
+
+def test_a_photo_has_one_row(path):
+    write(path, FOUND, FOUND)
+    before = path.read_bytes()
+    assert write(path, FOUND) == {"a,b.jpg": None}
+    assert path.read_bytes() == before
+
+
+def test_a_second_writer_is_refused(path):
+    with ResultsFile(path, "one") as kept:
+        with pytest.raises(BusyError, match=r"is in use by another skyline; wait for its end"):
+            ResultsFile(path, "one")
+        kept.add(FOUND, "a")
+    assert write(path) == {"a": None}
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_a_link_is_the_same_file(path):
+    write(path)
+    link = path.with_name(f"link{path.suffix}")
+    link.symlink_to(path)
+    with ResultsFile(path, "one"), pytest.raises(BusyError):
+        ResultsFile(link, "one")
 
 
 def test_results_of_another_search_are_not_mixed(path):
-    kept = ResultsFile(path, "one")
-    ResultsFile(path, "another")
-    kept.add(FOUND, "a")
+    write(path)
+    with ResultsFile(path, "another"):
+        pass
+    write(path, FOUND)
     with pytest.raises(InputError, match="another store or other options"):
         ResultsFile(path, "another")
 
@@ -72,7 +100,7 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
     path = tmp_path / "results.csv"
     write(path, FOUND, NOTHING)
     path.write_bytes(path.read_bytes()[:-cut])
-    assert ResultsFile(path, "one").photos == {"a,b.jpg"}
+    assert write(path) == {"a,b.jpg": None}
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["query"] for row in rows] == ["a,b.jpg"]
@@ -82,17 +110,18 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
 
 def test_a_geopackage_in_a_folder_without_file_locks(tmp_path, monkeypatch):
     path = tmp_path / "results.gpkg"
-    ResultsFile(path, "one")
+    write(path)
 
     def refuse(*_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr("fcntl.lockf", refuse)
+    monkeypatch.setattr("fcntl.flock", refuse)
     with closing(sqlite3.connect(path)) as other:
         other.execute("BEGIN EXCLUSIVE")  # a lock that SQLite would wait for
-        ResultsFile(path, "one").add(FOUND, "a")
+        write(path, FOUND)
         other.rollback()
-    assert ResultsFile(path, "one").photos == {"a"}
+    assert write(path) == {"a,b.jpg": None}
     assert [file.name for file in tmp_path.iterdir()] == ["results.gpkg"]
 
 
