@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePath
 from typing import NoReturn, TextIO, TypeGuard
+from uuid import uuid4
 
 from skyline.errors import InputError, MissingFileError, printable
 
@@ -104,7 +105,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
             path.write_bytes(content)
         else:
             target = Path(os.path.realpath(path))
-            partial = target.with_name(target.name + ".partial")
+            # A name of its own, since another process may write the same file now.
+            partial = target.with_name(f".{target.name}.{uuid4().hex[:12]}.partial")
             partial.write_bytes(content)
             partial.replace(target)
     except OSError as error:

@@ -29,7 +29,15 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import BusyError, InputError, SkylineError, printable, suffix_of
-from skyline.files import STANDARD, csv_lines, has_locks, lock_file, write_whole, write_with_folders
+from skyline.files import (
+    STANDARD,
+    csv_lines,
+    has_locks,
+    lock_file,
+    unguarded,
+    write_whole,
+    write_with_folders,
+)
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.answer import MatchResult, listed
 from skyline.match.candidate import Candidate, Ellipse, view_wedge_m

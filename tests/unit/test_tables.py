@@ -134,3 +134,17 @@ def test_numbers_and_other_texts_are_written_as_they_are(tmp_path, text):
 
 def test_a_number_that_another_program_has_guarded_is_read(tmp_path):
     assert places(tmp_path / "a.csv", "name,lon,lat\nA,'-9.85,'+46.75\n") == [("A", -9.85, 46.75)]
+
+
+def test_two_that_write_a_file_at_once_both_write_it_whole(tmp_path, monkeypatch):
+    path, replace = tmp_path / "table.csv", Path.replace
+
+    def replace_late(partial, target):
+        monkeypatch.undo()
+        write_whole(path, "of the other")
+        return replace(partial, target)
+
+    monkeypatch.setattr(Path, "replace", replace_late)
+    write_whole(path, "of this one")
+    assert path.read_text() == "of this one"
+    assert list(tmp_path.iterdir()) == [path]
