@@ -59,6 +59,8 @@ class Runner:
         failed at its last attempt yields its error, as a `BuildError` unless it is a
         `SkylineError`. With ``listen`` work is given a second argument, a function: what a job
         calls it with, numbers or texts, ``listen`` is called with here, in this thread.
+
+        Raises `BuildError` if the scheduler is lost.
         """
         run, submit = uuid4().hex[:8], self.client.submit
         topic = f"skyline-{run}" if listen else None
@@ -146,7 +148,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
 def _distributed() -> Any:
     distributed = library("distributed", "a run on workers", "'dask[distributed]'")
     # Its log has every step; `_outcome` returns the errors that matter to a user.
-    logging.getLogger("distributed").setLevel(logging.ERROR)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     return distributed
 
 
@@ -163,13 +165,16 @@ def _do_alone(work: Callable[..., R], item: T, topic: str | None) -> R:
 
 
 def _outcome(future: Any) -> Any:
-    """Wait for a job; return its result or its error."""
+    """Wait for a job; return its result or its error. Raises `BuildError` without a scheduler."""
     try:
         error = future.exception()
-    except CancelledError:
-        return BuildError("lost with the scheduler")
-    if error is None:
-        return future.result()
+        if error is None:
+            return future.result()
+    except (CancelledError, OSError) as lost:
+        raise BuildError(
+            "the scheduler has ended, or cannot be reached any more; start it, and give the same "
+            "command again"
+        ) from lost
     if isinstance(error, SkylineError):
         return error
     if type(error).__name__ == "KilledWorker":
