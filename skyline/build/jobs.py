@@ -25,8 +25,8 @@ from skyline.store.write import is_whole, write_store
 from skyline.terrain.viewpoints import Viewpoints
 
 A_PART_S = 2.5
-"""Seconds of work after which a part is written, at the next rendering's end. To write and to merge
-a part takes twelve milliseconds, half a percent of that."""
+"""Seconds of work after which a part is written, when the rendering in hand is done. A part takes
+twelve milliseconds to write and to merge, half a percent of that."""
 
 _A_PART_BYTES = 1 << 28
 """Bytes of rows after which a part is written, however fast they were rendered: so much memory is
@@ -89,7 +89,7 @@ class JobWriter:
         self._renderer, self._folder, self._tell = renderer, folder, tell
         self._a_part_s = a_part_s
         self._finished: dict[int, Columns] = {}
-        """The rows of finished jobs in a row that no part has yet."""
+        """The rows of finished jobs that follow each other, and that no part has yet."""
         self._job, self._row = 0, 0
         """The job in hand, and how many of its rows lie in begun parts."""
         self._begun: Columns = {}
@@ -130,7 +130,7 @@ class JobWriter:
             self._begun = {name: values[len(wanted) :] for name, values in self._begun.items()}
             self._row += len(wanted)
             return held
-        # They are at an end, or of another release, which called for other viewpoints.
+        # The begun parts end here, or are of another release, which rendered other viewpoints.
         self._begun = {}
         rows = self._renderer.look(eyes)
         self._rendered.append(rows)

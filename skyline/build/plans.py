@@ -40,8 +40,8 @@ share, and a large area more, so that it loses no more than the second."""
 _PLACES_A_JOB, _VIEWPOINTS_A_JOB = 4096, 1024
 """Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
 _PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE = 512, 64
-"""Viewpoints that are rendered at once, after which what was rendered may be kept: up to a second
-of work without a GPU. With fewer, rendering itself becomes slower."""
+"""Viewpoints that are rendered at once, between which parts can be written: up to a second of work
+without a GPU. Fewer take longer each: 64 places 16 % longer, 36 places 25 %."""
 
 _MOST_VIEWPOINTS = 50_000_000
 """Viewpoints of the largest uniform grid."""
@@ -70,15 +70,16 @@ class JobRenderer:
     header : StoreHeader
         Header of the store, with the renderer's name.
     look : callable
-        Renders viewpoints, and returns their rows as a part with the header ``begun`` holds them.
+        Renders viewpoints, and returns their rows as begun parts hold them.
     begun : StoreHeader
+        Header of begun parts.
     at_once : int
-        Viewpoints that one call of ``look`` should be given.
+        The number of viewpoints that ``look`` is called with.
     rows : callable
         Returns the rows of the store for a job. It is given the job and a function that stands for
         ``look``, which it calls with the same viewpoints in the same order however often it runs.
     expected : int
-        About how many rows the jobs of the plan render; 0 where their viewpoints are known before.
+        About how many rows the jobs of the plan render; 0 where the jobs have their viewpoints.
     """
 
     renderer: ColumnRenderer
