@@ -297,6 +297,19 @@ class TestBroken:
         build_store(terrain, path, PlacePlan(700.0), progress=look, a_part_s=1e9)
         assert found == [f"places-00001-{number:05d}-of-{number:05d}.h5"]
 
+    def test_rows_that_take_much_memory_are_written_at_once(self, terrain, tmp_path, monkeypatch):
+        """However fast they were rendered: all but the last rendering of a job of 400."""
+        path, found = tmp_path / "s.h5", set()
+        monkeypatch.setattr(jobs, "_A_PART_BYTES", 1)
+        build_store(
+            terrain,
+            path,
+            PlacePlan(200.0),
+            progress=lambda *_: found.update(part.name for part in parts_of(path)),
+            a_part_s=1e9,
+        )
+        assert {f"places-00001-from-{row}-of-00005.h5" for row in (0, 100, 200, 300)} < found
+
     def test_damaged_parts_are_rendered_again(self, terrain, whole, tmp_path):
         plan, unbroken = whole
         path = tmp_path / "s.h5"
