@@ -341,6 +341,8 @@ class TestBroken:
     def test_killed_at_random_instants(self, terrain, tmp_path, plan):
         """Each time at most the rendering in hand is lost."""
         script = f"""
+            import sys
+            import time
             from pathlib import Path
             from skyline import read_dem
             from skyline.build import parts, plans
@@ -349,18 +351,22 @@ class TestBroken:
             plan = plans.PlacePlan({plan.spacing_m}, places={plan.places})
             def progress(done, total):
                 print(done, flush=True)
+                if done > int(sys.argv[1]):
+                    time.sleep(600.0)
             parts.build_store(terrain, Path("s.h5"), plan, progress=progress, a_part_s=0.0)
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
         folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
         folder.mkdir()
 
-        def start():
-            return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
+        def start(waits_at):
+            """Start the build, which waits at some number of rows, so that it is killed by then."""
+            called = [*command, str(waits_at)]
+            return subprocess.Popen(called, cwd=folder, stdout=subprocess.PIPE, text=True)
 
         build_store(terrain, tmp_path / "unbroken.h5", plan)
         for wait_for, how in ((0, signal.SIGTERM), (300, signal.SIGKILL), (800, signal.SIGINT)):
-            child = start()
+            child = start(wait_for + 300)
             done = int(child.stdout.readline())
             # All that was kept before is there, but for viewpoints that belong to other blocks.
             assert done >= before - BESIDE
@@ -371,7 +377,7 @@ class TestBroken:
             child.communicate()
             before = done
             assert not (folder / "s.h5").exists()
-        last = start()
+        last = start(10_000)
         assert last.wait() == 0
         assert int(last.communicate()[0].split()[0]) >= before - BESIDE
         assert (folder / "s.h5").read_bytes() == (tmp_path / "unbroken.h5").read_bytes()
