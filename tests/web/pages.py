@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from subprocess import Popen
 from urllib.parse import urlsplit
 
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
@@ -146,10 +147,16 @@ class Page:
         return self.browser.find_elements(By.CSS_SELECTOR, selector)
 
     def click(self, selector):
-        """Click an element, scrolled to where it can be clicked."""
-        element = self.find(selector)
-        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
-        element.click()
+        """Click an element, scrolled to where it can be clicked, in a list that may be drawn anew."""
+
+        def clicked(_):
+            element = self.find(selector)
+            self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+            element.click()
+            return True
+
+        ignored = [StaleElementReferenceException]
+        WebDriverWait(self.browser, TIMEOUT_S, 0.05, ignored_exceptions=ignored).until(clicked)
 
     def drop(self, path, kind="image/jpeg"):
         data = base64.b64encode(path.read_bytes()).decode()

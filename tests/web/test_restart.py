@@ -139,7 +139,7 @@ def test_photos_come_back_from_the_page_from_the_command_and_from_the_user(
         page.until(lambda: follows(page, 80))
         assert page.messages() == []
         assert ["photo.jpg", "missing"] not in page.state(states)
-        page.find("#photos li:first-child .pick").click()
+        page.click("#photos li:first-child .pick")
         page.until(lambda: page.state("state.photo.name") == "given.jpg")
         page.until(lambda: page.state("state.rows && state.rows.length"))
         page.until(lambda: follows(page, 50))
