@@ -147,7 +147,7 @@ class Page:
         return self.browser.find_elements(By.CSS_SELECTOR, selector)
 
     def click(self, selector):
-        """Click an element, scrolled to where it can be clicked, in a list that may be drawn anew."""
+        """Click an element, scrolled into view, that may be drawn anew meanwhile."""
 
         def clicked(_):
             element = self.find(selector)
