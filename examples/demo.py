@@ -17,18 +17,18 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from skyline.build.parts import build_places, build_uniform
-from skyline.match.answer import MatchResult
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
+from skyline.match.result import MatchResult
 from skyline.photo.read import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
-from skyline.report.labelled_panorama import save_panorama
-from skyline.report.match_report import report_matches
-from skyline.report.plan_pictures import save_depth_pictures
+from skyline.report.match_page import report_matches
+from skyline.report.panorama import save_panorama
+from skyline.report.paper_pictures import save_depth_pictures
+from skyline.survey.build import build_places, build_uniform
 from skyline.terrain.dem import read_dem
+from skyline.terrain.eyes import stand_at, stand_on
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_at, stand_on
 from skyline_bench.geotiff import write_sample_dem
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera

@@ -14,11 +14,11 @@ from scenes import fractal, take_photo, write_dem
 
 import skyline_bench.cli
 from skyline import build_places, build_uniform, cli, read_dem, stand_on
-from skyline.build import plans
-from skyline.build.cluster import local_cluster
 from skyline.cli import console
-from skyline.match import full
+from skyline.match import search
 from skyline.render.context import acquire_context
+from skyline.survey import plans
+from skyline.survey.cluster import local_cluster
 
 # How long an example takes says how busy the machine is, not what is wrong.
 settings.register_profile("skyline", deadline=None)
@@ -90,8 +90,8 @@ def no_gl_error():
 def refined_quickly():
     """Refine no query thoroughly: commands are to run here, other tests hold their answers."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(full, "WHOLE", full.QUICK)
-        patch.setattr(full, "_SURE_MARGIN", -math.inf)
+        patch.setattr(search, "WHOLE", search.QUICK)
+        patch.setattr(search, "_SURE_MARGIN", -math.inf)
         yield
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyline.match.candidate import Hypotheses
-from skyline.match.query_rays import QueryRays
-from skyline.photo.query import Projection
+from skyline.camera import QueryRays
+from skyline.photo.skyline import Projection
+from skyline.pose import Hypotheses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline_bench.queries.pinhole import Camera
 

@@ -23,16 +23,16 @@ import typer
 from typer import Argument, Option
 
 from skyline import cli
-from skyline.build import plans
-from skyline.build.cluster import runner_of
-from skyline.build.parts import build_store
-from skyline.build.plans import PlacePlan, Plan, RenderingPlan, map_bounds
 from skyline.errors import SkylineError
 from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
-from skyline.store.format import PLACES
+from skyline.store.header import PLACES
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import examine, is_whole
+from skyline.survey import plans
+from skyline.survey.build import build_store
+from skyline.survey.cluster import runner_of
+from skyline.survey.plans import PlacePlan, Plan, RenderingPlan, map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options

@@ -16,10 +16,10 @@ from PIL import Image
 from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
-from skyline.build.plans import map_bounds
 from skyline.files import write_whole
 from skyline.render.depth import DepthRenderer
-from skyline.report.match_report import report_matches
+from skyline.report.match_page import report_matches
+from skyline.survey.plans import map_bounds
 from skyline_bench import options
 from skyline_bench.documents.results import Results
 from skyline_bench.documents.sentences import SENTENCES

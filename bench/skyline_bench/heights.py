@@ -13,10 +13,10 @@ import numpy as np
 
 from skyline import Orientation, QuerySkyline
 from skyline.geodesy import Rectangle, in_turn
-from skyline.match.orient import RIGHT_DEG
+from skyline.orientation import RIGHT_DEG
 from skyline.photo.exif import NotedPlace
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 
 MEASURED = "noted heights"

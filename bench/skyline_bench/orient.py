@@ -19,15 +19,15 @@ from typer import Option
 
 from skyline import Orientation, Orienter, QuerySkyline, read_dem
 from skyline.arrays import Progress
-from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Rectangle, in_turn
-from skyline.match.orient import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
+from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
+from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import DemOptions
+from skyline.terrain.eyes import at_elevation
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
 from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, height_rows
 from skyline_bench.measuring import Row, square_km

@@ -27,13 +27,13 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
-from skyline.build.plans import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn
 from skyline.photo.read import read_picture
 from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
+from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import DemOptions
 from skyline_bench import options
 from skyline_bench.measuring import Row, shown, square_km

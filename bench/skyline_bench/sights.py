@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter
 from skyline import Candidate, HeightField, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Curvature
-from skyline.report.peaks import SUMMIT_RADIUS_M, Peaks
+from skyline.peaks import SUMMIT_RADIUS_M, Peaks
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 Posed = tuple[SyntheticQuery, Candidate | None]

@@ -17,6 +17,7 @@ import numpy as np
 from skyline.arrays import Float64Array, Progress
 from skyline.cli.console import progress_bar
 from skyline.geodesy import Curvature, Frame
+from skyline.horizons import DEFAULT_STEP_DEG
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import (
     DEFAULT_TOLERANCE_DEG,
@@ -25,11 +26,10 @@ from skyline.render.horizon import (
     RenderConfig,
 )
 from skyline.skylines import DEFAULT_WIDTH, Horizons, Views, elevation_deg
-from skyline.solar import DEFAULT_STEP_DEG
 from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.eyes import Viewpoints, stand_on
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options, peers
 from skyline_bench.measuring import (
     Row,

@@ -21,14 +21,14 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.horizons import horizon, horizons_of
 from skyline.render.horizon import PanoramaRenderer
-from skyline.solar import horizon, horizons_of
 from skyline.store.places import BINS
 from skyline.terrain.cleaning import clean
 from skyline.terrain.dem import DemOptions, read_dem, read_files
+from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid
-from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import ground_spacing_m, local_frame
 from skyline_bench import options
 from skyline_bench.measuring import Row, central_viewpoints, in_turns, square_km

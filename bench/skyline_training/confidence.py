@@ -18,8 +18,8 @@ from scipy.optimize import minimize
 from skyline import MatchConfig
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.match.candidate import DISTANCES_M
 from skyline.match.confidence import FITTED, Logistic, model_name
+from skyline.pose import DISTANCES_M
 from skyline_bench.measuring import Row
 from skyline_training.examples import HELD_OUT, LEARNED, STAGES, STRANGE, Example, Examples
 

@@ -24,12 +24,12 @@ from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle, in_turn
 from skyline.match import confidence
-from skyline.match.candidate import SAME_VIEW_DEG, Hypotheses
-from skyline.match.full import FullMatcher
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
+from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import ALONE_SD
-from skyline.photo.query import Lens
+from skyline.photo.skyline import Lens
+from skyline.pose import SAME_VIEW_DEG, Hypotheses
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField

@@ -19,7 +19,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
-from skyline.match.orient import LEAST_CONFIDENCE, RIGHT_DEG, orienters
+from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled

@@ -13,11 +13,11 @@ from PIL import Image
 
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.photo.query import Projection, QuerySkyline
+from skyline.photo.skyline import Projection, QuerySkyline
 from skyline.photo.trace import write_trace
 from skyline.render.depth import DepthRenderer
+from skyline.terrain.eyes import Viewpoints, stand_on
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench.queries.made_photos import Scenery, distance_along, scene_rgb
 from skyline_bench.queries.manifest import LOCATE
 from skyline_training.landscapes import GROUND, SKY, Drawing, TrainingPhoto

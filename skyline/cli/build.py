@@ -8,10 +8,6 @@ from typing import Annotated
 from typer import Option
 
 from skyline.arrays import Progress
-from skyline.build.cluster import runner_of
-from skyline.build.parts import BuildResult, build_store
-from skyline.build.plans import PlacePlan, RenderingPlan
-from skyline.build.spacing import expected_finds
 from skyline.cli.console import (
     Crs,
     Dems,
@@ -36,8 +32,12 @@ from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path
+from skyline.survey.build import BuildResult, build_store
+from skyline.survey.cluster import runner_of
+from skyline.survey.lattices import expected_finds
+from skyline.survey.plans import PlacePlan, RenderingPlan
+from skyline.terrain.eyes import read_viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import read_viewpoints
 
 Output = Annotated[Path, output_option("The store to write.", "STORE.h5")]
 Bounds = Annotated[
@@ -215,13 +215,13 @@ def render(
     else:
         plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
     if depth_images is not None:
-        from skyline.report import plan_pictures  # noqa: PLC0415  (slow to load)
+        from skyline.report import paper_pictures  # noqa: PLC0415  (slow to load)
 
-        plan_pictures.check_depth_folder(depth_images, len(plan.viewpoints), labels)
+        paper_pictures.check_depth_folder(depth_images, len(plan.viewpoints), labels)
     with runner_of(workers) as runner, _bar(output, "renderings") as bar:
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
-        plan_pictures.save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
+        paper_pictures.save_depth_pictures(terrain, plan.viewpoints, depth_images, config, labels)
     _print_built(result, output, "renderings")
 
 
@@ -260,7 +260,7 @@ def _build_planned(
         f"{plan.batches} batches, rendering {plan.render_s:.1f} s, planning {plan.plan_s:.1f} s"
     )
     if drawn is not None:
-        from skyline.report.plan_pictures import save_coverage_map  # noqa: PLC0415  (slow to load)
+        from skyline.report.paper_pictures import save_coverage_map  # noqa: PLC0415  (slow to load)
 
         save_coverage_map(plan, drawn)
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
+from skyline.cache import cache_folder, cached_areas, clear_cache
 from skyline.cli.console import (
     AsJson,
     on_interrupt,
@@ -20,7 +21,6 @@ from skyline.cli.console import (
 )
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
-from skyline.match.areas import cache_folder, cached_areas, clear_cache
 
 Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
 

@@ -7,16 +7,16 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from skyline.batch import Query, listed, without_folders
+from skyline.cache import cached_files, prepare_area
 from skyline.cli.console import AsJson, on_interrupt, output_option, print_note, progress_bar
 from skyline.cli.match import match, narrowing_of
 from skyline.cli.photo import FieldOfView, usable_queries
 from skyline.errors import InputError, MissingFileError
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.match.areas import cached_files, prepare_area
-from skyline.match.locate import NOTED_KM, area_of
-from skyline.match.queries import Query, listed, without_folders
+from skyline.location import NOTED_KM, area_of
+from skyline.peaks import find_place
 from skyline.report.folder import check_report_folder
-from skyline.report.peaks import find_place
 
 
 def locate(

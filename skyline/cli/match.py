@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer import Argument, Option
 
-from skyline.build.cluster import runner_of
+from skyline.batch import Query, listed, match_here, match_many
 from skyline.cli.console import (
     AsJson,
     StoreDem,
@@ -38,15 +38,15 @@ from skyline.errors import (
     suffix_of,
 )
 from skyline.files import STANDARD, read_bytes, version_of
-from skyline.match.answer import JointResult, MatchResult
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.match.prior import Narrowing
-from skyline.match.queries import Query, listed, match_here, match_many
-from skyline.photo.query import QuerySkyline
-from skyline.report.exports import EXPORTS, RESULTS, ResultsFile, export_matches
+from skyline.match.result import JointResult, MatchResult
+from skyline.peaks import read_peaks
+from skyline.photo.skyline import QuerySkyline
+from skyline.report.files import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
-from skyline.report.peaks import read_peaks
+from skyline.survey.cluster import runner_of
 from skyline.terrain.folders import dem_names
 
 _UNREFINED = "unrefined"
@@ -193,7 +193,7 @@ def match(
     for path in exports if found else ():
         export_matches(path, found, matching.frame)
     if report is not None and found:
-        from skyline.report.match_report import report_matches  # noqa: PLC0415  (slow to load)
+        from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
 
         page = report_matches(report, matching, found, gazetteer, done=done)
         (print_note if as_json else output.line)(f"report: {page}")

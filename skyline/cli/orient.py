@@ -10,6 +10,7 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
+from skyline.batch import Query, listed
 from skyline.cli.console import (
     PEAKS,
     AsJson,
@@ -35,15 +36,14 @@ from skyline.errors import (
     suffix_of,
 )
 from skyline.files import STANDARD, csv_lines, on_disk, read_bytes, write_whole
-from skyline.match.candidate import Candidate
-from skyline.match.orient import DEFAULT_WITHIN_M, Place, noted_place, orienters
-from skyline.match.queries import Query, listed
-from skyline.photo.query import MOST_DISTORTION, WANDER_DEGREES, Projection, QuerySkyline
+from skyline.orientation import DEFAULT_WITHIN_M, Place, noted_place, orienters
+from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
-from skyline.report.peaks import read_peaks
-from skyline.report.viewer import PIXEL_FILES, Viewer
+from skyline.photo.skyline import MOST_DISTORTION, WANDER_DEGREES, Projection, QuerySkyline
+from skyline.pose import Candidate
+from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.terrain.folders import dem_names
-from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
+from skyline.view import PIXEL_FILES, Viewer
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 _ROUNDED_M = 0.01
@@ -174,7 +174,7 @@ def label(
     The camera is oriented by the skyline at its place, unless its pose is given.
     Summits that terrain hides are left out; if none is in view, the photo is written without names.
     """
-    from skyline.report.figures import UnnamedPeaks, some_of  # noqa: PLC0415  (slow to load)
+    from skyline.report.labels import UnnamedPeaks, some_of  # noqa: PLC0415  (slow to load)
     from skyline.report.overlay import draw_labels  # noqa: PLC0415
 
     kind = _LABEL_FILES[suffix_of(output, _LABEL_FILES)]

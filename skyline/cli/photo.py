@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
+from skyline.batch import Query
 from skyline.cli.console import (
     PEAKS,
     StoreDem,
@@ -18,9 +19,8 @@ from skyline.cli.console import (
     print_written,
 )
 from skyline.errors import InputError, MissingFileError, SkylineError, check_suffix, suffix_of
-from skyline.match.queries import Query
-from skyline.photo.query import Projection
 from skyline.photo.read import OVERLAYS, extract_photo, write_overlay
+from skyline.photo.skyline import Projection
 from skyline.photo.trace import TRACES, write_trace
 from skyline.store.read import is_store
 

@@ -27,10 +27,7 @@ from skyline.cli.console import (
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
-from skyline.report.landscape import PanoramaConfig, panorama_view
-from skyline.report.peaks import read_peaks
-from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.solar import (
+from skyline.horizons import (
     DEFAULT_STEP_DEG,
     KINDS,
     LocalHorizons,
@@ -40,9 +37,12 @@ from skyline.solar import (
     steps_a_turn,
     write_horizons,
 )
+from skyline.peaks import read_peaks
+from skyline.report.landscape import PanoramaConfig, panorama_view
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.terrain.dem import read_surface
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at
 
 _PANORAMA = PanoramaConfig()
 _log = logging.getLogger(__name__)
@@ -152,7 +152,7 @@ def panorama(
     crs: Crs = None,
 ) -> None:
     """Draw the view from a place, with the names of the peaks in sight."""
-    from skyline.report import labelled_panorama as pictures  # noqa: PLC0415  (slow to load)
+    from skyline.report import panorama as pictures  # noqa: PLC0415  (slow to load)
 
     place = parse_place(at)
     suffix_of(output, pictures.PANORAMA_SUFFIXES)

@@ -29,9 +29,12 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.camera import FOV_RANGE_DEG, QueryRays, level
 from skyline.errors import InputError
 from skyline.geodesy import distance_in_words
-from skyline.match.candidate import (
+from skyline.match.solver import TEMPERATURE
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
@@ -40,9 +43,6 @@ from skyline.match.candidate import (
     Hypotheses,
     RefinedPoses,
 )
-from skyline.match.query_rays import FOV_RANGE_DEG, QueryRays, level
-from skyline.match.solver import TEMPERATURE
-from skyline.photo.query import QuerySkyline
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Models learned with caps of up to 1,000 are no better, since queries from other

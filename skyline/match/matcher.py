@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from PIL.Image import Image
 
+from skyline.camera import QueryRays
 from skyline.errors import InputError, SkylineError, StoreError, entry_named, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
-from skyline.match.answer import TOP, JointResult, MatchResult
-from skyline.match.candidate import Candidate, candidates_of
 from skyline.match.confidence import (
     MatchConfig,
     found_again,
@@ -26,25 +25,26 @@ from skyline.match.confidence import (
     too_little,
     unsure,
 )
-from skyline.match.full import BY_RENDERING, FullMatcher
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.projections import with_projection
-from skyline.match.query_rays import QueryRays
 from skyline.match.refine import VIEW_WIDTH
-from skyline.match.screening import ReportProgress, reporting_progress
-from skyline.photo.query import QuerySkyline
+from skyline.match.result import TOP, JointResult, MatchResult
+from skyline.match.screen import ReportProgress, reporting_progress
+from skyline.match.search import BY_RENDERING, FullMatcher
 from skyline.photo.read import Picture, read_query
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import Candidate, candidates_of
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.store.format import StoreHeader
+from skyline.store.header import StoreHeader
 from skyline.store.read import Store
 from skyline.store.write import open_joined
 from skyline.terrain.dem import Dem, read_surface
+from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
-    from skyline.match.profiles import ProfileMatcher
+    from skyline.paper.correlation import ProfileMatcher
 
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
 PROFILE_MATCHERS: Mapping[str, str] = {
     "paper": "skyline.paper.matcher:PaperMatcher",
-    "correlation": "skyline.match.profiles:CorrelationMatcher",
+    "correlation": "skyline.paper.correlation:CorrelationMatcher",
 }
 """The module and the class of each matcher of renderings: the paper's, and a baseline. A class is
 imported when it is first used, so that a matcher may lie in a layer above this one."""

@@ -20,11 +20,11 @@ import numpy as np
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy import Frame, Rectangle, check_bounds, in_turn
-from skyline.match.candidate import Hypotheses
-from skyline.match.screening import turns_within
+from skyline.match.screen import turns_within
 from skyline.photo.exif import NotedPlace
+from skyline.pose import Hypotheses
 from skyline.store.places import Places
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
 _WRONG_SHARE = 0.05
 """w. Of 20 photos examined, one had a position 6 km off."""

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.match.candidate import Hypotheses
-from skyline.match.query_rays import QueryRays, in_runs
+from skyline.camera import QueryRays, in_runs
 from skyline.match.refine import Refinement
 from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
-from skyline.photo.query import MAX_PANORAMA_DEG, Projection
+from skyline.photo.skyline import MAX_PANORAMA_DEG, Projection
+from skyline.pose import Hypotheses
 
 FISHEYE = "fisheye"
 LEAST_CONFIDENCE = 0.5

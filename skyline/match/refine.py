@@ -10,11 +10,11 @@ worst hypotheses are dropped from round to round. Occlusion makes local optima, 
 start again from places around them.
 
 These rounds treat the terrain model's errors as independent from column to column, which is quick
-and converges from far away. The last rounds model them as correlated (`skyline.match.noise`), which
-gives near and far terrain the right weights, and gives costs and covariances their meaning. Where
-the list of hypotheses is long, one coarse rendering of each first selects those worth following.
-Where terrain is near, even the right place may look wrong until the eye has moved, so the likeliest
-hypotheses by their scores move before they are compared with others.
+and converges from far away. The last rounds model them as correlated (`skyline.match.likelihood`),
+which gives near and far terrain the right weights, and gives costs and covariances their meaning.
+Where the list of hypotheses is long, one coarse rendering of each first selects those worth
+following. Where terrain is near, even the right place may look wrong until the eye has moved, so
+the likeliest hypotheses by their scores move before they are compared with others.
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
+from skyline.camera import QueryRays
 from skyline.geodesy import in_turn
-from skyline.match.candidate import (
-    DISTANCES_M,
-    RIGHT_WITHIN_M,
-    ROUGHLY_WITHIN_M,
-    SAME_VIEW_DEG,
-    Hypotheses,
-    RefinedPoses,
-)
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
-from skyline.match.query_rays import QueryRays
-from skyline.match.screening import report_progress
+from skyline.match.screen import report_progress
 from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
@@ -48,10 +40,18 @@ from skyline.match.solver import (
     Fit,
     Solver,
 )
+from skyline.pose import (
+    DISTANCES_M,
+    RIGHT_WITHIN_M,
+    ROUGHLY_WITHIN_M,
+    SAME_VIEW_DEG,
+    Hypotheses,
+    RefinedPoses,
+)
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import ground_slope
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""

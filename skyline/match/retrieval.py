@@ -27,11 +27,11 @@ from functools import cached_property
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Rows
+from skyline.camera import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
 from skyline.errors import InputError
-from skyline.match.candidate import Hypotheses
 from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
-from skyline.match.screening import Screen, report_progress, screen_places
+from skyline.match.screen import Screen, report_progress, screen_places
+from skyline.pose import Hypotheses
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import Ground, ground_slope
@@ -309,7 +309,7 @@ class CurveFit:
     ground_slope : (M, 2) float32
         Rise of the ground to the east and to the north.
     rays : QueryRays
-        R means of runs of the query's rays; see `skyline.match.query_rays.in_runs`.
+        R means of runs of the query's rays; see `skyline.camera.in_runs`.
     runs : int
         Number of runs within 60 degrees.
     """

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
-from skyline.match.candidate import Hypotheses
-from skyline.match.noise import (
+from skyline.camera import QueryRays, level_with_changes, thinned
+from skyline.match.likelihood import (
     ABOVE_SHARE,
     BELOW_SHARE,
     RANGE_RAD,
@@ -30,8 +30,8 @@ from skyline.match.noise import (
     likelihood,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
-from skyline.match.query_rays import QueryRays, level_with_changes, thinned
-from skyline.photo.query import MOST_DISTORTION
+from skyline.photo.skyline import MOST_DISTORTION
+from skyline.pose import Hypotheses
 from skyline.terrain.sightlines import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.paper.correlation import TANGENT_PER_PX, Profiles
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 _TOLERANCE_PX = 1.0
@@ -84,7 +84,7 @@ class QueryCurve:
 
     @classmethod
     def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
-        """Take the query at one of its pitches; see `skyline.match.profiles.at_pitches`."""
+        """Take the query at one of its pitches; see `skyline.paper.correlation.at_pitches`."""
         table = polyline_vertices(y[np.newaxis], _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
         y_px = y / TANGENT_PER_PX

@@ -27,9 +27,8 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, IntArray
-from skyline.match.candidate import Hypotheses
-from skyline.match.profiles import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
-from skyline.match.query_rays import QueryRays
+from skyline.camera import QueryRays
+from skyline.paper.correlation import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
 from skyline.paper.curves import (
     MIN_OVERLAP,
     QueryCurve,
@@ -40,6 +39,7 @@ from skyline.paper.curves import (
     plausible,
     ransac_maps,
 )
+from skyline.pose import Hypotheses
 
 _CHUNK = 64
 """Locations compared at a time."""

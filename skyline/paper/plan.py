@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
-from skyline.build.parts import BuildResult, finished_store
-from skyline.build.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.errors import InputError, StoreMismatchError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
@@ -23,10 +21,12 @@ from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS, Views
-from skyline.store.format import StoreHeader
+from skyline.store.header import StoreHeader
 from skyline.store.write import check_store_path, sorted_once, write_store
+from skyline.survey.build import BuildResult, finished_store
+from skyline.survey.plans import lattice_m, map_bounds, rendering_columns, rendering_header
+from skyline.terrain.eyes import Viewpoints, stand_on
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
-from skyline.photo.query import QuerySkyline
+from skyline.photo.skyline import QuerySkyline
 
 _MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""

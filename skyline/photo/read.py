@@ -35,8 +35,8 @@ from skyline.files import (
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
-from skyline.photo.query import Lens, Projection, QuerySkyline, check_of_image
 from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
+from skyline.photo.skyline import Lens, Projection, QuerySkyline, check_of_image
 from skyline.photo.trace import read_trace
 from skyline.photo.xmp import xmp_of
 

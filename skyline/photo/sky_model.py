@@ -16,7 +16,7 @@ import numpy as np
 from skyline.arrays import Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError, library
 from skyline.photo.extract import content_of
-from skyline.photo.query import QuerySkyline
+from skyline.photo.skyline import QuerySkyline
 
 _NEARLY = 24
 """Levels within which a pixel counts as black or white: masks saved as JPEG ring."""

@@ -9,7 +9,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, check_suffix
 from skyline.files import Row, Table, read_table, write_whole
-from skyline.photo.query import Lens, Projection, QuerySkyline
+from skyline.photo.skyline import Lens, Projection, QuerySkyline
 
 TRACES = (".csv",)
 """The suffix of traces: files of others are photos."""

@@ -15,7 +15,8 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.report.peaks import (
+from skyline.horizons import horizons_of
+from skyline.peaks import (
     UNDERFOOT_SAMPLES,
     Peaks,
     Sighting,
@@ -25,9 +26,8 @@ from skyline.report.peaks import (
     most_prominent_first,
     visible_peaks,
 )
-from skyline.solar import horizons_of
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""

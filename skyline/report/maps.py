@@ -24,11 +24,11 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
-from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
-from skyline.report.figures import Label, UnnamedPeaks, labels_of
-from skyline.report.peaks import Sighting
+from skyline.peaks import Sighting
+from skyline.pose import Candidate, Ellipse, view_wedge_m
+from skyline.report.labels import Label, UnnamedPeaks, labels_of
+from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
 
 _BEST_COLOUR, _OTHER_COLOUR = "#d1103d", "#1f5fbf"
 _LEAST_SIDE_M = 2000.0

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
-from skyline.match.candidate import Candidate
-from skyline.photo.query import QuerySkyline
-from skyline.report.figures import UnnamedPeaks, encode_figure, labels_of, place_labels
-from skyline.report.viewer import SeenPeak, Sight
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import Candidate
+from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
+from skyline.view import SeenPeak, Sight
 
 _FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 

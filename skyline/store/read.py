@@ -24,8 +24,7 @@ from skyline.arrays import BoolArray, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
-from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
-from skyline.store.format import (
+from skyline.store.header import (
     EYE,
     KEYPOINTS,
     MADE_BY,
@@ -41,8 +40,9 @@ from skyline.store.format import (
     read_header,
 )
 from skyline.store.places import Places
+from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
+from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import facts_html
-from skyline.terrain.viewpoints import Viewpoints
 
 RowIndex = int | slice | NDArray[np.integer] | BoolArray
 

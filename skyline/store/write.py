@@ -36,7 +36,7 @@ from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, SkylineError, StoreError, check_suffix
 from skyline.files import STANDARD
 from skyline.geodesy import Bounds
-from skyline.store.format import (
+from skyline.store.header import (
     PLACES,
     Columns,
     StoreHeader,
@@ -85,7 +85,7 @@ def write_store(
     """Write a store of some rows, and return their number.
 
     The same rows, order and header give the same bytes. Columns are as
-    `skyline.store.format.columns_of` returns them; ``order`` (N,) has the rows to write, by default
+    `skyline.store.header.columns_of` returns them; ``order`` (N,) has the rows to write, by default
     all. A store that already exists is replaced. Raises `MissingFileError` where there is no
     folder for the file, and `StoreError` where it cannot be written.
     """

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from query_scenes import hills
 from scenes import field_of, fractal
 
-from skyline.match.query_rays import level
+from skyline.camera import level
 from skyline.photo.lens import ALONE_SD
-from skyline.photo.query import QuerySkyline, undistorted
+from skyline.photo.skyline import QuerySkyline, undistorted
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.viewpoints import at_elevation
+from skyline.terrain.eyes import at_elevation
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries

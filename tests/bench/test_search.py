@@ -8,9 +8,9 @@ from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
 from skyline import MatchResult
-from skyline.build.plans import map_bounds
 from skyline.errors import InputError
-from skyline.photo.query import QuerySkyline
+from skyline.photo.skyline import QuerySkyline
+from skyline.survey.plans import map_bounds
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.search.trials import Trial, against_uniform, summarize, trial_of

@@ -13,8 +13,8 @@ from commands import assert_refused
 
 from skyline.cli.console import run_app
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
+from skyline.pose import DISTANCES_M, RIGHT_WITHIN_M
 from skyline_training import confidence as training
 from skyline_training.__main__ import app
 from skyline_training.examples import Example

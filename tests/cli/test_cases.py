@@ -11,11 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 from scenes import field_of
 
+from skyline.camera import QueryRays
 from skyline.match.confidence import MatchConfig
-from skyline.match.query_rays import QueryRays
+from skyline.peaks import read_peaks
 from skyline.photo.read import read_query
-from skyline.report.figures import encode_figure, labels_of
-from skyline.report.peaks import read_peaks
+from skyline.report.labels import encode_figure, labels_of
 
 TRIED = {
     "cone_web_mercator.tif", "crop_mode.jpg", "digital_zoom_2.jpg", "drone_120m.jpg",

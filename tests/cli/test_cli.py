@@ -16,9 +16,9 @@ from rasterio.transform import Affine
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import read_dem, stand_on
-from skyline.build import plans
-from skyline.build.parts import build_store
 from skyline.store.read import open_store
+from skyline.survey import plans
+from skyline.survey.build import build_store
 from skyline_bench.truth import oracle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

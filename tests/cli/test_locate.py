@@ -17,11 +17,11 @@ from range_server import Behaviour, serve
 from scenes import degree_tile, fractal, take_photo
 
 import skyline
+from skyline import cache as areas
 from skyline import read_dem, stand_at
+from skyline.cache import Area, prepare_area
 from skyline.fetch import remote
-from skyline.match import areas
-from skyline.match.areas import Area, prepare_area
-from skyline.match.locate import area_of
+from skyline.location import area_of
 
 PLACE = 9.5, 46.5
 NEAR = "9.5,46.5,1.5"

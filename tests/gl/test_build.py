@@ -18,20 +18,20 @@ import pytest
 from scenes import field_of, fractal, write_dem
 
 from skyline import RenderConfig, read_dem, render_to_store, stand_on
-from skyline.build import cluster, jobs, parts, plans, spacing
-from skyline.build.cluster import runner_of
-from skyline.build.parts import build_places, build_store
-from skyline.build.plans import PlacePlan, RenderingPlan, uniform_grid
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
 from skyline.store.places import BINS, Places
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store, merge_stores
+from skyline.survey import build, cluster, lattices, parts, plans
+from skyline.survey.build import build_places, build_store
+from skyline.survey.cluster import runner_of
+from skyline.survey.plans import PlacePlan, RenderingPlan, uniform_grid
 
 SPACING_M = 120.0
 PLACES = 1500
-BESIDE = spacing.NODES_AROUND * 6
+BESIDE = lattices.NODES_AROUND * 6
 """Viewpoints round the six blocks of the terrain, which are rendered and belong to other blocks."""
 CONFIG = RenderConfig(width=64)
 
@@ -110,7 +110,7 @@ def test_a_first_part_that_cannot_be_written_leaves_nothing(terrain, tmp_path, m
     def write_nothing(*_):
         raise StoreError("no space left on device")
 
-    monkeypatch.setattr(jobs, "write_store", write_nothing)
+    monkeypatch.setattr(parts, "write_store", write_nothing)
     with pytest.raises(StoreError, match="no space"):
         build_places(terrain, tmp_path / "s.h5", SPACING_M)
     assert not list(tmp_path.iterdir())
@@ -221,7 +221,7 @@ class TestAreas:
         path = tmp_path / "s.h5"
         begun = begin(terrain, path, west)
         with monkeypatch.context() as patch:
-            write = parts.write_store
+            write = build.write_store
 
             def write_late(part, *given):
                 if part.suffix == ".partial":  # The rows are merged, and not yet the store.
@@ -229,7 +229,7 @@ class TestAreas:
                     build_store(terrain, path, east)
                 return write(part, *given)
 
-            patch.setattr(parts, "write_store", write_late)
+            patch.setattr(build, "write_store", write_late)
             with pytest.raises(StoreError, match=r"another build wrote .* run the same command"):
                 build_store(terrain, path, west)
         assert all(part.exists() for part in begun[:2])
@@ -300,7 +300,7 @@ class TestBroken:
     def test_rows_that_take_much_memory_are_written_at_once(self, terrain, tmp_path, monkeypatch):
         """However fast they were rendered: all but the last rendering of a job of 400."""
         path, found = tmp_path / "s.h5", set()
-        monkeypatch.setattr(jobs, "_A_PART_BYTES", 1)
+        monkeypatch.setattr(parts, "_A_PART_BYTES", 1)
         build_store(
             terrain,
             path,
@@ -345,7 +345,7 @@ class TestBroken:
             import time
             from pathlib import Path
             from skyline import read_dem
-            from skyline.build import parts, plans
+            from skyline.survey import build, plans
             plans._PLACES_AT_ONCE = 60
             terrain = read_dem({list(terrain.provenance.files)!r})
             plan = plans.PlacePlan({plan.spacing_m}, places={plan.places})
@@ -353,7 +353,7 @@ class TestBroken:
                 print(done, flush=True)
                 if done > int(sys.argv[1]):
                     time.sleep(600.0)
-            parts.build_store(terrain, Path("s.h5"), plan, progress=progress, a_part_s=0.0)
+            build.build_store(terrain, Path("s.h5"), plan, progress=progress, a_part_s=0.0)
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
         folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
@@ -422,7 +422,7 @@ class TestWorkers:
     def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(300.0), tmp_path / "s.h5"
         build_store(terrain, tmp_path / "here.h5", plan)
-        monkeypatch.setattr(parts, "_write_job", dying)
+        monkeypatch.setattr(build, "_write_job", dying)
         build_store(terrain, path, plan, runner)
         assert (parts_folder(path).with_name("died")).exists()
         assert path.read_bytes() == (tmp_path / "here.h5").read_bytes()
@@ -430,7 +430,7 @@ class TestWorkers:
     def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path, monkeypatch):
         plan, path = PlacePlan(150.0), tmp_path / "s.h5"
         monkeypatch.setattr(cluster, "RETRIES", 0)
-        monkeypatch.setattr(parts, "_write_job", failing)
+        monkeypatch.setattr(build, "_write_job", failing)
         message = r"1 of \d+ jobs failed: job 2 \(no room"
         with pytest.raises(BuildError, match=message) as failed:
             build_store(terrain, path, plan, runner)
@@ -454,7 +454,7 @@ class TestWorkers:
         assert list(tmp_path.iterdir()) == []
 
 
-write_job = parts._write_job
+write_job = build._write_job
 
 
 def dying(build, plan, header, folder, a_part_s, job, tell):

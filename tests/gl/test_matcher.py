@@ -10,8 +10,8 @@ from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.query import Lens, Projection, QuerySkyline
-from skyline.report.viewer import pixels_of
+from skyline.photo.skyline import Lens, Projection, QuerySkyline
+from skyline.view import pixels_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)

@@ -12,7 +12,7 @@ from skyline import Orienter, orient
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.photo.exif import NotedPlace
-from skyline.photo.query import QuerySkyline
+from skyline.photo.skyline import QuerySkyline
 from skyline_bench.queries.synthetic import make_queries
 
 

@@ -7,15 +7,15 @@ import pytest
 from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
-from skyline.match.candidate import Hypotheses
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.refine import WHOLE, JointRefinement, Refinement
 from skyline.match.solver import Curves
-from skyline.photo.query import distorted
+from skyline.photo.skyline import distorted
+from skyline.pose import Hypotheses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views
+from skyline.terrain.eyes import at_elevation, stand_on
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import at_elevation, stand_on
 
 TRUTH = {"heading_deg": 160.0, "pitch_deg": 1.5, "roll_deg": -1.0}
 PLACE = np.array([4000.0, -6000.0])

@@ -10,9 +10,9 @@ import pytest
 from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_query
 from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.report.viewer import sight_of
 from skyline.skylines import HEADINGS
-from skyline.terrain.viewpoints import stand_on
+from skyline.terrain.eyes import stand_on
+from skyline.view import sight_of
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
 COLUMN_DEG = 90.0 / 1024

@@ -8,7 +8,7 @@ import numpy as np
 
 from skyline.geodesy import Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT, Views
-from skyline.store.format import PLACES, RENDERINGS, StoreHeader, columns_of
+from skyline.store.header import PLACES, RENDERINGS, StoreHeader, columns_of
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
 from skyline.store.write import write_store
 

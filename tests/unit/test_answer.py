@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
+from skyline.camera import QueryRays
 from skyline.errors import InputError
-from skyline.match.answer import MatchResult
 from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
-from skyline.match.query_rays import QueryRays
+from skyline.match.result import MatchResult
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
-from skyline.photo.query import Lens, QuerySkyline
+from skyline.photo.skyline import Lens, QuerySkyline
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5
 

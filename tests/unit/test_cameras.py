@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL.ExifTags import Base
 
-from skyline.match.query_rays import QueryRays
+from skyline.camera import QueryRays
 from skyline.photo.lens import lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")

@@ -12,7 +12,7 @@ from scenes import candidate_at
 from shapely import MultiPolygon, Polygon
 
 from skyline.geodesy import Frame, lonlat_rings
-from skyline.match.candidate import Ellipse, view_wedge_m
+from skyline.pose import Ellipse, view_wedge_m
 
 MIDDLES = {
     "EPSG:32632": (11.8, 46.8),

@@ -5,8 +5,8 @@ from unittest.mock import Mock
 
 import pytest
 
-from skyline.build.cluster import Runner
 from skyline.errors import BuildError
+from skyline.survey.cluster import Runner
 
 
 @pytest.mark.parametrize("lost", [CancelledError(), OSError("stream is closed")], ids=repr)

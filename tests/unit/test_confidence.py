@@ -8,7 +8,7 @@ from query_scenes import equally_trusted, poses
 from scenes import candidate_at
 
 from skyline.match import confidence
-from skyline.match.candidate import DISTANCES_M, RefinedPoses
+from skyline.pose import DISTANCES_M, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)

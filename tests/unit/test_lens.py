@@ -5,9 +5,9 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.match.query_rays import QueryRays
+from skyline.camera import QueryRays
 from skyline.photo.lens import GPANO, lens_of, panorama_of_xmp, swept_lens_of
-from skyline.photo.query import Lens, Projection
+from skyline.photo.skyline import Lens, Projection
 from skyline.photo.xmp import Xmp
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}

@@ -5,12 +5,12 @@ import pytest
 from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
-from skyline.build.plans import uniform_grid
-from skyline.match.profiles import CorrelationMatcher, Profiles, at_pitches
 from skyline.paper import matcher
+from skyline.paper.correlation import CorrelationMatcher, Profiles, at_pitches
 from skyline.paper.curves import chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
 from skyline.skylines import polyline_vertices
+from skyline.survey.plans import uniform_grid
 from skyline_bench.truth import oracle
 
 MATCHERS = PaperMatcher, CorrelationMatcher
@@ -113,7 +113,7 @@ def test_listed_poses_are_scored_as_without_a_shortlist(
     profiles, viewpoints, index, heading_deg, monkeypatch
 ):
     query = query_at(viewpoints, index, heading_deg)
-    monkeypatch.setattr("skyline.match.profiles._PITCHES_DEG", (0.0,))
+    monkeypatch.setattr("skyline.paper.correlation._PITCHES_DEG", (0.0,))
     monkeypatch.setattr(matcher, "_POSES", 100_000)
     every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)

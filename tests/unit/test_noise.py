@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline.match.noise import REACH_M, HeightErrors, likelihood
+from skyline.match.likelihood import REACH_M, HeightErrors, likelihood
 
 
 def _setting(nodes=6, columns=40):

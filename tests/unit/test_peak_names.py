@@ -8,14 +8,14 @@ from font_scenes import UNDRAWN
 from scenes import candidate_at, field_from
 
 from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
-from skyline.build.plans import uniform_grid
-from skyline.photo.query import QuerySkyline
-from skyline.report.figures import UnnamedPeaks, encode_figure
-from skyline.report.labelled_panorama import draw_panorama
+from skyline.photo.skyline import QuerySkyline
+from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.landscape import panorama_view
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.overlay import draw_labels, draw_overlay
-from skyline.report.viewer import SeenPeak
+from skyline.report.panorama import draw_panorama
+from skyline.survey.plans import uniform_grid
+from skyline.view import SeenPeak
 
 NAMES = "Plain", f"{UNDRAWN} $1$"
 EAST_M = np.array([-600.0, 600.0])

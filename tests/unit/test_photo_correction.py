@@ -8,8 +8,8 @@ from photo_scenes import make_scene
 
 from skyline import Correction, InputError, NotedPlace, Photo, Projection, QuerySkyline, Stroke
 from skyline.photo import extract
-from skyline.photo.correction import StrokeKind, _forbidden, _labels
 from skyline.photo.sky_model import skyline_of_mask
+from skyline.photo.strokes import StrokeKind, _forbidden, _labels
 
 WIDTH, HEIGHT = 960, 640
 

@@ -9,8 +9,8 @@ from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky,
 
 from skyline.errors import InputError
 from skyline.photo.extract import Content, Evidence, content_of, extract_skyline, shortest_path
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo
+from skyline.photo.skyline import QuerySkyline
 
 # A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
 WHOLE_PIXEL_MEDIAN = 0.25

@@ -11,8 +11,8 @@ from PIL.ExifTags import IFD, Base
 from xmp_packets import ATTRIBUTES, xmp_packet
 
 from skyline.errors import InputError
-from skyline.photo.query import Projection, QuerySkyline, distorted, undistorted
 from skyline.photo.read import read_query
+from skyline.photo.skyline import Projection, QuerySkyline, distorted, undistorted
 from skyline.photo.trace import write_trace
 
 CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
+from skyline import batch
 from skyline.errors import InputError
-from skyline.match import queries
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query, write_overlay
+from skyline.photo.skyline import QuerySkyline
 from skyline.photo.trace import read_trace, write_trace
 
 
@@ -173,5 +173,5 @@ def test_a_trace_notes_its_camera(tmp_path):
     given = read_query(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
     for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
-        listed = queries.Query(str(path), fov_deg, fov_slack=0.2).read()
+        listed = batch.Query(str(path), fov_deg, fov_slack=0.2).read()
         assert listed.lens.sd_deg == pytest.approx(sd_deg)

@@ -11,9 +11,9 @@ from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
-from skyline.photo.query import Projection, QuerySkyline
-from skyline.report.viewer import Viewer, directions_of, pixels_of, sight_of
-from skyline.terrain.viewpoints import at_elevation
+from skyline.photo.skyline import Projection, QuerySkyline
+from skyline.terrain.eyes import at_elevation
+from skyline.view import Viewer, directions_of, pixels_of, sight_of
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)

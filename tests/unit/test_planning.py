@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.build.plans import uniform_grid
 from skyline.errors import InputError
 from skyline.paper import plan as planning
 from skyline.paper.plan import PlanConfig, lay_out, plan
 from skyline.paper.strategies import STRATEGIES
 from skyline.paper.verify import wilson_interval
 from skyline.skylines import Views
+from skyline.survey.plans import uniform_grid
 from skyline_bench.paper import TABLE_1, Simulation, simulate
 
 SPACING = {"coarse_m": 300.0, "candidate_m": 30.0}

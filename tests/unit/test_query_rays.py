@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
-from skyline.match.query_rays import QueryRays, level, project
-from skyline.photo.query import Projection, QuerySkyline
+from skyline.camera import QueryRays, level, project
+from skyline.photo.skyline import Projection, QuerySkyline
 
 
 def test_a_field_of_view_is_searched_about_the_one_given():

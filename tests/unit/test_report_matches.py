@@ -16,18 +16,18 @@ from hypothesis import strategies as st
 from scenes import candidate_at, field_of, fractal
 from store_rows import VIEWS_HEADER
 
-from skyline.build.plans import uniform_grid
 from skyline.errors import InputError
-from skyline.match.answer import MatchResult
-from skyline.photo.query import QuerySkyline
-from skyline.report import exports
-from skyline.report.figures import encode_figure, place_labels
+from skyline.match.result import MatchResult
+from skyline.peaks import Peaks
+from skyline.photo.skyline import QuerySkyline
+from skyline.report import files
+from skyline.report.labels import encode_figure, place_labels
 from skyline.report.maps import detail_area, draw_match_map
-from skyline.report.match_report import report_matches
+from skyline.report.match_page import report_matches
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import Peaks
-from skyline.report.viewer import Viewer, sight_of
-from skyline.terrain.viewpoints import stand_on
+from skyline.survey.plans import uniform_grid
+from skyline.terrain.eyes import stand_on
+from skyline.view import Viewer, sight_of
 from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
@@ -55,7 +55,7 @@ class OracleViewer(Viewer):
 
 @pytest.fixture(autouse=True)
 def oracle_viewer(monkeypatch):
-    monkeypatch.setattr("skyline.report.match_report.Viewer", OracleViewer)
+    monkeypatch.setattr("skyline.report.match_page.Viewer", OracleViewer)
 
 
 SIGHT = sight_of(BEST, BLANK, VIEWS)
@@ -149,7 +149,7 @@ def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
     def full(path, _):
         raise InputError(f"{path} cannot be written: no space")
 
-    monkeypatch.setattr(exports, "write_with_folders", full)
+    monkeypatch.setattr(files, "write_with_folders", full)
     (tmp_path / "old").mkdir()
     for name in ("new", "old"):
         with pytest.raises(InputError, match="no space"):

@@ -10,10 +10,10 @@ from scenes import FRAME, candidate_at, field_from
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
-from skyline.photo.query import QuerySkyline
-from skyline.report.peaks import Peaks, Sighting, read_peaks, visible_peaks
-from skyline.report.viewer import Viewer
-from skyline.terrain.viewpoints import stand_on
+from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
+from skyline.photo.skyline import QuerySkyline
+from skyline.terrain.eyes import stand_on
+from skyline.view import Viewer
 
 FLAT = Curvature(enabled=False)
 

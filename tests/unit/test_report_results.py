@@ -15,9 +15,9 @@ import pytest
 from scenes import candidate_at
 
 from skyline.errors import BusyError, InputError
-from skyline.match.answer import MatchResult
-from skyline.photo.query import QuerySkyline
-from skyline.report.exports import RESULTS, ResultsFile
+from skyline.match.result import MatchResult
+from skyline.photo.skyline import QuerySkyline
+from skyline.report.files import RESULTS, ResultsFile
 
 QUERY = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 PLACE = candidate_at(

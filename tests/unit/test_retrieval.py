@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.match.query_rays import QueryRays
+from skyline.camera import QueryRays
 from skyline.match.retrieval import Retriever
 
 

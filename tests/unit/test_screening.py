@@ -7,8 +7,8 @@ import pytest
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.match import screening
 from skyline.match.prior import NOTHING_KNOWN
+from skyline.match.screen import Screen, screen_places, turns_within
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -29,17 +29,17 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     smooth = places_of(np.stack([0.1 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
     u, v = photo(lambda azimuth: 0.1 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
     query = equally_trusted(u, v, 60.0)
-    screen = screening.Screen(query, np.array([60.0]), smooth)
+    screen = Screen(query, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
 
 
 @pytest.mark.parametrize("size", [64, 7])
 @pytest.mark.parametrize("count", [5, 200])
 def test_blocks_change_nothing(places, size, count):
-    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
     order = np.lexsort((np.arange(64), -score))[:count]
-    found = screening.screen_places(screen.scores, Blocks(places, size), count, every)
+    found = screen_places(screen.scores, Blocks(places, size), count, every)
     np.testing.assert_array_equal(found.row, order)
     np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
 
@@ -47,24 +47,24 @@ def test_blocks_change_nothing(places, size, count):
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
     query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     fovs = (FOVS_DEG[k : k + 1] for k in range(3))
-    alone = [screening.Screen(query, fov, places).scores(places.phase) for fov in fovs]
+    alone = [Screen(query, fov, places).scores(places.phase) for fov in fovs]
     expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
-    scores = screening.Screen(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
+    scores = Screen(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
 
 def test_only_places_within_are_looked_at(places):
-    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
     source, scores = Blocks(places, 8), screen.scores
-    found = screening.screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
+    found = screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
     assert sorted(found.row) == list(range(10))
-    none = screening.screen_places(scores, source, 64, lambda some: some.easting_m < -1.0)
+    none = screen_places(scores, source, 64, lambda some: some.easting_m < -1.0)
     assert len(none) == 0
 
 
 def test_shut_turns_are_not_looked_at(places):
-    turns = screening.turns_within(20.0, 15.0)
-    screen = screening.Screen(wide(11, 200.0), FOVS_DEG, places, turns)
+    turns = turns_within(20.0, 15.0)
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
+from skyline.camera import QueryRays, level, level_with_changes
 from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
-from skyline.match.query_rays import QueryRays, level, level_with_changes
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
-from skyline.photo.query import Projection, distorted, wander_of
+from skyline.photo.skyline import Projection, distorted, wander_of
 from skyline.terrain.sightlines import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}

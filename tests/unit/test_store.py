@@ -31,7 +31,7 @@ from store_rows import (
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
 from skyline.geodesy import Frame
 from skyline.store import write
-from skyline.store.format import columns_of, refuse_mismatch
+from skyline.store.header import columns_of, refuse_mismatch
 from skyline.store.places import Places
 from skyline.store.read import is_store, open_store, parts_folder
 from skyline.store.write import check_store, examine, merge_stores, repair_store, write_store

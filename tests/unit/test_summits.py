@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 
 from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
+from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, prominence_m, summit_heights_m
-from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import local_maxima
 
 STEP_DEG = 1.0 / 1200.0

@@ -19,7 +19,7 @@ _MIN_FORWARD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera with square pixels; angles as in `skyline.match.query_rays`."""
+    """A camera with square pixels; angles as in `skyline.camera`."""
 
     heading_deg: float  # Grid azimuth of the optical axis
     pitch_deg: float = 0.0  # Optical axis above the horizon; how far a cylinder's rows are raised

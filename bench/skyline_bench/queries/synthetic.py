@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray
+from skyline.camera import QueryRays
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
-from skyline.match.query_rays import QueryRays
-from skyline.photo.query import QuerySkyline, distorted
+from skyline.photo.skyline import QuerySkyline, distorted
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline_bench.queries.pinhole import PIN_HOLE, Camera
 
 _MAX_DRAWS = 10_000
@@ -68,7 +68,7 @@ class QueryConfig:
     mappings: tuple[str, ...] = (PIN_HOLE,)
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
-    # Standard deviation of the lens's distortion; see `skyline.photo.query.undistorted`.
+    # Standard deviation of the lens's distortion; see `skyline.photo.skyline.undistorted`.
     distortion_sd: float = 0.0
     max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
     # Standard deviations of pitch and roll as people hold cameras; None draws both evenly.

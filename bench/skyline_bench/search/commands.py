@@ -13,14 +13,14 @@ from typer import Option
 
 from skyline import Narrowing
 from skyline.arrays import Progress
-from skyline.build.plans import map_bounds
 from skyline.cli.console import parse_bounds, progress_bar
 from skyline.errors import InputError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.strategies import STRATEGIES
-from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.header import PLACES, RENDERINGS
+from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options

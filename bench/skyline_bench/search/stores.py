@@ -12,15 +12,15 @@ import numpy as np
 
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
-from skyline.build.plans import map_bounds, uniform_grid
-from skyline.build.spacing import expected_finds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
 from skyline.paper.plan import PlanConfig, build_planned
 from skyline.skylines import HEADINGS
-from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.header import PLACES, RENDERINGS
 from skyline.store.places import Places
 from skyline.store.read import open_store, parts_folder
+from skyline.survey.lattices import expected_finds
+from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
 
 _log = logging.getLogger(__name__)

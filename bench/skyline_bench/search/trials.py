@@ -16,10 +16,10 @@ from scipy.stats import binomtest
 from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
-from skyline.match.candidate import Hypotheses, candidates_of
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
-from skyline.store.format import PLACES, RENDERINGS
+from skyline.pose import Hypotheses, candidates_of
+from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import Query, distance_m

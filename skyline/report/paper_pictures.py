@@ -17,11 +17,11 @@ from skyline.errors import InputError
 from skyline.files import check_folder, write_whole, write_with_folders
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
-from skyline.report.figures import encode_figure, is_figure
+from skyline.report.labels import encode_figure, is_figure
 from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import HEADINGS, Views
+from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     from skyline.paper.plan import Plan

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from skyline.build.cluster import Runner
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.files import (
     REPORT_PAGE,
@@ -25,11 +24,12 @@ from skyline.files import (
     read_table,
     version_of,
 )
-from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
-from skyline.photo.query import Lens, Projection, QuerySkyline
+from skyline.match.result import MatchResult
 from skyline.photo.read import check_fov, photos_in, read_query
+from skyline.photo.skyline import Lens, Projection, QuerySkyline
+from skyline.survey.cluster import Runner
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",

@@ -11,25 +11,25 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from skyline.camera import QueryRays
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match import confidence, projections
-from skyline.match.candidate import (
+from skyline.match.prior import Narrowing, Prior
+from skyline.match.projections import OtherProjection
+from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
+from skyline.match.retrieval import Retriever
+from skyline.pose import (
     Candidate,
     Hypotheses,
     RefinedPoses,
     candidates_of,
     hypothesis_of,
 )
-from skyline.match.prior import Narrowing, Prior
-from skyline.match.projections import OtherProjection
-from skyline.match.query_rays import QueryRays
-from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
-from skyline.match.retrieval import Retriever
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import PlaceSource
+from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
 _SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
 """Poses that retrieval returns for each place of the store, and their least and greatest number:

@@ -9,20 +9,20 @@ from pathlib import Path
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
 from skyline.files import REPORT_PAGE, write_with_folders
-from skyline.match.answer import MatchResult, listed
-from skyline.match.candidate import COLUMNS, Candidate, Ellipse
 from skyline.match.matcher import Matcher, terrain_at_hand
-from skyline.photo.query import QuerySkyline
+from skyline.match.result import MatchResult, listed
+from skyline.peaks import Peaks, Sighting
 from skyline.photo.read import read_picture
-from skyline.report.exports import export_matches
-from skyline.report.figures import UnnamedPeaks, encode_figure
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import COLUMNS, Candidate, Ellipse
+from skyline.report.files import export_matches
 from skyline.report.folder import CANDIDATES, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
+from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.report.peaks import Peaks, Sighting
-from skyline.report.viewer import Sight, Viewer, peaks_in_picture
-from skyline.store.format import PACKAGE_VERSION
+from skyline.store.header import PACKAGE_VERSION
+from skyline.view import Sight, Viewer, peaks_in_picture
 
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Complex128Array
-from skyline.build.plans import JobRenderer
 from skyline.errors import StoreError
 from skyline.skylines import HEADINGS
-from skyline.store.format import RENDERINGS, Columns, StoreHeader, explained
+from skyline.store.header import RENDERINGS, Columns, StoreHeader, explained
 from skyline.store.read import open_store
 from skyline.store.write import is_whole, write_store
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.survey.plans import JobRenderer
+from skyline.terrain.eyes import Viewpoints
 
 A_PART_S = 2.5
 """Seconds of work after which a part is written, when the rendering in hand is done. A part takes

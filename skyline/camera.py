@@ -8,7 +8,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.photo.query import (
+from skyline.photo.skyline import (
     MAX_PANORAMA_DEG,
     WANDER_DEGREES,
     Lens,
@@ -64,7 +64,7 @@ class QueryRays:
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
     distortion. A distortion k moves a ray outwards by k times its `reach`; see
-    `skyline.photo.query.undistorted`."""
+    `skyline.photo.skyline.undistorted`."""
 
     @classmethod
     def of(cls, query: QuerySkyline, fov_slack: float, *, finds_fov: bool) -> "QueryRays":

@@ -23,9 +23,9 @@ from skyline.photo.extract import (
     shortest_path,
     to_work_columns,
 )
-from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.read import Photo
 from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
+from skyline.photo.skyline import QuerySkyline, check_of_image
 
 _HULL_PX = 64
 """Columns of the photo beside changed ones, on each side, whose skyline is found anew too."""

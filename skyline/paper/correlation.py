@@ -32,8 +32,8 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.match.candidate import Hypotheses
-from skyline.match.query_rays import QueryRays, on_bins
+from skyline.camera import QueryRays, on_bins
+from skyline.pose import Hypotheses
 from skyline.skylines import (
     DEFAULT_WIDTH,
     FLAG_NO_DATA,
@@ -44,9 +44,9 @@ from skyline.skylines import (
     quadrant_bins,
     quadrants,
 )
-from skyline.store.format import KeypointColumns
+from skyline.store.header import KeypointColumns
 from skyline.store.read import Store
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.eyes import Viewpoints
 
 _BINS = 2048
 """A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""

@@ -25,13 +25,13 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from skyline.arrays import Progress
-from skyline.build.parts import build_places
-from skyline.build.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import lock_file, version_of
 from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
-from skyline.store.format import PLACE_CODING, SCHEMA_VERSION
+from skyline.store.header import PLACE_CODING, SCHEMA_VERSION
+from skyline.survey.build import build_places
+from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.terrain.dem import SUFFIX, read_dem, save_field
 from skyline.terrain.folders import Paths, dem_names
 from skyline.terrain.heightfield import HeightField

@@ -19,19 +19,18 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
+from skyline.camera import level, project
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
-from skyline.match.candidate import Candidate
-from skyline.match.query_rays import level, project
-from skyline.photo.query import QuerySkyline, distorted, undistorted, wandered
+from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
+from skyline.photo.skyline import QuerySkyline, distorted, undistorted, wandered
+from skyline.pose import Candidate
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.report.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.sightlines import first_hits_m
-from skyline.terrain.viewpoints import (
+from skyline.terrain.eyes import (
     DEFAULT_EYE_HEIGHT_M,
     LEAST_EYE_HEIGHT_M,
     Viewpoints,
@@ -39,6 +38,7 @@ from skyline.terrain.viewpoints import (
     stand_at_one,
     stand_on,
 )
+from skyline.terrain.sightlines import first_hits_m
 
 PIXEL_FILES = (".npz", ".tif")
 _BANDS = ("distance_m", "lon", "lat", "elevation_m")

@@ -23,13 +23,11 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
+from skyline.camera import QueryRays
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
-from skyline.match.answer import to_dataframe
-from skyline.match.candidate import Candidate, RefinedPoses, candidates_of, hypothesis_of
 from skyline.match.confidence import MatchConfig, at_bound, too_little
-from skyline.match.full import one_blas_thread
 from skyline.match.matcher import named_skyline
 from skyline.match.prior import (
     GPS_SD_M,
@@ -40,25 +38,27 @@ from skyline.match.prior import (
     Prior,
     Standing,
 )
-from skyline.match.query_rays import QueryRays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
+from skyline.match.result import to_dataframe
 from skyline.match.retrieval import Retriever
+from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.exif import NotedPlace
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import Picture
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import Candidate, RefinedPoses, candidates_of, hypothesis_of
 from skyline.render.context import Releasable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import (
+from skyline.terrain.eyes import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
     check_eye_elevation,
     stand_at_one,
     stand_where_possible,
 )
+from skyline.terrain.heightfield import HeightField
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard error in metres."""

@@ -11,13 +11,13 @@ from pyproj import Geod
 
 from skyline.errors import InputError, library, printable
 from skyline.geodesy import distance_in_words, in_turn
-from skyline.match.candidate import COLUMNS, ROUGHLY_WITHIN_M, Candidate
 from skyline.match.prior import Narrowing
 from skyline.photo.exif import NOTHING_NOTED
-from skyline.photo.query import QuerySkyline
+from skyline.photo.skyline import QuerySkyline
+from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Candidate
 
 if TYPE_CHECKING:
-    from skyline.match.orient import Orientation
+    from skyline.orientation import Orientation
 
 TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""

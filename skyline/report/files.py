@@ -39,10 +39,10 @@ from skyline.files import (
     write_with_folders,
 )
 from skyline.geodesy import Frame, lonlat_rings
-from skyline.match.answer import MatchResult, listed
-from skyline.match.candidate import Candidate, Ellipse, view_wedge_m
-from skyline.photo.query import Projection, QuerySkyline
+from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
+from skyline.photo.skyline import Projection, QuerySkyline
+from skyline.pose import Candidate, Ellipse, view_wedge_m
 from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0

@@ -18,7 +18,6 @@ from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
 from skyline.files import write_with_folders
-from skyline.match.candidate import Candidate
 from skyline.photo.lens import GPANO
 from skyline.photo.read import opened_image, read_photo
 from skyline.photo.xmp import (
@@ -30,6 +29,7 @@ from skyline.photo.xmp import (
     joined,
     without,
 )
+from skyline.pose import Candidate
 
 _EXIF = b"Exif\x00\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA

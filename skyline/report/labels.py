@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
-from skyline.report.peaks import S
+from skyline.peaks import S
 
 _MARK = "Software", "Skyline"
 """A text in the PNG files that are written here, and its name."""

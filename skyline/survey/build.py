@@ -24,18 +24,18 @@ from typing import Any
 from uuid import uuid4
 
 from skyline.arrays import Progress
-from skyline.build.cluster import Runner
-from skyline.build.jobs import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
-from skyline.build.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
-from skyline.store.format import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
+from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path, is_whole, merged_rows, write_store
+from skyline.survey.cluster import Runner
+from skyline.survey.parts import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
+from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.terrain.dem import Dem, read_dem
+from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
 
 _NAMED = 5
 """Failed jobs that an error names."""
@@ -83,7 +83,7 @@ def build_places(
         other bounds is replaced by a store of both areas.
     spacing_m : float, optional
         Metres between the places of a uniform grid. By default places lie densely where skylines
-        are near, and sparsely where they are far; see `skyline.build.spacing`.
+        are near, and sparsely where they are far; see `skyline.survey.lattices`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional

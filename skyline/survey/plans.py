@@ -9,14 +9,6 @@ from typing import Any, Self
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.build.spacing import (
-    LEVELS,
-    NODES_AROUND,
-    Prices,
-    Sights,
-    blocks_of,
-    planned_places,
-)
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
 from skyline.render.horizon import (
@@ -27,10 +19,18 @@ from skyline.render.horizon import (
 )
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
-from skyline.store.format import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
+from skyline.store.header import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
 from skyline.store.places import BINS, Places
+from skyline.survey.lattices import (
+    LEVELS,
+    NODES_AROUND,
+    Prices,
+    Sights,
+    blocks_of,
+    planned_places,
+)
+from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
 """Default number of places, which two cores without a GPU render in half a minute, and bounds on

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from skyline.cache import Area, prepare_area
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Frame
-from skyline.match.answer import MatchResult
-from skyline.match.areas import Area, prepare_area
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
+from skyline.match.result import MatchResult
 from skyline.photo.read import Picture, name_of, read_noted_place
 from skyline.terrain.folders import Paths
 

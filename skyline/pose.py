@@ -60,7 +60,7 @@ class Candidate:
         not refined.
     wander : tuple of float
         How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
-        `skyline.photo.query.wander_of`; empty for a lens, and where it is not known.
+        `skyline.photo.skyline.wander_of`; empty for a lens, and where it is not known.
     easting_m, northing_m : float
         The same place in the store's frame.
     eye_elevation_m : float
