@@ -30,14 +30,14 @@ from .photo.read import Photo as Photo
 from .photo.read import read_photo as read_photo
 from .photo.read import read_query as read_query
 from .photo.skyline import Lens as Lens
+from .photo.skyline import PhotoSkyline as PhotoSkyline
 from .photo.skyline import Projection as Projection
-from .photo.skyline import QuerySkyline as QuerySkyline
 from .photo.strokes import Correction as Correction
 from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
-from .pose import Candidate as Candidate
+from .pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
 from .render.horizon import render_views as render_views

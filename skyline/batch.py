@@ -28,7 +28,7 @@ from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.read import check_fov, photos_in, read_query
-from skyline.photo.skyline import Lens, Projection, QuerySkyline
+from skyline.photo.skyline import Lens, PhotoSkyline, Projection
 from skyline.survey.cluster import Runner
 
 _NUMBERS = (
@@ -76,7 +76,7 @@ class Query:
         if is_table(self.path):
             self.read()
 
-    def read(self) -> QuerySkyline:
+    def read(self) -> PhotoSkyline:
         """Return the skyline; raises as `skyline.photo.read.read_query`."""
         query = read_query(self.path, self.fov_deg, projection=self.projection)
         if query.fov_deg is None or self.fov_slack is None:

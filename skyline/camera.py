@@ -12,8 +12,8 @@ from skyline.photo.skyline import (
     MAX_PANORAMA_DEG,
     WANDER_DEGREES,
     Lens,
+    PhotoSkyline,
     Projection,
-    QuerySkyline,
     wander_of,
 )
 
@@ -40,7 +40,7 @@ _FOV_DEVIATIONS = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QueryRays:
+class Rays:
     """The trusted columns of a query skyline in the camera's frame.
 
     Raises `InputError` where all weights are 0.
@@ -67,7 +67,7 @@ class QueryRays:
     `skyline.photo.skyline.undistorted`."""
 
     @classmethod
-    def of(cls, query: QuerySkyline, fov_slack: float, *, finds_fov: bool) -> "QueryRays":
+    def of(cls, query: PhotoSkyline, fov_slack: float, *, finds_fov: bool) -> "Rays":
         """Return a query's rays, with the fields of view that the query may have.
 
         ``fov_slack`` is the deviation of a field of view, as a share of it, where its lens has none
@@ -173,7 +173,7 @@ class QueryRays:
         half_rad = np.radians(fov_deg) / 2.0
         return np.asarray(half_rad if self.is_panorama else np.tan(half_rad))
 
-    def with_fov(self, fov_deg: float) -> "QueryRays":
+    def with_fov(self, fov_deg: float) -> "Rays":
         """Return the same photo's rays for another field of view, degrees, within the range."""
         u, v = self.scaled(self._half_width(fov_deg) / self._half_width(self.fov_deg))
         return replace(self, u=u, v=v, fov_deg=fov_deg)
@@ -185,7 +185,7 @@ class QueryRays:
             return u * scale, np.tan(np.arctan(v) * scale)
         return u * scale, v * scale
 
-    def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
+    def about(self, sd_deg: float, most_deg: float = math.inf) -> "Rays":
         """Return the rays with a normally distributed field of view.
 
         Four standard deviations about the current one are searched, as far as a camera allows and
@@ -212,7 +212,7 @@ def level(
     Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
     elevation tangent is up over horizontal distance. The pitch is the axis's angle above the
     horizon; the roll turns the camera clockwise as seen from behind it. u and v are as in
-    `QueryRays`.
+    `Rays`.
     """
     attitude = np.radians(pitch_deg), np.radians(roll_deg)
     right, up, forward = level_axes(u, v, *attitude, projection)
@@ -278,7 +278,7 @@ def project(
 
 
 def level_with_changes(
-    query: QueryRays,
+    query: Rays,
     pitch_rad: Float64Array,
     roll_rad: Float64Array,
     log_scale: Float64Array,
@@ -288,7 +288,7 @@ def level_with_changes(
 
     Returns azimuths and elevation tangents (M, R), as `level`, and the derivatives (M, R, 3 + K) of
     both by pitch and roll, in radians, by the logarithm of the scale, and by the warps; see
-    `QueryRays.warp_sd`.
+    `Rays.warp_sd`.
     """
     scale = np.exp(log_scale)[:, np.newaxis]
     u, v = query.scaled(scale)
@@ -373,7 +373,7 @@ def _panorama_with_changes(
     return axes, [right_change, up_change, forward_change]
 
 
-def thinned(query: QueryRays, bins: int) -> QueryRays:
+def thinned(query: Rays, bins: int) -> Rays:
     """Average the rays within each of ``bins`` steps of a level camera's azimuth.
 
     The terrain's curve is no finer than its bins, so averages hold nearly all the information of
@@ -388,7 +388,7 @@ def thinned(query: QueryRays, bins: int) -> QueryRays:
     return _averaged(query, step, kept, total[kept] / np.bincount(step)[kept])
 
 
-def in_runs(query: QueryRays, count: int) -> QueryRays:
+def in_runs(query: Rays, count: int) -> Rays:
     """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
 
     The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
@@ -404,14 +404,14 @@ def in_runs(query: QueryRays, count: int) -> QueryRays:
     return _averaged(query, step, kept, total[kept] / total[kept].mean())
 
 
-def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64Array) -> QueryRays:
+def _averaged(query: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
     """Return the weighted means of the rays in each kept step, with new weights."""
     total = np.bincount(step, query.weight)[kept]
     u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
     return replace(query, u=u, v=v, weight=weight)
 
 
-def on_bins(query: QueryRays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
+def on_bins(query: Rays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
     """Return a query, levelled at one pitch, on B equal steps of azimuth.
 
     These are the tangents y (B,) of its elevation angle, NaN outside the photo, and the trust (B,)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
@@ -45,8 +45,8 @@ from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.exif import NotedPlace
 from skyline.photo.read import Picture
-from skyline.photo.skyline import QuerySkyline
-from skyline.pose import Candidate, RefinedPoses, candidates_of, hypothesis_of
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import Pose, RefinedPoses, candidates_of, hypothesis_of
 from skyline.render.context import Releasable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
@@ -106,9 +106,9 @@ class Orientation:
 
     Attributes
     ----------
-    query : QuerySkyline
+    query : PhotoSkyline
         The skyline that was fitted.
-    pose : Candidate or None
+    pose : Pose or None
         The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
     heading_sd_deg, pitch_sd_deg, roll_sd_deg, fov_sd_deg : float
         Standard errors of the pose's angles, degrees; NaN without a pose.
@@ -126,8 +126,8 @@ class Orientation:
         The query's file; empty for a query skyline.
     """
 
-    query: QuerySkyline
-    pose: Candidate | None
+    query: PhotoSkyline
+    pose: Pose | None
     heading_sd_deg: float = math.nan
     pitch_sd_deg: float = math.nan
     roll_sd_deg: float = math.nan
@@ -140,7 +140,7 @@ class Orientation:
     name: str = ""
 
     @property
-    def answer(self) -> Candidate | None:
+    def answer(self) -> Pose | None:
         """The pose, if it can be trusted."""
         return None if self.refusal else self.pose
 
@@ -285,7 +285,7 @@ class Orienter(Releasable):
 
     @one_blas_thread()
     def orient(
-        self, query: Picture | QuerySkyline, fov_deg: float | None = None, name: str = ""
+        self, query: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
         """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
 
@@ -293,7 +293,7 @@ class Orienter(Releasable):
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or QuerySkyline
+        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
             Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
             that is not known.
@@ -311,12 +311,12 @@ class Orienter(Releasable):
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = QueryRays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
+        rays = Rays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
-    def _refined(self, rays: QueryRays, query: QuerySkyline) -> RefinedPoses:
+    def _refined(self, rays: Rays, query: PhotoSkyline) -> RefinedPoses:
         """Return the best pose of each heading in each standing, best first."""
         found = list[RefinedPoses]()
         for number, standing in enumerate(self._standings(query.noted)):
@@ -333,7 +333,7 @@ class Orienter(Releasable):
         return poses[np.argsort(poses.score, kind="stable")]
 
     def _refinement(
-        self, rays: QueryRays, noted: NotedPlace, standing: Standing
+        self, rays: Rays, noted: NotedPlace, standing: Standing
     ) -> "_RefinementByHeading":
         """Return the refinement of a photo's rays, with what is known of its pose."""
         prior = Prior(noted=self._known(noted, standing))
@@ -355,9 +355,7 @@ class Orienter(Releasable):
             known, heading_deg=from_exif.heading_deg, heading_sd_deg=from_exif.heading_sd_deg
         )
 
-    def _orientation(
-        self, query: QuerySkyline, rays: QueryRays, poses: RefinedPoses
-    ) -> Orientation:
+    def _orientation(self, query: PhotoSkyline, rays: Rays, poses: RefinedPoses) -> Orientation:
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
             return Orientation(query, None, refusal="no heading fits at this place")
@@ -425,7 +423,7 @@ class Orienter(Releasable):
         place_m = poses.easting_m + 1j * poses.northing_m
         return np.abs(place_m - complex(self._east, self._north))
 
-    def _doubt(self, poses: RefinedPoses, pose: Candidate, sure: float) -> str:
+    def _doubt(self, poses: RefinedPoses, pose: Pose, sure: float) -> str:
         """Return the refusal of a pose of too little confidence, with what speaks against it."""
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         score = poses.score
@@ -479,7 +477,7 @@ class _RefinementByHeading(Refinement):
 
 
 def orient(
-    query: Picture | QuerySkyline,
+    query: Picture | PhotoSkyline,
     dem: Dem,
     *,
     lon: float | None = None,
@@ -513,7 +511,7 @@ def orient(
         return orienter.orient(skyline, name=name)
 
 
-def noted_place(query: QuerySkyline, name: str) -> Place:
+def noted_place(query: PhotoSkyline, name: str) -> Place:
     """Return the place that a photo notes, without an elevation.
 
     Raises `InputError` for a photo without a position.

@@ -23,7 +23,7 @@ COLUMNS = {
     "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"),
     "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
 }  # fmt: skip
-"""Columns of a table of candidates: the field of `Candidate`, and its format."""
+"""Columns of a table of candidates: the field of `Pose`, and its format."""
 
 _CHI_SQUARE_95 = 5.991464547107979
 """95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""
@@ -40,7 +40,7 @@ _JSON = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class Pose:
     """A pose that the camera may have had, on the map and in degrees.
 
     Attributes
@@ -151,15 +151,15 @@ class Candidate:
         """Grid azimuth of the optical axis, in [0, 360), as renderers take it."""
         return (self.heading_deg - self.convergence_deg) % 360.0
 
-    def distance_m(self, other: "Candidate") -> float:
+    def distance_m(self, other: "Pose") -> float:
         """Return the horizontal distance of another pose of the same frame, metres."""
         return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
 
-    def turn_deg(self, other: "Candidate") -> float:
+    def turn_deg(self, other: "Pose") -> float:
         """Return the angle between the headings of two poses, 0 to 180 degrees."""
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
-    def is_same_answer(self, other: "Candidate") -> bool:
+    def is_same_answer(self, other: "Pose") -> bool:
         """Return whether another pose of the same frame is the same answer: near, and looks alike.
 
         A confidence is of an answer.
@@ -203,7 +203,7 @@ class Ellipse:
     axis on."""
 
     @classmethod
-    def of(cls, candidate: Candidate) -> "Ellipse | None":
+    def of(cls, candidate: Pose) -> "Ellipse | None":
         """Return a candidate's ellipse, None if its covariance is unknown."""
         if candidate.covariance_m2 is None:
             return None
@@ -219,7 +219,7 @@ class Ellipse:
         return cls(major_m, minor_m, outline)
 
 
-def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
+def view_wedge_m(candidate: Pose, reach_m: float) -> Float64Array:
     """Return a candidate's field of view on the map, out to ``reach_m``.
 
     The outline (P, 2), easting and northing, is counter-clockwise and closed. It begins at the
@@ -237,7 +237,7 @@ def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypotheses(Rows):
+class Poses(Rows):
     """M poses that the camera may have had, with their scores."""
 
     easting_m: Float64Array
@@ -251,7 +251,7 @@ class Hypotheses(Rows):
     roll_deg: Float64Array
     fov_deg: Float64Array
     distortion: Float64Array
-    """``pitch_deg``, ``roll_deg``, ``fov_deg``, ``distortion``: (M,) float64. As in `Candidate`."""
+    """``pitch_deg``, ``roll_deg``, ``fov_deg``, ``distortion``: (M,) float64. As in `Pose`."""
     score: Float64Array
     """(M,) float64. Lower is better; the unit depends on the step that gave it. Infinite for a
     pose that does not fit."""
@@ -301,7 +301,7 @@ class Hypotheses(Rows):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RefinedPoses(Hypotheses):
+class RefinedPoses(Poses):
     """M poses fitted by rendering, best first, with the figures a confidence is learned from.
 
     Their score is the negative log-likelihood; only differences within one query are meaningful.
@@ -311,40 +311,40 @@ class RefinedPoses(Hypotheses):
     """(M, 2, 2) float64. Covariance of easting and northing, square metres, including other optima
     of the same answer."""
     residual_deg: Float64Array
-    """(M,) float64. As in `Candidate`."""
+    """(M,) float64. As in `Pose`."""
     terrain_share: Float64Array
-    """(M,) float64. As in `Candidate`."""
+    """(M,) float64. As in `Pose`."""
     skyline_m: Float64Array
-    """(M,) float64. As in `Candidate`."""
+    """(M,) float64. As in `Pose`."""
     effective_columns: Float64Array
     """(M,) float64. Number of independent columns that would hold as much information."""
     height_sd_m: Float64Array
     """(M,) float64. Standard deviation of the terrain model's height errors that the fit
     suggests."""
     beyond_share: Float64Array
-    """(M,) float64. As in `Candidate`."""
+    """(M,) float64. As in `Pose`."""
     margin: Float64Array
     far_margin: Float64Array
-    """``margin``, ``far_margin``: (M,) float64. `Hypotheses.rival_margin` for either of
+    """``margin``, ``far_margin``: (M,) float64. `Poses.rival_margin` for either of
     `DISTANCES_M`; below 0 for all but the best pose."""
     angle_sd_deg: Float64Array
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
     wander: Float64Array
-    """(M, 4) float64, or (M, 0). As in `Candidate`."""
+    """(M, 4) float64, or (M, 0). As in `Pose`."""
 
 
-def hypothesis_of(candidate: Candidate) -> Hypotheses:
+def hypothesis_of(candidate: Pose) -> Poses:
     """Return a candidate's pose as one hypothesis, with a score of 0."""
     pose = asdict(candidate) | {"heading_deg": candidate.grid_heading_deg, "score": 0.0}
-    return Hypotheses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Hypotheses)})
+    return Poses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Poses)})
 
 
 def candidates_of(
     frame: Frame,
-    poses: Hypotheses,
+    poses: Poses,
     confidence: Float64Array | None = None,
     confidence_1km: Float64Array | None = None,
-) -> tuple[Candidate, ...]:
+) -> tuple[Pose, ...]:
     """Return poses, best first, as candidates; ``frame`` is that of their eastings and northings.
 
     The confidences (M,) are the probabilities that each is right within 200 m, and within 1 km.
@@ -353,7 +353,7 @@ def candidates_of(
     lon, lat = frame.to_lonlat(**place)
     convergence_deg = frame.convergence_deg(**place)
     heading_deg = (poses.heading_deg + convergence_deg) % 360.0
-    columns = {f.name: getattr(poses, f.name).tolist() for f in fields(Hypotheses)} | {
+    columns = {f.name: getattr(poses, f.name).tolist() for f in fields(Poses)} | {
         "lon": lon.tolist(),
         "lat": lat.tolist(),
         "heading_deg": heading_deg.tolist(),
@@ -371,4 +371,4 @@ def candidates_of(
         columns["refined"] = [True] * len(poses)
         columns["wander"] = [tuple(row) for row in poses.wander.tolist()]
     rows = zip(*columns.values(), strict=True)
-    return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)
+    return tuple(Pose(**dict(zip(columns, row, strict=True))) for row in rows)

@@ -1,6 +1,6 @@
 """The view of a camera at a given pose: the rendered skyline and summits in its photo.
 
-A pose is a `Candidate`; a picture has the size and the projection of a query. Azimuths are grid
+A pose is a `Pose`; a picture has the size and the projection of a query. Azimuths are grid
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
 """
 
@@ -24,8 +24,8 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
-from skyline.photo.skyline import QuerySkyline, distorted, undistorted, wandered
-from skyline.pose import Candidate
+from skyline.photo.skyline import PhotoSkyline, distorted, undistorted, wandered
+from skyline.pose import Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
@@ -53,7 +53,7 @@ is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
 
 
 def pixels_of(
-    pose: Candidate, query: QuerySkyline, azimuth_deg: ArrayLike, elevation_tan: ArrayLike
+    pose: Pose, query: PhotoSkyline, azimuth_deg: ArrayLike, elevation_tan: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
     """Return the columns and rows at which directions appear; NaN for those not in front."""
     turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
@@ -71,7 +71,7 @@ def pixels_of(
 
 
 def directions_of(
-    pose: Candidate, query: QuerySkyline, column_px: ArrayLike, row_px: ArrayLike
+    pose: Pose, query: PhotoSkyline, column_px: ArrayLike, row_px: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
     """Return grid azimuths and elevations of pixels; the inverse of `pixels_of`."""
     across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / query.width_px - 1.0
@@ -130,7 +130,7 @@ class SeenPeak(Sighting):
     row_px: float
 
 
-def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
+def sight_of(pose: Pose, query: PhotoSkyline, views: Views) -> Sight:
     """Return the skyline of rendered views in the query's picture.
 
     Parameters
@@ -156,7 +156,7 @@ def sight_of(pose: Candidate, query: QuerySkyline, views: Views) -> Sight:
 
 
 def peaks_in_picture(
-    pose: Candidate, query: QuerySkyline, sightings: Sequence[Sighting]
+    pose: Pose, query: PhotoSkyline, sightings: Sequence[Sighting]
 ) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
     azimuth_deg = [one.azimuth_deg for one in sightings]
@@ -190,7 +190,7 @@ class PixelPlaces:
     elevation_m: Float32Array
     step: int = 1
 
-    def save(self, path: str | Path, pose: Candidate) -> None:
+    def save(self, path: str | Path, pose: Pose) -> None:
         """Write the places, and the pose from which they are seen.
 
         Parameters
@@ -276,7 +276,7 @@ class Viewer(Releasable):
         roll_deg: float = 0.0,
         fov_deg: float = 60.0,
         eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
-    ) -> Candidate:
+    ) -> Pose:
         """Return the pose of a camera at a place; headings are clockwise from true north.
 
         Within one sample's spacing of a summit of the model the ground has the summit's height, as
@@ -292,7 +292,7 @@ class Viewer(Releasable):
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
         easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])
         convergence_deg = self.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
-        return Candidate(
+        return Pose(
             lon=float(in_turn(lon)),
             lat=lat,
             heading_deg=heading_deg % 360.0,
@@ -306,7 +306,7 @@ class Viewer(Releasable):
             score=math.nan,
         )
 
-    def held(self, pose: Candidate) -> Candidate:
+    def held(self, pose: Pose) -> Pose:
         """Return a pose whose eye is lifted to the least height at which a camera is held.
 
         A view from the ground itself would show nothing but that ground. Every view of a pose is
@@ -314,7 +314,7 @@ class Viewer(Releasable):
         """
         return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
 
-    def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
+    def look(self, pose: Pose, query: PhotoSkyline) -> Sight:
         """Return the skyline rendered at a pose, in pixels of the query's photo.
 
         Raises
@@ -330,7 +330,7 @@ class Viewer(Releasable):
         return sight_of(pose, query, self._views(self._standing(pose), pose))
 
     def places(
-        self, pose: Candidate, query: QuerySkyline, step: int = 1, progress: Progress | None = None
+        self, pose: Pose, query: PhotoSkyline, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
         """Return the places on the terrain that are seen in the pixels of a photo.
 
@@ -339,7 +339,7 @@ class Viewer(Releasable):
 
         Parameters
         ----------
-        query : QuerySkyline
+        query : PhotoSkyline
             Its size and projection count; a skyline is not needed.
         step : int
             Every ``step``-th row and column is computed, beginning with the first.
@@ -386,7 +386,7 @@ class Viewer(Releasable):
             step=step,
         )
 
-    def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
+    def summits(self, pose: Pose, query: PhotoSkyline) -> list[SeenPeak]:
         """Return the summits visible in the photo of a pose, the most prominent first.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
@@ -397,23 +397,23 @@ class Viewer(Releasable):
             self.terrain, peaks_in_picture(pose, query, self._visible(pose))
         )
 
-    def sightings(self, pose: Candidate) -> list[Sighting]:
+    def sightings(self, pose: Pose) -> list[Sighting]:
         """Return all peaks visible from a pose, as `summits`."""
         return most_prominent_first(self.terrain, self._visible(pose))
 
-    def _visible(self, pose: Candidate) -> list[Sighting]:
+    def _visible(self, pose: Pose) -> list[Sighting]:
         if self.peaks is None:
             return []
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
-    def _standing(self, pose: Candidate) -> Viewpoints:
+    def _standing(self, pose: Pose) -> Viewpoints:
         """Return the eye of a pose, as high as a camera is held at least; raises `OffMapError`."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
         return eye
 
-    def _views(self, eye: Viewpoints, pose: Candidate) -> Views:
+    def _views(self, eye: Viewpoints, pose: Pose) -> Views:
         """Render the views in the directions around the photo."""
         away_deg = np.abs(in_turn(90.0 * np.array(HEADINGS) - pose.grid_heading_deg))
         headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)

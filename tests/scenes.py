@@ -9,7 +9,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import Affine, from_origin
 
 from skyline.geodesy import Frame
-from skyline.pose import Candidate, Hypotheses, candidates_of
+from skyline.pose import Pose, Poses, candidates_of
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
@@ -27,10 +27,10 @@ def candidate_at(
     easting_m, northing_m, grid_heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
     *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None,
     confidence_1km=None, frame=FRAME, rank=1,
-) -> Candidate:  # fmt: skip
+) -> Pose:  # fmt: skip
     """Return the candidate of one pose."""
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
-    poses = Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
+    poses = Poses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
     return replace(
         candidates_of(frame, poses)[0], rank=rank, confidence=confidence,
         confidence_1km=confidence_1km, refined=covariance_m2 is not None,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from skyline import Orientation, QuerySkyline
+from skyline import Orientation, PhotoSkyline
 from skyline.geodesy import Rectangle, in_turn
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.exif import NotedPlace
@@ -36,7 +36,7 @@ _BAROMETER_SD_M, _ALTITUDE_SD_M = 90.0, 15.0
 _GEOID_M = 50.0
 """Height of the geoid above the ellipsoid in the Alps."""
 
-_Find = Callable[[QuerySkyline, tuple[float, float]], Orientation]
+_Find = Callable[[PhotoSkyline, tuple[float, float]], Orientation]
 """Orients a skyline at a longitude and a latitude."""
 _Tried = tuple[Truth, Orientation, float]
 """A photo's truth, how it was oriented, and the height of its eye above the ground."""

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 from typer import Option
 
-from skyline import Orientation, Orienter, QuerySkyline, read_dem
+from skyline import Orientation, Orienter, PhotoSkyline, read_dem
 from skyline.arrays import Progress
 from skyline.cli.console import progress_bar
 from skyline.errors import InputError, SkylineError
@@ -310,7 +310,7 @@ def webcam_row(
 
 def _oriented(
     orienter_at: _OrienterAt,
-    query: Path | QuerySkyline,
+    query: Path | PhotoSkyline,
     lonlat: tuple[SupportsFloat, SupportsFloat],
     elevation_m: float | None = None,
     fov_deg: float | None = None,
@@ -320,7 +320,7 @@ def _oriented(
         lon, lat = map(float, lonlat)
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
-        blank, said = QuerySkyline(np.full(1, np.nan), np.zeros(1), 1, 1), str(error)
+        blank, said = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1), str(error)
         if isinstance(query, Path):
             said = said.replace(str(query), query.stem)
         return Orientation(blank, None, refusal=said)

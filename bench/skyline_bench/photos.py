@@ -15,13 +15,13 @@ from pyproj import Geod
 from typer import Argument, Option
 
 from skyline import (
-    Candidate,
     HeightField,
     InputError,
     Matcher,
     MatchResult,
     Narrowing,
-    QuerySkyline,
+    PhotoSkyline,
+    Pose,
     Viewer,
     read_dem,
     read_query,
@@ -69,9 +69,9 @@ class Measured:
 
     photograph: Photograph
     figures: dict[str, Any]  # The row of the table
-    query: QuerySkyline | None = None  # None where no skyline was found
+    query: PhotoSkyline | None = None  # None where no skyline was found
     row_px: Float64Array | None = None  # (W,); the true skyline, where it is known
-    best: Candidate | None = None
+    best: Pose | None = None
     searched: tuple[str, str] | None = None  # The store's name and digest
 
 
@@ -254,7 +254,7 @@ def _extracted(one: Photograph) -> Measured:
     return Measured(one, figures, query, true_px)
 
 
-def count_columns(query: QuerySkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
+def count_columns(query: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
     """Count the columns with a true skyline: those trusted, of these right and far off, and all."""
     known = np.isfinite(true_px)
     off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
@@ -331,7 +331,7 @@ def _stages(
 
 
 def _found_by_truth(
-    one: Photograph, query: QuerySkyline, true_px: Float64Array | None, matcher: Matcher
+    one: Photograph, query: PhotoSkyline, true_px: Float64Array | None, matcher: Matcher
 ) -> bool:
     """Whether the true skyline, as far as it is known, leads to the place."""
     if true_px is None:
@@ -341,9 +341,7 @@ def _found_by_truth(
     return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_M
 
 
-def _fitted(
-    one: Photograph, query: QuerySkyline, matcher: Matcher, viewer: Viewer
-) -> Candidate | None:
+def _fitted(one: Photograph, query: PhotoSkyline, matcher: Matcher, viewer: Viewer) -> Pose | None:
     """Return the pose that the true one becomes; None where it is not known, or does not hold."""
     if one.heading_deg is None:
         return None
@@ -361,12 +359,12 @@ def _fitted(
     return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
 
 
-def _off_m(one: Photograph, place: Candidate, matcher: Matcher) -> float:
+def _off_m(one: Photograph, place: Pose, matcher: Matcher) -> float:
     east, north = matcher.frame.from_lonlat(*one.lonlat)
     return float(np.hypot(place.easting_m - east, place.northing_m - north))
 
 
-def _turn_deg(one: Photograph, place: Candidate) -> float | None:
+def _turn_deg(one: Photograph, place: Pose) -> float | None:
     if one.heading_deg is None:
         return None
     return float(in_turn(place.heading_deg - one.heading_deg))

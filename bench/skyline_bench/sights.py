@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from skyline import Candidate, HeightField, Viewer
+from skyline import HeightField, Pose, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Curvature
 from skyline.peaks import SUMMIT_RADIUS_M, Peaks
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
-Posed = tuple[SyntheticQuery, Candidate | None]
+Posed = tuple[SyntheticQuery, Pose | None]
 """A made photo, and the pose that was found for it; None stands for the true one."""
 
 SUMMITS = 30
@@ -115,7 +115,7 @@ def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dic
     }
 
 
-def _true_pose(viewer: Viewer, truth: Truth) -> Candidate:
+def _true_pose(viewer: Viewer, truth: Truth) -> Pose:
     """Return the true pose of a photo; an eye below the model's ground stands on it."""
     place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
     north_deg = float(viewer.frame.convergence_deg(**place_m))

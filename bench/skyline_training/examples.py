@@ -29,7 +29,7 @@ from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import ALONE_SD
 from skyline.photo.skyline import Lens
-from skyline.pose import SAME_VIEW_DEG, Hypotheses
+from skyline.pose import SAME_VIEW_DEG, Poses
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
@@ -262,7 +262,7 @@ def examples_from(
 
 
 def _example(
-    figures: dict[str, Float64Array], poses: Hypotheses, query: SyntheticQuery, kind: str
+    figures: dict[str, Float64Array], poses: Poses, query: SyntheticQuery, kind: str
 ) -> Example:
     best = int(np.argmin(poses.score))
     off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))

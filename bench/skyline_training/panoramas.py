@@ -13,7 +13,7 @@ from PIL import Image
 
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.photo.skyline import Projection, QuerySkyline
+from skyline.photo.skyline import PhotoSkyline, Projection
 from skyline.photo.trace import write_trace
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import Viewpoints, stand_on
@@ -127,5 +127,5 @@ def _write(photo: TrainingPhoto, stem: Path) -> None:
     Image.fromarray(large).save(stem.with_suffix(".jpg"), quality=88, xmp=xmp)
     row_px = np.repeat(_TIMES * photo.row_px.astype(np.float64) - 0.5, _TIMES)
     known = np.isfinite(row_px).astype(float)
-    query = QuerySkyline(row_px, known, width, height, FOV_DEG, Projection.CYLINDRICAL)
+    query = PhotoSkyline(row_px, known, width, height, FOV_DEG, Projection.CYLINDRICAL)
     write_trace(query, stem.with_suffix(".csv"))

@@ -43,7 +43,7 @@ from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import read_peaks
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.report.files import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.survey.cluster import runner_of
@@ -224,7 +224,7 @@ def _check_files(
 
 def _read_together(
     queries: Sequence[Query],
-) -> tuple[list[tuple[Query, QuerySkyline]], dict[Query, SkylineError]]:
+) -> tuple[list[tuple[Query, PhotoSkyline]], dict[Query, SkylineError]]:
     """Read photos of one place, as `_attempted`; raises `InputError` for fewer than two."""
     skylines, unread = _attempted(queries, Query.read)
     if len(skylines) < 2:
@@ -368,7 +368,7 @@ def _match_each(
 
 
 def _match_together(
-    output: _Output, matching: Matcher, photos: Sequence[tuple[Query, QuerySkyline]]
+    output: _Output, matching: Matcher, photos: Sequence[tuple[Query, PhotoSkyline]]
 ) -> list[MatchResult]:
     """Match photos of one place and print the result; return it photo by photo."""
     with note_if_slow(f"matching {len(photos)} photos together"):

@@ -39,8 +39,8 @@ from skyline.files import STANDARD, csv_lines, on_disk, read_bytes, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
-from skyline.photo.skyline import MOST_DISTORTION, WANDER_DEGREES, Projection, QuerySkyline
-from skyline.pose import Candidate
+from skyline.photo.skyline import MOST_DISTORTION, WANDER_DEGREES, PhotoSkyline, Projection
+from skyline.pose import Pose
 from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.terrain.folders import dem_names
 from skyline.view import PIXEL_FILES, Viewer
@@ -314,7 +314,7 @@ def _pose_numbers(record: dict[str, Any], path: Path) -> dict[str, Any]:
     return given | {"wander": tuple(wander)}
 
 
-def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) -> Candidate:
+def _oriented(photo: Path, query: PhotoSkyline, place: Place, viewer: Viewer) -> Pose:
     """Return the camera's pose at a known place; `InputError` where it cannot be trusted."""
     with orienters(viewer.terrain) as orienter_at:
         held = orienter_at(place).orient(query, name=str(photo))
@@ -328,7 +328,7 @@ def _oriented(photo: Path, query: QuerySkyline, place: Place, viewer: Viewer) ->
     return held.answer
 
 
-def _camera(record: dict[str, Any], viewer: Viewer) -> Candidate:
+def _camera(record: dict[str, Any], viewer: Viewer) -> Pose:
     """Return the pose of a record; without an elevation the eye stands on the ground.
 
     An eye lower than a camera is held is lifted, and a line says so.

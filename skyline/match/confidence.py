@@ -29,18 +29,18 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import FOV_RANGE_DEG, QueryRays, level
+from skyline.camera import FOV_RANGE_DEG, Rays, level
 from skyline.errors import InputError
 from skyline.geodesy import distance_in_words
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
     SAME_VIEW_DEG,
-    Candidate,
-    Hypotheses,
+    Pose,
+    Poses,
     RefinedPoses,
 )
 
@@ -152,9 +152,7 @@ class Logistic:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
-def refined_figures(
-    poses: RefinedPoses, found: Hypotheses, query: QueryRays
-) -> dict[str, Float64Array]:
+def refined_figures(poses: RefinedPoses, found: Poses, query: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
     The skyline of another region can be bent to fit some place well, but seldom resembles that
@@ -180,7 +178,7 @@ def refined_figures(
 
 
 def oriented_figures(
-    poses: RefinedPoses, query: QueryRays, moved_m: Float64Array
+    poses: RefinedPoses, query: Rays, moved_m: Float64Array
 ) -> dict[str, Float64Array]:
     """Return the figures (M,) of poses at a known place, one for each heading, by name.
 
@@ -199,7 +197,7 @@ def oriented_figures(
     }
 
 
-def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
+def pose_figures(poses: RefinedPoses, query: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.fov_deg)) / query.log_scale_sd
@@ -215,10 +213,10 @@ def pose_figures(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     return figures | _warp_figure(poses, query) | _query_figures(query, len(poses))
 
 
-def _warp_figure(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Array]:
+def _warp_figure(poses: RefinedPoses, query: Rays) -> dict[str, Float64Array]:
     """Return the rms (M,) of how poses warp the image, in standard deviations, by its name.
 
-    It is the distortion of a lens, or the wander of a panorama; see `QueryRays.warp_sd`. A lens
+    It is the distortion of a lens, or the wander of a panorama; see `Rays.warp_sd`. A lens
     without distortion has no such figure.
     """
     if not len(query.warp_sd):
@@ -228,7 +226,7 @@ def _warp_figure(poses: RefinedPoses, query: QueryRays) -> dict[str, Float64Arra
     return {"warp_deviations": np.minimum(rms, _MOST_LENS_DEVIATIONS)}
 
 
-def _log_odds(poses: Hypotheses, within_m: float) -> Float64Array:
+def _log_odds(poses: Poses, within_m: float) -> Float64Array:
     """Return the log odds (M,) of the poses near each one that look its way, against all others."""
     weight = _weights(poses)
     own = poses.are_same(within_m, SAME_VIEW_DEG) @ weight
@@ -236,12 +234,12 @@ def _log_odds(poses: Hypotheses, within_m: float) -> Float64Array:
     return np.asarray(np.log(odds))
 
 
-def _weights(poses: Hypotheses) -> Float64Array:
+def _weights(poses: Poses) -> Float64Array:
     """Return the likelihoods (M,) of poses, as shares of the best one's."""
     return np.asarray(np.exp((poses.score.min() - poses.score) / TEMPERATURE))
 
 
-def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
+def retrieved_figures(found: Poses, query: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of retrieved poses by name."""
     margin = _margin_or(found, RIGHT_WITHIN_M, np.zeros(len(found)))
     far_margin = _margin_or(found, ROUGHLY_WITHIN_M, margin)
@@ -265,7 +263,7 @@ def models(file: str = "confidence.json") -> dict[str, Logistic]:
 
 
 def shared_probabilities(
-    learned: Mapping[str, Logistic], poses: Hypotheses, figures: Mapping[str, Float64Array]
+    learned: Mapping[str, Logistic], poses: Poses, figures: Mapping[str, Float64Array]
 ) -> tuple[Float64Array, Float64Array]:
     """Return the probabilities (M,) that refined poses are right within 200 m, and within 1 km.
 
@@ -307,13 +305,13 @@ def probabilities(
     return near, np.maximum(near, roughly)
 
 
-def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
+def _margin_or(found: Poses, least_m: float, otherwise: Float64Array) -> Float64Array:
     """Return the margin (M,) of each pose over rivals, or ``otherwise`` (M,) without any."""
     has_rivals = (found.distances_m() > least_m).any(axis=1)
     return np.where(has_rivals, found.rival_margin(least_m), otherwise)
 
 
-def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
+def _query_figures(query: Rays, count: int) -> dict[str, Float64Array]:
     """Return the figures of the width and of the relief of the query's skyline, and of its lens."""
     azimuth, y = level(query.u, query.v, 0.0, 0.0, query.projection)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
@@ -335,7 +333,7 @@ def _log_margin(margin: Float64Array) -> Float64Array:
     return np.asarray(np.log(np.clip(margin, _MIN_MARGIN, _MAX_MARGIN)))
 
 
-def too_little(query: QuerySkyline) -> str | None:
+def too_little(query: PhotoSkyline) -> str | None:
     """Return the refusal of a query that shows too little skyline; None if it shows enough."""
     widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
     if query.lens is not None and query.lens.most_deg is not None:
@@ -350,7 +348,7 @@ def too_little(query: QuerySkyline) -> str | None:
 
 
 def refusal_of(
-    candidates: Sequence[Candidate], config: MatchConfig, query: QuerySkyline, rays: QueryRays
+    candidates: Sequence[Pose], config: MatchConfig, query: PhotoSkyline, rays: Rays
 ) -> str | None:
     """Return why the best candidate of a search is not the answer; None if it is the answer."""
     refusal = unsure(candidates, config)
@@ -359,7 +357,7 @@ def refusal_of(
     return refusal + fov_hint(candidates[0], query, rays) if candidates else refusal
 
 
-def fov_hint(pose: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
+def fov_hint(pose: Pose, query: PhotoSkyline, rays: Rays) -> str:
     """Return a hint if a pose's field of view is far from the one expected; empty if it is not."""
     if query.fov_deg is None or abs(pose.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
         return ""
@@ -369,7 +367,7 @@ def fov_hint(pose: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
     )
 
 
-def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
+def unsure(candidates: Sequence[Pose], config: MatchConfig) -> str | None:
     """Return the refusal of a best candidate that is not sure enough; None if it is."""
     if not candidates:
         return "no place fits"
@@ -382,7 +380,7 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     )
 
 
-def _of_a_slope(candidates: Sequence[Candidate]) -> str:
+def _of_a_slope(candidates: Sequence[Pose]) -> str:
     """Return a hint if the skyline is a near slope that several candidates show; empty if not."""
     distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
     near = [distance for distance in distances_m if distance < _NEAR_SLOPE_M]
@@ -394,9 +392,7 @@ def _of_a_slope(candidates: Sequence[Candidate]) -> str:
     )
 
 
-def found_again(
-    candidates: Sequence[Candidate], start: Candidate, fitted: Candidate | None
-) -> Candidate | None:
+def found_again(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) -> Pose | None:
     """Return the candidate of a search to which a fit has led; None if it led elsewhere.
 
     The fit leads to the nearest candidate of the same answer, or back to the one that it started
@@ -408,7 +404,7 @@ def found_again(
     answer neither fits better if their odds are less than e to 1.
     """
 
-    def nearest(pose: Candidate) -> Candidate | None:
+    def nearest(pose: Pose) -> Pose | None:
         alike = filter(pose.is_same_answer, candidates)
         return min(alike, key=pose.distance_m, default=None)
 
@@ -429,7 +425,7 @@ def found_again(
     )
 
 
-def misfit(fitted: Candidate, config: MatchConfig, answer: Candidate | None = None) -> str | None:
+def misfit(fitted: Pose, config: MatchConfig, answer: Pose | None = None) -> str | None:
     """Return why a fit away from a search's candidates has failed; None if it has not.
 
     It has failed where the answer of the search fits better, and where poses that fit as badly are
@@ -449,7 +445,7 @@ def misfit(fitted: Candidate, config: MatchConfig, answer: Candidate | None = No
     )
 
 
-def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
+def sure_within_m(candidate: Pose, config: MatchConfig) -> float | None:
     """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
 
     None if it is sure within neither. An answer within 200 m may leave half the doubt that an
@@ -464,7 +460,7 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     return ROUGHLY_WITHIN_M if roughly >= 1.0 - doubt else None
 
 
-def at_bound(best: Candidate, rays: QueryRays) -> str | None:
+def at_bound(best: Pose, rays: Rays) -> str | None:
     """Return the refusal of a field of view that is the least or greatest searched; else None."""
     low_deg, high_deg = rays.fov_bounds_deg
     near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.errors import InputError, SkylineError, StoreError, entry_named, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
@@ -32,8 +32,8 @@ from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, reporting_progress
 from skyline.match.search import BY_RENDERING, FullMatcher
 from skyline.photo.read import Picture, read_query
-from skyline.photo.skyline import QuerySkyline
-from skyline.pose import Candidate, candidates_of
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import Pose, candidates_of
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.header import StoreHeader
@@ -148,7 +148,7 @@ class Matcher(Releasable):
 
     def match(
         self,
-        query: Picture | QuerySkyline,
+        query: Picture | PhotoSkyline,
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
@@ -158,7 +158,7 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or QuerySkyline
+        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
             Horizontal field of view, degrees; by default the query's own.
         top : int
@@ -172,7 +172,7 @@ class Matcher(Releasable):
         Returns
         -------
         MatchResult
-            Its ``answer`` is the `Candidate` with ``lon``, ``lat`` and ``heading_deg`` of the
+            Its ``answer`` is the `Pose` with ``lon``, ``lat`` and ``heading_deg`` of the
             camera, or None with the reason in ``refusal``; ``candidates`` are all places that fit,
             best first. ``to_dict()`` and ``to_dataframe()`` give them as records and as a table.
 
@@ -187,7 +187,7 @@ class Matcher(Releasable):
         started = time.perf_counter()
         _check_top(top)
         name, query = named_skyline(query, fov_deg)
-        candidates: tuple[Candidate, ...] = ()
+        candidates: tuple[Pose, ...] = ()
         refusal = too_little(query)
         if refusal is None:
             rays, prior = self._rays_and_prior(query, narrowing)
@@ -207,7 +207,7 @@ class Matcher(Releasable):
 
     def match_together(
         self,
-        queries: Sequence[Picture | QuerySkyline],
+        queries: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
@@ -221,7 +221,7 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        queries : sequence of path, PIL image, array or QuerySkyline
+        queries : sequence of path, PIL image, array or PhotoSkyline
             Two or more.
         fov_deg, top, report_progress
             See `match`.
@@ -242,7 +242,7 @@ class Matcher(Releasable):
         """
         started = time.perf_counter()
         _check_top(top)
-        if isinstance(queries, str | Path | QuerySkyline | Image):
+        if isinstance(queries, str | Path | PhotoSkyline | Image):
             queries = [queries]
         queries = list(queries)
         if narrowings is None:
@@ -259,7 +259,7 @@ class Matcher(Releasable):
             for number, (_, query) in enumerate(photos)
             if refusals[number] is None
         }
-        found: dict[int, tuple[Candidate, ...]] = {}
+        found: dict[int, tuple[Pose, ...]] = {}
         if len(usable) > 1:
             with reporting_progress(report_progress):
                 together = self._full().rank_together(list(usable.values()), top)
@@ -286,8 +286,8 @@ class Matcher(Releasable):
 
     def fit(
         self,
-        query: QuerySkyline | MatchResult,
-        start: Candidate,
+        query: PhotoSkyline | MatchResult,
+        start: Pose,
         narrowing: Narrowing | None = None,
     ) -> MatchResult:
         """Refine a pose by rendering, as a search refines the poses that it finds.
@@ -303,9 +303,9 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        query : QuerySkyline or MatchResult
+        query : PhotoSkyline or MatchResult
             A skyline, or the result of `match` for it, which has its narrowing.
-        start : Candidate
+        start : Pose
             A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
             from the true one.
         narrowing : Narrowing, optional
@@ -338,9 +338,7 @@ class Matcher(Releasable):
             result = MatchResult(query, (pose,), 0.0, refusal)
         return replace(result, seconds=time.perf_counter() - started, narrowing=None)
 
-    def _fitted(
-        self, query: QuerySkyline, start: Candidate, narrowing: Narrowing | None
-    ) -> Candidate | None:
+    def _fitted(self, query: PhotoSkyline, start: Pose, narrowing: Narrowing | None) -> Pose | None:
         about_start = query.with_fov(start.fov_deg)
         if query.projection.is_panorama and query.fov_deg is None:
             query = about_start  # No search finds a panorama's field of view.
@@ -354,12 +352,12 @@ class Matcher(Releasable):
         return self._ranker
 
     def _rays_and_prior(
-        self, query: QuerySkyline, narrowing: Narrowing | None
-    ) -> tuple[QueryRays, Prior]:
+        self, query: PhotoSkyline, narrowing: Narrowing | None
+    ) -> tuple[Rays, Prior]:
         """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
         is_full = isinstance(self._ranker, FullMatcher)
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = QueryRays.of(query, self._config.fov_slack, finds_fov=is_full)
+        rays = Rays.of(query, self._config.fov_slack, finds_fov=is_full)
         if not is_full:
             if narrowing != Narrowing():
                 raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
@@ -414,8 +412,8 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
 
 
 def named_skyline(
-    query: Picture | QuerySkyline, fov_deg: float | None = None
-) -> tuple[str, QuerySkyline]:
+    query: Picture | PhotoSkyline, fov_deg: float | None = None
+) -> tuple[str, PhotoSkyline]:
     """Return the file of a query, empty for pixels and for a query skyline, and its skyline.
 
     The skyline has the given field of view, or else its own. Raises as `read_query`, and
@@ -424,12 +422,12 @@ def named_skyline(
     if fov_deg is not None:
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"
         (fov_deg,) = numbers_of([fov_deg], 1, error)
-    if isinstance(query, QuerySkyline):
+    if isinstance(query, PhotoSkyline):
         return "", query if fov_deg is None else query.with_fov(fov_deg)
     if not isinstance(query, str | Path | Image | np.ndarray):
         raise InputError(
             f"the query is of type {type(query).__name__}; expected one path, PIL image, array of "
-            "uint8 or QuerySkyline"
+            "uint8 or PhotoSkyline"
         )
     return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
 

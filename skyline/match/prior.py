@@ -22,7 +22,7 @@ from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy import Frame, Rectangle, check_bounds, in_turn
 from skyline.match.screen import turns_within
 from skyline.photo.exif import NotedPlace
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 from skyline.store.places import Places
 from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
@@ -398,7 +398,7 @@ class Prior:
         heading, slack = self.narrowing.heading_deg
         return turns_within(heading, slack + _CONVERGENCE_DEG)
 
-    def contains(self, positions: Places | Hypotheses) -> BoolArray:
+    def contains(self, positions: Places | Poses) -> BoolArray:
         """Return which positions (N,) lie within the circles, the bounds and the elevations."""
         inside = np.ones(len(positions), dtype=bool)
         easting_m, northing_m = positions.easting_m, positions.northing_m
@@ -413,7 +413,7 @@ class Prior:
             inside &= (northing_m >= south) & (northing_m <= north)
         return inside
 
-    def allows(self, poses: Hypotheses) -> BoolArray:
+    def allows(self, poses: Poses) -> BoolArray:
         """Return which poses (M,) the narrowing allows, their headings included."""
         allowed = self.contains(poses)
         if self.narrowing.heading_deg is not None and self.frame is not None:

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import QueryRays, in_runs
+from skyline.camera import Rays, in_runs
 from skyline.match.refine import Refinement
 from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
 from skyline.photo.skyline import MAX_PANORAMA_DEG, Projection
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 
 FISHEYE = "fisheye"
 LEAST_CONFIDENCE = 0.5
@@ -101,14 +101,14 @@ class OtherProjection:
 
 
 def other_projection(
-    query: QueryRays, pose: Hypotheses, refinement_of: Callable[[QueryRays], Refinement]
+    query: Rays, pose: Poses, refinement_of: Callable[[Rays], Refinement]
 ) -> OtherProjection | None:
     """Return the likeliest other projection of a photo; None for a panorama.
 
     Parameters
     ----------
-    query : QueryRays
-    pose : Hypotheses
+    query : Rays
+    pose : Poses
         The photo's best pose: one.
     refinement_of : callable
         Returns the refinement of a photo's rays, with the priors with which the pose was found.
@@ -140,14 +140,14 @@ def _probability(log_odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-bounded))
 
 
-def _columns(query: QueryRays, fov_deg: float) -> QueryRays:
+def _columns(query: Rays, fov_deg: float) -> Rays:
     """Return a photo's rays with a field of view, averaged over columns of equal width."""
     step_rad = 2.0 * np.pi / ROUGH.bins
     count = int(_DENSITY * math.sin(math.radians(fov_deg)) / step_rad)
     return replace(in_runs(query.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
 
 
-def _panorama(columns: QueryRays) -> QueryRays:
+def _panorama(columns: Rays) -> Rays:
     """Return a perspective photo's rays as those of a cylindrical panorama of the same scale."""
     fov_deg = min(math.degrees(2.0 * columns.half_width), MAX_PANORAMA_DEG)
     return replace(
@@ -159,7 +159,7 @@ def _panorama(columns: QueryRays) -> QueryRays:
     )
 
 
-def _fisheye(columns: QueryRays) -> QueryRays:
+def _fisheye(columns: Rays) -> Rays:
     """Return a perspective photo's rays as a fisheye of the same scale has them."""
     shrink = min(1.0, _WIDEST / columns.half_width)
     radius = np.maximum(np.hypot(columns.u, columns.v), 1e-12)
@@ -187,15 +187,13 @@ def _off_axis_rad(radius: Any) -> Any:
     return radius + _FISHEYE_TERM * radius**3
 
 
-def _from(
-    pose: Hypotheses, rays: QueryRays, scales: Float64Array, distortion: Float64Array
-) -> Hypotheses:
+def _from(pose: Poses, rays: Rays, scales: Float64Array, distortion: Float64Array) -> Poses:
     """Return a pose at several scales of rays, from which they are fitted."""
     several = pose[np.zeros(len(scales), dtype=np.intp)]
     return replace(several, fov_deg=rays.fov_at(np.log(scales)), distortion=distortion)
 
 
-def _best_fit(refinement: Refinement, start: Hypotheses) -> Fit:
+def _best_fit(refinement: Refinement, start: Poses) -> Fit:
     """Return the best fit that a move with rough errors and one with fine errors reach."""
     particles = refinement.started(refinement.rough, start)
     particles = refinement.moved(refinement.rough, particles)

@@ -1,6 +1,6 @@
 """Refinement of one query, or of several of one eye, by repeated rendering.
 
-Hypotheses move to where the rendering fits the query.
+Poses move to where the rendering fits the query.
 
 Each round renders all remaining hypotheses in one call. A rendering holds the distance of every
 skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.geodesy import in_turn
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.screen import report_progress
@@ -45,7 +45,7 @@ from skyline.pose import (
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
     SAME_VIEW_DEG,
-    Hypotheses,
+    Poses,
     RefinedPoses,
 )
 from skyline.render.horizon import RenderedScene
@@ -96,11 +96,11 @@ class Effort:
     """The number of hypotheses that a refinement follows, and of the rounds for which it does."""
 
     shortlist: int
-    """Hypotheses taken, the best by their scores."""
+    """Poses taken, the best by their scores."""
     particles: int
-    """Hypotheses that are moved, the best by one coarse rendering each."""
+    """Poses that are moved, the best by one coarse rendering each."""
     likeliest: int
-    """Hypotheses that are moved besides, the best by their scores."""
+    """Poses that are moved besides, the best by their scores."""
     rounds: int
     """Renderings of a hypothesis that is kept, before the last rounds."""
     keep_share: float
@@ -162,7 +162,7 @@ class Refinement:
 
     def __init__(
         self,
-        query: QueryRays,
+        query: Rays,
         scene: RenderedScene,
         effort: Effort,
         prior: Prior = NOTHING_KNOWN,
@@ -183,7 +183,7 @@ class Refinement:
         self._expected += effort.shortlist > effort.particles
         self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
 
-    def run(self, hypotheses: Hypotheses) -> RefinedPoses:
+    def run(self, hypotheses: Poses) -> RefinedPoses:
         """Return distinct poses that fit, best first; none where none fits.
 
         Eyes stand above the ground and never leave the map: a step off the map, or onto a hole, is
@@ -216,7 +216,7 @@ class Refinement:
             particles = self.moved(self.fine, particles)
         return self.poses(self.distinct(particles, effort.finalists))
 
-    def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
+    def started(self, solver: Solver, hypotheses: Poses) -> Particles:
         """Return particles at hypotheses, their attitudes solved from there."""
         place_m = hypotheses.easting_m + 1j * hypotheses.northing_m
         fit = solver.start(hypotheses)
@@ -320,7 +320,7 @@ class Refinement:
         standing = self.hypotheses(particles)
         return particles[_best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
-    def hypotheses(self, particles: Particles) -> Hypotheses:
+    def hypotheses(self, particles: Particles) -> Poses:
         """Return the poses of particles; the scores are their costs."""
         return self.rough.hypotheses(particles.curves, particles.fit)
 
@@ -383,7 +383,7 @@ class JointRefinement:
         self._least = np.full(len(refinements), np.inf)
 
     def run(
-        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
+        self, found: Sequence[Poses], alone: Sequence[Poses]
     ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
         """Return the M places where the N queries fit together, best first, and which agree there.
 
@@ -483,7 +483,7 @@ def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
     at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
     none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
     fov_deg = none + solo.scout.query.fov_deg
-    every = Hypotheses(at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none)
+    every = Poses(at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none)
     seen = solo.started(solo.scout, every)
     cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
     best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
@@ -507,7 +507,7 @@ def _share(off: Float64Array) -> Float64Array:
     return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
 
 
-def _spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
+def _spread(hypotheses: Poses, covariance_m2: Float64Array) -> Float64Array:
     """Return the place's covariance (M, 2, 2) about each pose, over all poses of the same answer.
 
     ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
@@ -522,7 +522,7 @@ def _spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array
     return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def _best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -> IntArray:
+def _best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
     """Return the indices of the best distinct poses and of the best one's rivals, best first."""
     chosen = standing.suppress_non_maxima(count, _SEPARATION_M, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]

@@ -13,8 +13,8 @@ from skyline.errors import InputError, library, printable
 from skyline.geodesy import distance_in_words, in_turn
 from skyline.match.prior import Narrowing
 from skyline.photo.exif import NOTHING_NOTED
-from skyline.photo.skyline import QuerySkyline
-from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Candidate
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Pose
 
 if TYPE_CHECKING:
     from skyline.orientation import Orientation
@@ -44,9 +44,9 @@ class MatchResult:
 
     Attributes
     ----------
-    query : QuerySkyline
+    query : PhotoSkyline
         The skyline that was matched.
-    candidates : tuple of Candidate
+    candidates : tuple of Pose
         Best first.
     seconds : float
         From the query to the candidates.
@@ -56,15 +56,15 @@ class MatchResult:
         Distance within which the answer is sure to be right: 200 m, or 1 km where only that is
         sure. None without an answer, and for matchers without a confidence.
     name : str
-        The query's file, as it was given to the matcher; empty for a `QuerySkyline`.
+        The query's file, as it was given to the matcher; empty for a `PhotoSkyline`.
     id : str
         The ``id`` or ``name`` that a list of queries gives it; else empty.
     narrowing : Narrowing or None
         What was known about the pose in a search of this query alone; None where there was none.
     """
 
-    query: QuerySkyline
-    candidates: tuple[Candidate, ...]
+    query: PhotoSkyline
+    candidates: tuple[Pose, ...]
     seconds: float
     refusal: str | None = None
     within_m: float | None = None
@@ -73,12 +73,12 @@ class MatchResult:
     narrowing: Narrowing | None = None
 
     @property
-    def best(self) -> Candidate | None:
+    def best(self) -> Pose | None:
         """The best candidate, whether it is the answer or not; None without candidates."""
         return self.candidates[0] if self.candidates else None
 
     @property
-    def answer(self) -> Candidate | None:
+    def answer(self) -> Pose | None:
         """The best candidate, if it is sure enough to be the answer."""
         return None if self.refusal else self.best
 
@@ -120,7 +120,7 @@ class MatchResult:
             residual = best.residual_in_words
             return f"{best.origin.capitalize()}: {place}{residual and f'; {residual}'}."
         if best.rank > 1:
-            return f"Candidate {best.rank}, chosen by a person: {place}."
+            return f"Pose {best.rank}, chosen by a person: {place}."
         if self.refusal:
             return f"Not answered: {refusal} ({place})."
         return f"Taken at {place}{'' if best.refined else ' (not refined by rendering)'}."
@@ -305,12 +305,12 @@ class JointResult:
         return next((one for one in self.results if one.candidates), None)
 
     @property
-    def places(self) -> tuple[Candidate, ...]:
+    def places(self) -> tuple[Pose, ...]:
         """The places, best first, with the camera of the first query that agrees."""
         return () if self.first is None else self.first.candidates
 
     @property
-    def answer(self) -> Candidate | None:
+    def answer(self) -> Pose | None:
         """The best place, if it is sure enough to be the answer; the camera as in `places`."""
         return self.places[0] if self.places and not self.refusal else None
 
@@ -408,7 +408,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     -------
     geopandas.GeoDataFrame
         Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
-        best), ``is_answer`` (whether it is the answer) and the fields of `Candidate`; of the
+        best), ``is_answer`` (whether it is the answer) and the fields of `Pose`; of the
         covariance three columns, which files can hold. Unknown values are missing.
 
     Raises
@@ -417,7 +417,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
         GeoPandas is not installed.
     """
     geopandas = library("geopandas", "a GeoDataFrame")
-    names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
+    names = [n for n in Pose.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
     columns: dict[str, list[Any]] = {
         name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
     }
@@ -432,29 +432,29 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
 
 
-def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
+def _confidence_within(one: Pose, within_m: float | None) -> float | None:
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
-def _place(one: Candidate) -> str:
+def _place(one: Pose) -> str:
     within = "" if one.radius_m is None else f"  within {one.radius_m:.0f} m (68 %)"
     return f"lat {one.lat:.5f} lon {one.lon:.5f}{within}"
 
 
-def _view(one: Candidate) -> str:
+def _view(one: Pose) -> str:
     return (
         f"heading {one.heading_deg:.1f} from true north  pitch {one.pitch_deg:.1f}  fov "
         f"{one.fov_deg:.1f}"
     )
 
 
-def _quality(one: Candidate) -> str:
+def _quality(one: Pose) -> str:
     if one.confidence is None:
         return f"score {one.score:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 
-def _skyline_svg(query: QuerySkyline) -> str:
+def _skyline_svg(query: PhotoSkyline) -> str:
     runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
     lines = "".join(
         "M" + " ".join(f"{col},{query.row_px[col]:.1f}" for col in range(start, stop))

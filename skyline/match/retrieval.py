@@ -27,11 +27,11 @@ from functools import cached_property
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Rows
-from skyline.camera import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
+from skyline.camera import REFERENCE_FOV_DEG, Rays, in_runs, level_axes
 from skyline.errors import InputError
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.screen import Screen, report_progress, screen_places
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
 from skyline.terrain.heightfield import Ground, ground_slope
@@ -66,8 +66,8 @@ _UNLIKELY = 0.25
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH, _WANDER = range(7)
 """Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
-`QueryRays.log_scale` of the field of view; metres east and north of the stored place. The columns
-from `_WANDER` on are those of a panorama's `QueryRays.wander`, and there are none for a lens."""
+`Rays.log_scale` of the field of view; metres east and north of the stored place. The columns
+from `_WANDER` on are those of a panorama's `Rays.wander`, and there are none for a lens."""
 _MOVE = slice(_EAST, _WANDER)
 _DAMPING = np.float32(1e-3)
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
@@ -119,7 +119,7 @@ class Retriever:
             "a store of that area" + next(filter(None, hints), "")
         )
 
-    def shortlist(self, query: QueryRays, count: int, prior: Prior = NOTHING_KNOWN) -> Hypotheses:
+    def shortlist(self, query: Rays, count: int, prior: Prior = NOTHING_KNOWN) -> Poses:
         """Return up to ``count`` poses that a query is most likely to have, best first.
 
         Poses may lie between the places. Scores compare poses of one query only. Raises
@@ -134,7 +134,7 @@ class Retriever:
         fitted = fitted[prior.allows(fitted)]
         return fitted[fitted.suppress_non_maxima(count, _SEPARATION_M, _TURN_DEG)]
 
-    def fitted_all_round(self, query: QueryRays) -> Hypotheses:
+    def fitted_all_round(self, query: Rays) -> Poses:
         """Return poses fitted to a query at every place, from headings all the way round.
 
         The places are few, since none is screened out.
@@ -148,9 +148,7 @@ class Retriever:
         start = _Start(places[row.ravel()], none, heading.ravel(), zoom.ravel())
         return self._fitted([query], [start])[0]
 
-    def shortlist_together(
-        self, queries: Sequence[tuple[QueryRays, Prior]], count: int
-    ) -> list[Hypotheses]:
+    def shortlist_together(self, queries: Sequence[tuple[Rays, Prior]], count: int) -> list[Poses]:
         """Return up to ``count`` places that queries of one eye most likely share, best first.
 
         The result holds the poses of each query at the same places, in the same order. A place lies
@@ -183,7 +181,7 @@ class Retriever:
         chosen = joint[0].suppress_non_maxima(count, _SEPARATION_M)
         return [one[chosen] for one in joint]
 
-    def _screen(self, query: QueryRays, prior: Prior) -> Screen:
+    def _screen(self, query: Rays, prior: Prior) -> Screen:
         """Return the screen that finds places: of few, likely fields of view."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
         low, high = np.clip(query.log_scale_bounds, -likely, likely)
@@ -194,7 +192,7 @@ class Retriever:
 
     def _start(
         self,
-        query: QueryRays,
+        query: Rays,
         prior: Prior,
         places: Places,
         score: Float32Array,
@@ -221,7 +219,7 @@ class Retriever:
         row = best // turns
         return _Start(places[row], score[row], np.radians(heading_deg[best]), zooms[fov[best]])
 
-    def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
+    def _fitted(self, queries: Sequence[Rays], starts: Sequence["_Start"]) -> list[Poses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""
         rough = [
             self._fits(query, start, *_ROUGH_FIT)
@@ -234,11 +232,11 @@ class Retriever:
         ]
 
     def _fits(
-        self, query: QueryRays, start: "_Start", runs: int, scales_deg: tuple[float, ...]
-    ) -> Hypotheses:
+        self, query: Rays, start: "_Start", runs: int, scales_deg: tuple[float, ...]
+    ) -> Poses:
         rays = in_runs(query, runs)
 
-        def fitted(first: int) -> Hypotheses:
+        def fitted(first: int) -> Poses:
             part = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = part.places, np.zeros((len(part), 2), dtype=np.float32)
             if self._ground is not None:
@@ -261,7 +259,7 @@ class Retriever:
                 # The progress callback may end the match: fits that have not begun are dropped.
                 pool.shutdown(cancel_futures=True)
                 raise
-        return Hypotheses.concatenate(found)
+        return Poses.concatenate(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,14 +272,14 @@ class _Start(Rows):
     zoom: Float64Array
 
 
-def _total(found: Sequence[Hypotheses]) -> Float64Array:
+def _total(found: Sequence[Poses]) -> Float64Array:
     """Return the sum of queries' scores at the same places, none worse than its median."""
     if len(found) == 1:
         return found[0].score
     return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
 
 
-def _zooms(query: QueryRays, low: float, high: float, step: float) -> Float64Array:
+def _zooms(query: Rays, low: float, high: float, step: float) -> Float64Array:
     """Return the middles of equal parts of a range of zooms, as few as are no wider than a step.
 
     The step of a wide panorama is shorter: its ends move as far as those of a lens.
@@ -292,7 +290,7 @@ def _zooms(query: QueryRays, low: float, high: float, step: float) -> Float64Arr
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
-def _start_zooms(query: QueryRays) -> Float64Array:
+def _start_zooms(query: Rays) -> Float64Array:
     """Return the zooms that fits start from."""
     return _zooms(query, *query.log_scale_bounds, _START_ZOOM_STEP)
 
@@ -308,15 +306,13 @@ class CurveFit:
     places : Places
     ground_slope : (M, 2) float32
         Rise of the ground to the east and to the north.
-    rays : QueryRays
+    rays : Rays
         R means of runs of the query's rays; see `skyline.camera.in_runs`.
     runs : int
         Number of runs within 60 degrees.
     """
 
-    def __init__(
-        self, places: Places, ground_slope: Float32Array, rays: QueryRays, runs: int
-    ) -> None:
+    def __init__(self, places: Places, ground_slope: Float32Array, rays: Rays, runs: int) -> None:
         self._places, self._ground_slope, self._rays, self._runs = places, ground_slope, rays, runs
         self._y = places.elevation_tan()
         nearness = 1.0 / places.distance_m()
@@ -327,7 +323,7 @@ class CurveFit:
 
     def fit(
         self, heading_rad: Float64Array, zoom: Float64Array, scales_deg: tuple[float, ...]
-    ) -> Hypotheses:
+    ) -> Poses:
         """Return the poses fitted from headings and zooms (M,).
 
         A score is the mean over rays of the misses, in expected errors, and what the priors add.
@@ -349,7 +345,7 @@ class CurveFit:
         score = self._score(pose, miss, known)
         heading, pitch, roll, zoom = pose[:, :_EAST].T.astype(np.float64)
         move = pose[:, _MOVE].astype(np.float64)
-        return Hypotheses(
+        return Poses(
             self._places.easting_m + move[:, 0],
             self._places.northing_m + move[:, 1],
             self._places.eye_elevation_m + (self._ground_slope * move).sum(axis=1),

@@ -40,7 +40,7 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
-from skyline.camera import QueryRays, on_bins
+from skyline.camera import Rays, on_bins
 from skyline.geodesy import in_turn
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource
@@ -115,7 +115,7 @@ class Screen:
 
     Parameters
     ----------
-    query : QueryRays
+    query : Rays
     fovs_deg : (F,) float64
     sample : Places
     open_turns : (B,) bool, optional
@@ -126,7 +126,7 @@ class Screen:
 
     def __init__(
         self,
-        query: QueryRays,
+        query: Rays,
         fovs_deg: Float64Array,
         sample: Places,
         open_turns: BoolArray | None = None,
@@ -228,7 +228,7 @@ def _at_turns(waves: Complex128Array) -> Float32Array:
     return matrices.reshape(kinds, 2 * bins, -1)
 
 
-def query_waves(query: QueryRays) -> Complex128Array:
+def query_waves(query: Rays) -> Complex128Array:
     """Return weight * exp(i phase) (B,) of a level query's rises; 0 where it sees nothing.
 
     Bin B / 2 is straight ahead.

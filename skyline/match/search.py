@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match import confidence, projections
@@ -20,8 +20,8 @@ from skyline.match.projections import OtherProjection
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.pose import (
-    Candidate,
-    Hypotheses,
+    Pose,
+    Poses,
     RefinedPoses,
     candidates_of,
     hypothesis_of,
@@ -88,7 +88,7 @@ class FullMatcher:
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
-    def rank(self, query: QueryRays, top: int, prior: Prior) -> tuple[Candidate, ...]:
+    def rank(self, query: Rays, top: int, prior: Prior) -> tuple[Pose, ...]:
         """Return up to ``top`` candidates, best first, none where nothing fits.
 
         Raises `InputError` where the search is narrowed to no place.
@@ -111,7 +111,7 @@ class FullMatcher:
         return candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
 
     @one_blas_thread()
-    def found(self, query: QueryRays, prior: Prior) -> tuple[Hypotheses, RefinedPoses | None]:
+    def found(self, query: Rays, prior: Prior) -> tuple[Poses, RefinedPoses | None]:
         """Return the poses retrieved for a query, and the refined ones; None without a scene.
 
         A quick refinement comes first, and is enough where one place fits far better than any
@@ -128,9 +128,7 @@ class FullMatcher:
         return found, poses
 
     @one_blas_thread()
-    def other_projection(
-        self, query: QueryRays, best: Candidate, prior: Prior
-    ) -> OtherProjection | None:
+    def other_projection(self, query: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
         """Return the likeliest other projection of a photo, as its best candidate shows it.
 
         None for a panorama, and for a candidate that is not refined or more likely wrong.
@@ -144,9 +142,7 @@ class FullMatcher:
         )
 
     @one_blas_thread()
-    def fitted(
-        self, query: QueryRays, start: Candidate, prior: Prior, about_start: QueryRays
-    ) -> Candidate | None:
+    def fitted(self, query: Rays, start: Pose, prior: Prior, about_start: Rays) -> Pose | None:
         """Return a pose refined by rendering; None where nothing near it fits.
 
         A start farther off is fitted with ``about_start``, the query's rays about the start's field
@@ -172,8 +168,8 @@ class FullMatcher:
 
     @one_blas_thread()
     def rank_together(
-        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
-    ) -> list[tuple[Candidate, ...]]:
+        self, queries: Sequence[tuple[Rays, Prior]], top: int
+    ) -> list[tuple[Pose, ...]]:
         """Return up to ``top`` places of queries of one eye, as each query's candidates there.
 
         A query that was likely taken at another place has none. A place lies within the narrowings
@@ -222,7 +218,7 @@ class FullMatcher:
             raise InputError(BY_RENDERING)
         return self._scene
 
-    def _with_noted(self, found: Hypotheses, query: QueryRays, prior: Prior) -> Hypotheses:
+    def _with_noted(self, found: Poses, query: Rays, prior: Prior) -> Poses:
         """Return retrieved poses with those around the place that the photo's EXIF notes.
 
         The best of these gets the score of the best pose of all; refinement then compares them.
@@ -237,12 +233,12 @@ class FullMatcher:
         if not len(near):
             return found
         raised = near.score - near.score.min() + found.score.min()
-        return Hypotheses.concatenate([found, replace(near, score=raised)])
+        return Poses.concatenate([found, replace(near, score=raised)])
 
 
 def _with_one_noted_place(
-    queries: Sequence[tuple[QueryRays, Prior]],
-) -> list[tuple[QueryRays, Prior]]:
+    queries: Sequence[tuple[Rays, Prior]],
+) -> list[tuple[Rays, Prior]]:
     """Return queries with the most precise noted place alone.
 
     The positions of photos from one phone share their error, so they are not independent.

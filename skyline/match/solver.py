@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import QueryRays, level_with_changes, thinned
+from skyline.camera import Rays, level_with_changes, thinned
 from skyline.match.likelihood import (
     ABOVE_SHARE,
     BELOW_SHARE,
@@ -31,13 +31,13 @@ from skyline.match.likelihood import (
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.photo.skyline import MOST_DISTORTION
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 from skyline.terrain.sightlines import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
 """Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,
-radians; `QueryRays.log_scale` of the field of view. The columns from `WARP` on are the warps of the
-image, see `QueryRays.warp_sd`."""
+radians; `Rays.log_scale` of the field of view. The columns from `WARP` on are the warps of the
+image, see `Rays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error, from which the most likely is chosen."""
@@ -205,7 +205,7 @@ class Solver:
 
     def __init__(
         self,
-        query: QueryRays,
+        query: Rays,
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
@@ -239,7 +239,7 @@ class Solver:
         off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
         self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
 
-    def start(self, hypotheses: Hypotheses) -> Fit:
+    def start(self, hypotheses: Poses) -> Fit:
         """Return hypotheses as states without a cost, with the largest errors."""
         count = len(hypotheses)
         state = np.zeros((count, self.size))
@@ -262,11 +262,11 @@ class Solver:
         state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
         return replace(fit, state=state)
 
-    def hypotheses(self, curves: Curves, fit: Fit) -> Hypotheses:
+    def hypotheses(self, curves: Curves, fit: Fit) -> Poses:
         """Return fits as poses of the eyes (M,) of curves; the score is the cost."""
         # A lens has one warp or none; those of a panorama are in `wander`.
         distortion = fit.state[:, WARP : WARP if self.query.is_panorama else None]
-        return Hypotheses(
+        return Poses(
             curves.place_m.real,
             curves.place_m.imag,
             curves.ground_m + fit.state[:, EYE_HEIGHT],
@@ -279,7 +279,7 @@ class Solver:
         )
 
     def wander(self, fit: Fit) -> Float64Array:
-        """Return how the rows of a panorama wander, as in `Candidate`, (M, 4); (M, 0) for a lens.
+        """Return how the rows of a panorama wander, as in `Pose`, (M, 4); (M, 0) for a lens.
 
         It is that of the field of view of each fit.
         """

@@ -32,8 +32,8 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.camera import QueryRays, on_bins
-from skyline.pose import Hypotheses
+from skyline.camera import Rays, on_bins
+from skyline.pose import Poses
 from skyline.skylines import (
     DEFAULT_WIDTH,
     FLAG_NO_DATA,
@@ -105,9 +105,9 @@ class Profiles:
         pitch_deg: Float64Array,
         roll_deg: Float64Array,
         fov_deg: float,
-    ) -> Hypotheses:
+    ) -> Poses:
         """Return one pose at each location, of scores and angles (L,)."""
-        return Hypotheses(
+        return Poses(
             self.eyes.easting_m,
             self.eyes.northing_m,
             self.eyes.eye_elevation_m,
@@ -154,7 +154,7 @@ class Profiles:
         return cls(standing, joined, key % bins, start)
 
 
-def at_pitches(query: QueryRays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
+def at_pitches(query: Rays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
     """Return each pitch that matchers of renderings assume, with y and weight as of `on_bins`."""
     return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
 
@@ -178,7 +178,7 @@ class ProfileMatcher(ABC):
         """Return the eyes of the profiles."""
         return self.profiles.eyes
 
-    def rank(self, query: QueryRays, top: int) -> Hypotheses:
+    def rank(self, query: Rays, top: int) -> Poses:
         """Return up to ``top`` poses, best first, at most one a location.
 
         Locations where nothing fits are left out. Of equal scores the location that comes first in
@@ -188,7 +188,7 @@ class ProfileMatcher(ABC):
         return poses[poses.suppress_non_maxima(top, 0.0)]
 
     @abstractmethod
-    def fit(self, query: QueryRays) -> Hypotheses:
+    def fit(self, query: Rays) -> Poses:
         """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
         `at_pitches` levels the query at the assumed pitches and puts it on the profiles' bins. The
@@ -203,7 +203,7 @@ class CorrelationMatcher(ProfileMatcher):
     time, and take several times the memory of the profiles.
     """
 
-    def fit(self, query: QueryRays) -> Hypotheses:
+    def fit(self, query: Rays) -> Poses:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
         pitches = at_pitches(query, profiles.bins)

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, IntArray
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.paper.correlation import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
 from skyline.paper.curves import (
     MIN_OVERLAP,
@@ -39,7 +39,7 @@ from skyline.paper.curves import (
     plausible,
     ransac_maps,
 )
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 
 _CHUNK = 64
 """Locations compared at a time."""
@@ -73,7 +73,7 @@ class PaperMatcher(ProfileMatcher):
         self._thinned_px = (thinned - thinned.mean(axis=1, keepdims=True)) / TANGENT_PER_PX
         self._is_known = np.asarray(np.isfinite(profiles.y).reshape(shape).all(axis=2))
 
-    def fit(self, query: QueryRays) -> Hypotheses:
+    def fit(self, query: Rays) -> Poses:
         """Return the best pose at every location; score in px, infinite where nothing fits.
 
         A location that is not on the shortlist has no fit.
@@ -89,7 +89,7 @@ class PaperMatcher(ProfileMatcher):
         score, heading_deg, pitch_deg, roll_deg = fits
         return self.profiles.poses(score, heading_deg, pitch_deg, roll_deg, query.fov_deg)
 
-    def _listed(self, query: QueryRays) -> list[IntArray]:
+    def _listed(self, query: Rays) -> list[IntArray]:
         """Return the locations on the shortlist, ascending, for each assumed pitch."""
         pitches = at_pitches(query, self._thinned_px.shape[1])
         curves = [_projected(y, weight) for _, y, weight in pitches]

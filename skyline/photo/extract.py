@@ -22,7 +22,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 
 _MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
@@ -99,7 +99,7 @@ _APART_SHARE = 0.03
 _network_lock = Lock()
 
 
-def extract_skyline(image: UInt8Array) -> QuerySkyline:
+def extract_skyline(image: UInt8Array) -> PhotoSkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB.
 
     Uniform borders and caption bars are cut off. Columns whose skyline is unclear, on the photo's
@@ -136,7 +136,7 @@ class Content:
 
     def skyline(
         self, row_px: Float64Array, confidence: Float64Array, crests: Float64Array | None = None
-    ) -> QuerySkyline:
+    ) -> PhotoSkyline:
         """Return the skyline of the image from the rows (w,) and crests (3, w) of its photo.
 
         Columns without a row (NaN) and columns beside the photo are masked.
@@ -149,7 +149,7 @@ class Content:
         if crests is not None:
             whole = np.full((_CRESTS, self.width), np.nan)
             whole[:, inside] = crests + self.top
-        return QuerySkyline(rows, confidences, self.width, self.height, crests=whole)
+        return PhotoSkyline(rows, confidences, self.width, self.height, crests=whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +218,7 @@ class Extraction:
         row_px, confidence = on_photo(photo, evidence, path)
         return cls(content, photo, evidence, path, row_px, confidence)
 
-    def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
+    def query(self, row_px: Float64Array, confidence: Float64Array) -> PhotoSkyline:
         """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
         trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
         scale = len(self.evidence.cost) / len(self.photo)

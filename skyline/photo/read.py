@@ -36,7 +36,7 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
-from skyline.photo.skyline import Lens, Projection, QuerySkyline, check_of_image
+from skyline.photo.skyline import Lens, PhotoSkyline, Projection, check_of_image
 from skyline.photo.trace import read_trace
 from skyline.photo.xmp import xmp_of
 
@@ -98,13 +98,13 @@ class Photo:
     lens: Lens | None = None
 
     @property
-    def blank(self) -> QuerySkyline:
+    def blank(self) -> PhotoSkyline:
         """The photo as a query without a skyline, which is enough to see what a pose shows."""
         height, width = self.rgb.shape[:2]
         unknown = np.full(width, np.nan)
-        return self.described(QuerySkyline(unknown, np.zeros(width), width, height))
+        return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
 
-    def described(self, query: QuerySkyline) -> QuerySkyline:
+    def described(self, query: PhotoSkyline) -> PhotoSkyline:
         """Return a skyline of this photo with the file's notes on the camera."""
         return replace(
             query,
@@ -121,7 +121,7 @@ def read_query(
     *,
     projection: Projection | None = None,
     sky_model: Any = None,
-) -> QuerySkyline:
+) -> PhotoSkyline:
     """Read a query: a trace (``.csv``), a sky mask (nearly black and white), else a photo.
 
     Parameters
@@ -153,7 +153,7 @@ def extract_photo(
     *,
     projection: Projection | None = None,
     sky_model: Any = None,
-) -> tuple[UInt8Array, QuerySkyline]:
+) -> tuple[UInt8Array, PhotoSkyline]:
     """Read a photo or a sky mask and find its skyline, as `read_query`.
 
     The first item is the pixels, (H, W, 3) uint8 RGB, upright.
@@ -296,7 +296,7 @@ def read_picture(path: str | Path) -> UInt8Array | None:
     return None if is_sky_mask(image) else image
 
 
-def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
+def write_overlay(photo: UInt8Array, query: PhotoSkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
     Other crests that may be the skyline are drawn in another colour. Raises `InputError` if the

@@ -16,7 +16,7 @@ import numpy as np
 from skyline.arrays import Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError, library
 from skyline.photo.extract import content_of
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 
 _NEARLY = 24
 """Levels within which a pixel counts as black or white: masks saved as JPEG ring."""
@@ -56,7 +56,7 @@ def load_sky_model(path: str | Path) -> Any:
         raise InputError(f"{path} is not a model that can be run ({_line(error)})") from error
 
 
-def model_skyline(image: UInt8Array, session: Any) -> QuerySkyline:
+def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
     A column's skyline is its topmost crossing of one half; its confidence is the fall of the
@@ -145,7 +145,7 @@ def is_sky_mask(image: UInt8Array) -> bool:
     return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE and changes <= _MOST_CHANGES
 
 
-def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
+def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
     """Return the border above each column's topmost ground; NaN if it has no sky above ground.
 
     A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
@@ -174,7 +174,7 @@ def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
             "no skyline found: the picture is black and white alone, as a sky mask is, and has "
             f"{found}; expected white for the sky, black for the ground, and no frame"
         )
-    return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
+    return PhotoSkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
 
 
 def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:

@@ -141,7 +141,7 @@ class Lens:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QuerySkyline:
+class PhotoSkyline:
     """The skyline of one photo, one row per column; pixel centres are at whole numbers.
 
     Attributes
@@ -210,7 +210,7 @@ class QuerySkyline:
     def __repr__(self) -> str:
         lens = "unknown" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
         return (
-            f"QuerySkyline({self.width_px} x {self.height_px} px; columns trusted: "
+            f"PhotoSkyline({self.width_px} x {self.height_px} px; columns trusted: "
             f"{100.0 * self.trusted.mean():.0f} %; field of view: {lens})"
         )
 
@@ -231,7 +231,7 @@ class QuerySkyline:
         likeliest = rows[other.argmax(axis=0), np.arange(self.width_px)]
         return np.where(other.any(axis=0), likeliest, np.nan)
 
-    def with_fov(self, fov_deg: float) -> "QuerySkyline":
+    def with_fov(self, fov_deg: float) -> "PhotoSkyline":
         """Return the same skyline with another horizontal field of view, degrees."""
         return replace(self, fov_deg=fov_deg, lens=None)
 
@@ -272,7 +272,7 @@ class QuerySkyline:
         return self.fov_deg
 
 
-def check_of_image(query: QuerySkyline, shape: tuple[int, ...]) -> None:
+def check_of_image(query: PhotoSkyline, shape: tuple[int, ...]) -> None:
     """Raise `InputError` unless a skyline belongs to an image of a shape (H, W, ...)."""
     height, width = shape[:2]
     if (width, height) != (query.width_px, query.height_px):

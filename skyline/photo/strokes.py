@@ -25,7 +25,7 @@ from skyline.photo.extract import (
 )
 from skyline.photo.read import Photo
 from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
-from skyline.photo.skyline import QuerySkyline, check_of_image
+from skyline.photo.skyline import PhotoSkyline, check_of_image
 
 _HULL_PX = 64
 """Columns of the photo beside changed ones, on each side, whose skyline is found anew too."""
@@ -98,8 +98,8 @@ class Correction:
         self._mask = skyline_of_mask(photo.rgb) if is_sky_mask(photo.rgb) else None
 
     def solve(
-        self, strokes: Sequence[Stroke] = (), start: QuerySkyline | None = None
-    ) -> QuerySkyline:
+        self, strokes: Sequence[Stroke] = (), start: PhotoSkyline | None = None
+    ) -> PhotoSkyline:
         """Return the skyline under all given strokes; later strokes override earlier ones.
 
         ``start`` is the skyline to which the strokes are applied, for example a trace. By default

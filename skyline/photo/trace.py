@@ -9,7 +9,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, check_suffix
 from skyline.files import Row, Table, read_table, write_whole
-from skyline.photo.skyline import Lens, Projection, QuerySkyline
+from skyline.photo.skyline import Lens, PhotoSkyline, Projection
 
 TRACES = (".csv",)
 """The suffix of traces: files of others are photos."""
@@ -22,7 +22,7 @@ _NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
 
-def write_trace(query: QuerySkyline, path: str | Path) -> None:
+def write_trace(query: PhotoSkyline, path: str | Path) -> None:
     """Write a skyline as CSV: one row per trusted column, one break per run of masked columns.
 
     A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
@@ -50,7 +50,7 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
 
 def read_trace(
     path: str | Path, fov_deg: float | None = None, projection: Projection | None = None
-) -> QuerySkyline:
+) -> PhotoSkyline:
     """Read a trace: points of a skyline, sparse or fractional, joined by straight lines.
 
     The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
@@ -88,7 +88,7 @@ def read_trace(
         fov_deg, slack = notes["fov_deg"], notes.get("fov_slack")
         lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
     try:
-        return QuerySkyline(
+        return PhotoSkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
             projection or noted_projection, lens=lens, eye_height_m=notes.get("eye_height_m"),
         )  # fmt: skip

@@ -29,7 +29,7 @@ from skyline.photo.xmp import (
     joined,
     without,
 )
-from skyline.pose import Candidate
+from skyline.pose import Pose
 
 _EXIF = b"Exif\x00\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA
@@ -56,7 +56,7 @@ _PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
 """More of them, in the namespace of panoramas."""
 
 
-def write_located(source: str | Path, path: str | Path, candidate: Candidate) -> None:
+def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None:
     """Write a copy of a photo with the place and the heading of a candidate in its EXIF.
 
     Other GPS tags of the photo (its error, the time of a fix, a destination) belong to another pose
@@ -91,7 +91,7 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
     write_with_folders(Path(path), _with_exif(jpeg, _EXIF + exif))
 
 
-def _gps(candidate: Candidate) -> dict[int, object]:
+def _gps(candidate: Pose) -> dict[int, object]:
     """Return the GPS tags of a place and a heading; EXIF's word for a place "by hand" is MANUAL."""
     below, turn = candidate.eye_elevation_m < 0.0, 360_000
     is_by_hand = candidate.rank is None and not candidate.refined

@@ -41,8 +41,8 @@ from skyline.files import (
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
-from skyline.photo.skyline import Projection, QuerySkyline
-from skyline.pose import Candidate, Ellipse, view_wedge_m
+from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0
@@ -122,7 +122,7 @@ def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
     return json.dumps(collection, indent=1, allow_nan=False) + "\n"
 
 
-def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
+def _features(query: str, candidate: Pose, frame: Frame) -> list[Json]:
     """Return the point, the view and the ellipse of a candidate as GeoJSON features."""
     record: Json = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -212,7 +212,7 @@ def _kmz(results: Sequence[MatchResult], frame: Frame, photos: Photos | None) ->
     return file.getvalue()
 
 
-def _add_candidate(folder: Xml.Element, name: str, candidate: Candidate, frame: Frame) -> None:
+def _add_candidate(folder: Xml.Element, name: str, candidate: Pose, frame: Frame) -> None:
     mark = _child(folder, "Placemark")
     _child(mark, "name", f"{name}: {candidate.name}")
     _child(mark, "description", _described(candidate))
@@ -225,7 +225,7 @@ def _add_candidate(folder: Xml.Element, name: str, candidate: Candidate, frame: 
 
 
 def _add_photo(
-    folder: Xml.Element, name: str, query: QuerySkyline, candidate: Candidate, href: str
+    folder: Xml.Element, name: str, query: PhotoSkyline, candidate: Pose, href: str
 ) -> None:
     """Add a PhotoOverlay: the photo standing before the camera at a candidate."""
     side_deg = candidate.fov_deg / 2.0
@@ -239,7 +239,7 @@ def _add_photo(
     folder.append(overlay)
 
 
-def _described(candidate: Candidate) -> str:
+def _described(candidate: Pose) -> str:
     """Return in words the origin of a pose, the attitude of its camera and its confidence."""
     sure = "" if candidate.confidence is None else f"; confidence {candidate.confidence:.2f}"
     return (

@@ -25,7 +25,7 @@ from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.peaks import Sighting
-from skyline.pose import Candidate, Ellipse, view_wedge_m
+from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
 from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
@@ -61,14 +61,14 @@ _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 """Direction to the light (east, north, up): from the north-west, halfway up."""
 
 
-def overview_area(places: Sequence[Candidate | Viewpoints], terrain: HeightField | None) -> Bbox:
+def overview_area(places: Sequence[Pose | Viewpoints], terrain: HeightField | None) -> Bbox:
     """Return the area around places, metres of the frame, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
     return _area_around(easting, northing, 2.0 * _LEAST_SIDE_M, terrain)
 
 
-def detail_area(candidate: Candidate, terrain: HeightField | None) -> Bbox:
+def detail_area(candidate: Pose, terrain: HeightField | None) -> Bbox:
     """Return the area of about a kilometre around one candidate, more if it is less certain."""
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
@@ -90,7 +90,7 @@ def _area_around(
 
 
 def draw_match_map(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Pose],
     area: Bbox,
     frame: Frame,
     viewpoints: Viewpoints,
@@ -135,7 +135,7 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
     return len(inside)
 
 
-def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
+def _draw_candidate(axis: Axes, candidate: Pose, is_first: bool, reach_m: float) -> None:
     """Draw a candidate's place, view and ellipse; the first stands out."""
     colour = _BEST_COLOUR if is_first else _OTHER_COLOUR
     order = 4.0 if is_first else 3.0

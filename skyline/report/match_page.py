@@ -13,8 +13,8 @@ from skyline.match.matcher import Matcher, terrain_at_hand
 from skyline.match.result import MatchResult, listed
 from skyline.peaks import Peaks, Sighting
 from skyline.photo.read import read_picture
-from skyline.photo.skyline import QuerySkyline
-from skyline.pose import COLUMNS, Candidate, Ellipse
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import COLUMNS, Ellipse, Pose
 from skyline.report.files import export_matches
 from skyline.report.folder import CANDIDATES, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
@@ -157,7 +157,7 @@ def _section(
 def _maps(
     pictures: dict[str, bytes],
     number: int,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Pose],
     matcher: Matcher,
     viewer: Viewer | None,
     sightings: Sequence[Sighting],
@@ -189,14 +189,14 @@ def _kind(result: MatchResult) -> str:
     return "answer" if result.answer is not None else "refusal"
 
 
-def _map_links(candidate: Candidate) -> list[tuple[str, str]]:
+def _map_links(candidate: Pose) -> list[tuple[str, str]]:
     lat, lon = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
     address = f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=14/{lat}/{lon}"
     return [(address, "On OpenStreetMap."), (f"geo:{lat},{lon}", "In a map program.")]
 
 
 def _overlay_caption(
-    query: QuerySkyline, pose: Candidate | None, sight: Sight | None, unnamed: UnnamedPeaks
+    query: PhotoSkyline, pose: Pose | None, sight: Sight | None, unnamed: UnnamedPeaks
 ) -> str:
     trusted = 100.0 * float(query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
@@ -208,7 +208,7 @@ def _overlay_caption(
     )
 
 
-def _candidate_table(candidates: Sequence[Candidate]) -> str:
+def _candidate_table(candidates: Sequence[Pose]) -> str:
     rows = []
     for one in candidates:
         ellipse = Ellipse.of(one)

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
-from skyline.photo.skyline import QuerySkyline
-from skyline.pose import Candidate
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenPeak, Sight
 
@@ -31,9 +31,9 @@ _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 
 def draw_overlay(
-    query: QuerySkyline,
+    query: PhotoSkyline,
     photo: UInt8Array | None,
-    pose: Candidate | None,
+    pose: Pose | None,
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, UnnamedPeaks]:
@@ -59,7 +59,7 @@ def draw_overlay(
 
 
 def draw_labels(
-    query: QuerySkyline,
+    query: PhotoSkyline,
     photo: UInt8Array,
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
@@ -97,7 +97,7 @@ def _encoded(figure: Figure, kind: str) -> bytes:
 
 
 def _draw_picture(
-    query: QuerySkyline,
+    query: PhotoSkyline,
     photo: UInt8Array | None,
     peaks: Sequence[SeenPeak],
     texts: Sequence[str],
@@ -156,7 +156,7 @@ def _draw_picture(
     return figure, axis, unnamed
 
 
-def _draw_masked(axis: Axes, query: QuerySkyline) -> None:
+def _draw_masked(axis: Axes, query: PhotoSkyline) -> None:
     """Veil the columns in which no skyline is trusted."""
     edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start - 0.5, end - start) for start, end in edges]
@@ -172,7 +172,7 @@ def _draw_masked(axis: Axes, query: QuerySkyline) -> None:
         )
 
 
-def _draw_rendered(axis: Axes, pose: Candidate, sight: Sight) -> None:
+def _draw_rendered(axis: Axes, pose: Pose, sight: Sight) -> None:
     """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
     for sure, style, label in (
         (True, "-", f"skyline rendered at {pose.title}"),

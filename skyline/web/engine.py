@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from skyline import (
-    Candidate,
     InputError,
     Matcher,
+    Pose,
     ReliefTiles,
     RenderThread,
     SkylineError,
@@ -105,7 +105,7 @@ class Engine:
         height = float(terrain.height_at(lon=lon, lat=lat))
         return height if np.isfinite(height) else None
 
-    def eye_height_m(self, pose: Candidate) -> float | None:
+    def eye_height_m(self, pose: Pose) -> float | None:
         """Return the height of a pose's eye above the ground as `Viewer.pose` takes it, metres.
 
         An eye below the surface counts as on it. Without terrain the height is None.

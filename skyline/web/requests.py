@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 from skyline import (
-    Candidate,
     InputError,
     MatchResult,
     Narrowing,
-    QuerySkyline,
+    PhotoSkyline,
+    Pose,
     Stroke,
     StrokeKind,
     Viewer,
@@ -72,7 +72,7 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
     )
 
 
-def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
+def query_of(asked: Mapping[str, Any], query: PhotoSkyline) -> PhotoSkyline:
     """Return a skyline with the field of view of a request.
 
     Null stands for unknown. Without a value the skyline keeps the field of view of its photo.
@@ -84,7 +84,7 @@ def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
     return query.with_fov(number(asked, "fov"))
 
 
-def pose_of(asked: Any, viewer: Viewer) -> Candidate:
+def pose_of(asked: Any, viewer: Viewer) -> Pose:
     """Return the pose of a request, set by hand on the page."""
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")

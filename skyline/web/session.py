@@ -17,13 +17,13 @@ import numpy as np
 from PIL import Image
 
 from skyline import (
-    Candidate,
     Correction,
     InputError,
     MatchResult,
     Narrowing,
     Photo,
-    QuerySkyline,
+    PhotoSkyline,
+    Pose,
     SkylineError,
     Stroke,
     draw_labels,
@@ -77,7 +77,7 @@ class PagePhoto:
             self.content = hashlib.file_digest(file, "sha256").hexdigest()
         self.query = opened(self)[1].solve()
         self.strokes: tuple[Stroke, ...] = ()
-        self.trace: QuerySkyline | None = None
+        self.trace: PhotoSkyline | None = None
         self.trace_text: str | None = None
         self.result: MatchResult | None = None
         self.result_json: dict[str, Any] | None = None
@@ -109,7 +109,7 @@ class PagePhoto:
             "result": self.result_json,
         }
 
-    def solve(self, strokes: Sequence[Stroke], trace: QuerySkyline | None = None) -> None:
+    def solve(self, strokes: Sequence[Stroke], trace: PhotoSkyline | None = None) -> None:
         """Find the skyline again under all strokes, from now on from a trace if one is given."""
         _, correction = opened(self)
         with self.lock:
@@ -151,7 +151,7 @@ class PagePhoto:
             self.match.cancelled.set()
 
 
-def version_of(query: QuerySkyline) -> str:
+def version_of(query: PhotoSkyline) -> str:
     """Return a digest that distinguishes a skyline from others of the same photo."""
     return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
 
@@ -179,7 +179,7 @@ class Match:
     """One match of one photo, run in a thread; ``asked`` is the page's request."""
 
     def __init__(
-        self, photo: PagePhoto, query: QuerySkyline, narrowing: Narrowing, asked: Mapping[str, Any]
+        self, photo: PagePhoto, query: PhotoSkyline, narrowing: Narrowing, asked: Mapping[str, Any]
     ) -> None:
         self.photo = photo
         self._query, self._narrowing = query, narrowing
@@ -238,7 +238,7 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
     }
 
 
-def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
+def candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
     """Return a candidate as JSON for the page; `POSE` gives the names of its numbers."""
     return {name: getattr(candidate, field) for name, field in POSE.items()} | {
         "distortion": candidate.distortion,
@@ -288,7 +288,7 @@ def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, fold
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _named(engine: Engine, photo: PagePhoto, pose: Candidate) -> bytes:
+def _named(engine: Engine, photo: PagePhoto, pose: Pose) -> bytes:
     """Return the photo with the names of the summits in it, as PNG."""
     if engine.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")

@@ -11,7 +11,7 @@ from scenes import field_of, fractal
 
 from skyline.camera import level
 from skyline.photo.lens import ALONE_SD
-from skyline.photo.skyline import QuerySkyline, undistorted
+from skyline.photo.skyline import PhotoSkyline, undistorted
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import at_elevation
 from skyline_bench.queries.made_photos import Scenery
@@ -141,7 +141,7 @@ def test_levelling_the_image_gives_the_skyline_back(heading_deg, pitch_deg, roll
     camera = Camera(heading_deg, pitch_deg, roll_deg, fov_deg, 200, 300)
     row_px, sample = camera.skyline(AZIMUTH_DEG, hills(np.radians(AZIMUTH_DEG)))
     assert np.isfinite(row_px).all()
-    query = QuerySkyline(row_px, np.ones(200), 200, 300, fov_deg)
+    query = PhotoSkyline(row_px, np.ones(200), 200, 300, fov_deg)
     azimuth, y = level(*query.image_plane(), pitch_deg, roll_deg)
     azimuth_deg = np.degrees(azimuth) + heading_deg
     np.testing.assert_allclose(y, hills(np.radians(azimuth_deg)), atol=1e-5)

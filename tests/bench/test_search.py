@@ -9,7 +9,7 @@ from scenes import candidate_at, field_of, fractal
 
 from skyline import MatchResult
 from skyline.errors import InputError
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.survey.plans import map_bounds
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
@@ -167,7 +167,7 @@ def test_bad_options_are_one_line_and_write_nothing(
     assert not list(tmp_path.iterdir())
 
 
-SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+SKYLINE = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 
 
 def query_at(easting_m, heading_deg=0.0):

@@ -10,7 +10,7 @@ from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.skyline import Lens, Projection, QuerySkyline
+from skyline.photo.skyline import Lens, PhotoSkyline, Projection
 from skyline.view import pixels_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
@@ -110,7 +110,7 @@ def test_a_panorama_that_sees_behind_is_found(
     across = np.linspace(-1.0, 1.0, width)
     up -= np.radians(sag_deg) * (across**2 + 0.5 * np.sin(4.0 * across + 1.0))
     row_px = 400.0 - width / np.radians(fov_deg) * up
-    query = QuerySkyline(row_px, np.ones(width), width, 801, said_deg, Projection(projection))
+    query = PhotoSkyline(row_px, np.ones(width), width, 801, said_deg, Projection(projection))
     best = Matcher(store, terrain, config=BOLD).match(query).answer
     assert np.hypot(best.easting_m - east, best.northing_m - north) < 10.0
     assert best.heading_deg == pytest.approx(heading_deg, abs=0.2)
@@ -125,7 +125,7 @@ def test_a_panorama_that_sees_behind_is_found(
 
 def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):
     (first, second), (stranger, _) = make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
-    bare = QuerySkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
+    bare = PhotoSkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
     with Matcher(store, terrain, config=BOLD) as matcher:
         found = matcher.match_together(
             [first.skyline, stranger.skyline, second.skyline, bare], top=3

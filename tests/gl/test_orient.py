@@ -12,7 +12,7 @@ from skyline import Orienter, orient
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.photo.exif import NotedPlace
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline_bench.queries.synthetic import make_queries
 
 
@@ -93,7 +93,7 @@ def test_the_place_that_a_photo_notes_is_used(terrain, queries):
 def test_a_flat_horizon_has_no_heading():
     plain = field_of(np.zeros((200, 200)), 30.0, west_m=WEST_M, north_m=NORTH_M)
     place = at_deg(map(float, plain.frame.to_lonlat(WEST_M + 3000.0, NORTH_M - 3000.0)))
-    level = QuerySkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
+    level = PhotoSkyline(np.full(640, 240.0), np.ones(640), 640, 480, 60.0)
     found = orient(level, plain, **place)
     assert found.answer is None
 

@@ -11,7 +11,7 @@ from skyline.match.prior import Narrowing, Prior
 from skyline.match.refine import WHOLE, JointRefinement, Refinement
 from skyline.match.solver import Curves
 from skyline.photo.skyline import distorted
-from skyline.pose import Hypotheses
+from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views
 from skyline.terrain.eyes import at_elevation, stand_on
@@ -66,7 +66,7 @@ def _around(count=6, off_m=40.0, turn_deg=2.0):
     )
 
 
-def _off_m(found: Hypotheses):
+def _off_m(found: Poses):
     return np.hypot(found.easting_m - PLACE[0], found.northing_m - PLACE[1])
 
 
@@ -126,7 +126,7 @@ def test_neither_order_nor_far_places_matter(scene, rays):
     query = rays_of(*rays, 60.0)
     east_m = [2000, 9000, 5000, 7000]
     far = poses(4, easting_m=east_m, northing_m=-8000.0, heading_deg=50.0, score=9.0)
-    some = Hypotheses.concatenate([_around(), far])
+    some = Poses.concatenate([_around(), far])
     order = np.random.default_rng(0).permutation(len(some))
     one, other = (Refinement(query, scene, SHORT).run(h) for h in (some, some[order]))
     first_m, same_m = (found.easting_m[0] for found in (one, other))
@@ -158,7 +158,7 @@ def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     outside = poses(2, easting_m=[-500.0, np.nan], northing_m=-6000.0, heading_deg=160.0)
     query = rays_of(*rays, 60.0)
     assert len(Refinement(query, scene, SHORT).run(outside)) == 0
-    both = Hypotheses.concatenate([outside, _around(2, 20.0)])
+    both = Poses.concatenate([outside, _around(2, 20.0)])
     assert _off_m(Refinement(query, scene, SHORT).run(both))[0] < 5.0
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.errors import InputError
 from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
 from skyline.match.result import MatchResult
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
-from skyline.photo.skyline import Lens, QuerySkyline
+from skyline.photo.skyline import Lens, PhotoSkyline
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5
 
@@ -19,11 +19,11 @@ GIVEN_DEG, SD_DEG = 60.0, 1.5
 @pytest.fixture
 def rays():
     u = np.linspace(-0.5, 0.5, 100)
-    return QueryRays(u, 0.0 * u, np.ones_like(u), GIVEN_DEG).about(SD_DEG)
+    return Rays(u, 0.0 * u, np.ones_like(u), GIVEN_DEG).about(SD_DEG)
 
 
 def query(fov_deg=GIVEN_DEG, noted=NOTHING_NOTED, lens=None):
-    return QuerySkyline(np.full(40, 12.0), np.ones(40), 40, 30, fov_deg, noted=noted, lens=lens)
+    return PhotoSkyline(np.full(40, 12.0), np.ones(40), 40, 30, fov_deg, noted=noted, lens=lens)
 
 
 def refusal(rays, found_deg, given_deg=GIVEN_DEG, confidence=None):

@@ -11,7 +11,7 @@ from scenes import candidate_at
 from store_rows import PLACES_HEADER, VIEWS_HEADER, numbered_places, numbered_views, write_rows
 
 import skyline
-from skyline import Candidate, Frame, InputError, MatchResult, QuerySkyline, open_store
+from skyline import Frame, InputError, MatchResult, PhotoSkyline, Pose, open_store
 from skyline.report.files import write_geopackage
 
 UTM = Frame(VIEWS_HEADER.frame_wkt)
@@ -20,7 +20,7 @@ BEST = candidate_at(
     covariance_m2=((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
 OTHER = candidate_at(751_000.0, 5_181_000.0, 20.0, frame=UTM, rank=2)
-QUERY = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+QUERY = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 
 
 def test_a_result_is_a_table_of_points_in_degrees():
@@ -28,7 +28,7 @@ def test_a_result_is_a_table_of_points_in_degrees():
     assert table.crs == "EPSG:4326"
     assert list(table["rank"]) == [1, 2]
     assert list(table["is_answer"]) == [True, False]
-    whole = {field.name for field in fields(Candidate)} - {"covariance_m2"}
+    whole = {field.name for field in fields(Pose)} - {"covariance_m2"}
     for name in whole:
         value = getattr(BEST, name)
         assert table[name].isna()[0] if value is None else table[name][0] == value, name

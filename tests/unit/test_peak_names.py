@@ -8,7 +8,7 @@ from font_scenes import UNDRAWN
 from scenes import candidate_at, field_from
 
 from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.landscape import panorama_view
 from skyline.report.maps import detail_area, draw_match_map
@@ -29,7 +29,7 @@ PEAKS = Peaks(
     names=NAMES, easting_m=EAST_M, northing_m=np.full(2, 1500.0), height_m=np.full(2, math.nan)
 )
 NORTH = PanoramaConfig(0.0, 120.0)
-QUERY = QuerySkyline(np.full(900, np.nan), np.zeros(900), 900, 400, 60.0)
+QUERY = PhotoSkyline(np.full(900, np.nan), np.zeros(900), 900, 400, 60.0)
 PHOTO = np.full((400, 900, 3), 90, np.uint8)
 SEEN = [
     SeenPeak(

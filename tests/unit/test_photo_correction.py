@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from photo_scenes import make_scene
 
-from skyline import Correction, InputError, NotedPlace, Photo, Projection, QuerySkyline, Stroke
+from skyline import Correction, InputError, NotedPlace, Photo, PhotoSkyline, Projection, Stroke
 from skyline.photo import extract
 from skyline.photo.sky_model import skyline_of_mask
 from skyline.photo.strokes import StrokeKind, _forbidden, _labels
@@ -107,13 +107,13 @@ def test_the_quick_way_is_the_slow_way():
 
 
 def test_a_trace_is_begun_with_and_mended(correction):
-    trace = QuerySkyline(np.full(WIDTH, 250.0), np.ones(WIDTH), WIDTH, HEIGHT)
+    trace = PhotoSkyline(np.full(WIDTH, 250.0), np.ones(WIDTH), WIDTH, HEIGHT)
     assert same(correction.solve(start=trace), replace(trace, fov_deg=60.0))
     mended = correction.solve([stroke("line", [10, 20], 100.0)], trace)
     assert (mended.row_px[10:21] == 100.0).all()
     assert (mended.row_px[30:] == 250.0).all()
     with pytest.raises(InputError, match="expected the same image"):
-        correction.solve(start=QuerySkyline(np.ones(5), np.ones(5), 5, 5))
+        correction.solve(start=PhotoSkyline(np.ones(5), np.ones(5), 5, 5))
 
 
 def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():

@@ -10,7 +10,7 @@ from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky,
 from skyline.errors import InputError
 from skyline.photo.extract import Content, Evidence, content_of, extract_skyline, shortest_path
 from skyline.photo.read import extract_photo
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 
 # A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
 WHOLE_PIXEL_MEDIAN = 0.25
@@ -98,7 +98,7 @@ def test_a_query_shows_the_crest_that_is_not_its_skyline():
     crests = np.full((3, 4), np.nan)
     crests[:2] = [[50, 50, 80, np.nan], [80, np.nan, 50, np.nan]]
     row_px, sure = np.array([50.4, 50, 50, np.nan]), np.array([1, 1, 1, 0.0])
-    query = QuerySkyline(row_px, sure, 4, 100, crests=crests)
+    query = PhotoSkyline(row_px, sure, 4, 100, crests=crests)
     np.testing.assert_array_equal(query.other_crest_px(), [80, np.nan, 80, np.nan])
 
 

@@ -12,7 +12,7 @@ from xmp_packets import ATTRIBUTES, xmp_packet
 
 from skyline.errors import InputError
 from skyline.photo.read import read_query
-from skyline.photo.skyline import Projection, QuerySkyline, distorted, undistorted
+from skyline.photo.skyline import PhotoSkyline, Projection, distorted, undistorted
 from skyline.photo.trace import write_trace
 
 CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
@@ -28,7 +28,7 @@ def test_rays_of_a_panorama_point_where_it_looks(projection, fov_deg):
     up = np.radians(elevation)
     up = np.tan(up) if projection is CYLINDER else up
     row_px = 59.5 - width / np.radians(fov_deg) * up
-    query = QuerySkyline(row_px, np.ones(width), width, 120, fov_deg, projection)
+    query = PhotoSkyline(row_px, np.ones(width), width, 120, fov_deg, projection)
     u, v = query.image_plane()
     assert_allclose(np.degrees(u), azimuth, atol=1e-9)
     assert_allclose(np.degrees(np.arctan(v)), elevation, atol=1e-9)
@@ -61,7 +61,7 @@ def test_the_distortion_of_a_lens_is_undone(distortion):
 )
 def test_an_impossible_field_of_view_is_refused_before_a_file_is_read(projection, fov_deg, said):
     with pytest.raises(InputError, match=said):
-        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, fov_deg, projection)
+        PhotoSkyline(np.zeros(3), np.ones(3), 3, 3, fov_deg, projection)
     with pytest.raises(InputError, match=said):
         read_query("absent.jpg", fov_deg, projection=projection)
 
@@ -97,7 +97,7 @@ def test_a_phone_s_panorama_is_known_as_one(tmp_path):
 def test_a_trace_notes_its_projection(tmp_path):
     path = tmp_path / "wide.csv"
     rows = np.r_[np.nan, np.linspace(10.0, 40.0, 479)]
-    drawn = QuerySkyline(rows, np.isfinite(rows) * 1.0, 480, 100, 240.0, CYLINDER)
+    drawn = PhotoSkyline(rows, np.isfinite(rows) * 1.0, 480, 100, 240.0, CYLINDER)
     write_trace(drawn, path)
     read = read_query(path)
     assert (read.width_px, read.fov_deg, read.projection) == (480, 240.0, CYLINDER)

@@ -12,13 +12,13 @@ from PIL import Image
 from skyline import batch
 from skyline.errors import InputError
 from skyline.photo.read import read_query, write_overlay
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
 
 
 def query_of(row_px, height_px=100):
     row_px = np.asarray(row_px, dtype=float)
-    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, len(row_px), height_px)
+    return PhotoSkyline(row_px, np.isfinite(row_px) * 1.0, len(row_px), height_px)
 
 
 @given(
@@ -38,13 +38,13 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
 
 def test_a_confidence_is_a_number_from_0_to_1_and_a_masked_row_is_none():
     rows = np.ma.array([3.0, 4.0], mask=[False, True])
-    assert QuerySkyline(rows, np.array([1.0, 0.0]), 2, 9).trusted.tolist() == [True, False]
-    assert QuerySkyline(rows, np.array([1.0 + 1e-9, -1e-9]), 2, 9).confidence[0] > 1.0
+    assert PhotoSkyline(rows, np.array([1.0, 0.0]), 2, 9).trusted.tolist() == [True, False]
+    assert PhotoSkyline(rows, np.array([1.0 + 1e-9, -1e-9]), 2, 9).confidence[0] > 1.0
     for wrong in (255.0, -0.1, np.nan):
         with pytest.raises(InputError, match="not a number from 0 to 1"):
-            QuerySkyline(np.array([3.0, 4.0]), np.array([1.0, wrong]), 2, 9)
+            PhotoSkyline(np.array([3.0, 4.0]), np.array([1.0, wrong]), 2, 9)
     with pytest.raises(InputError, match="projection is 'fisheye'; expected perspective, cyl"):
-        QuerySkyline(np.array([3.0]), np.array([1.0]), 1, 9, projection="fisheye")
+        PhotoSkyline(np.array([3.0]), np.array([1.0]), 1, 9, projection="fisheye")
 
 
 def trace_file(folder, points, notes=""):

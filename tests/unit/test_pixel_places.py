@@ -11,7 +11,7 @@ from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
-from skyline.photo.skyline import Projection, QuerySkyline
+from skyline.photo.skyline import PhotoSkyline, Projection
 from skyline.terrain.eyes import at_elevation
 from skyline.view import Viewer, directions_of, pixels_of, sight_of
 from skyline_bench.truth import oracle
@@ -38,7 +38,7 @@ def pose_at(field, east_m, north_m, eye_height_m, name, heading_deg=130.0):
     pose = replace(pose, distortion=0.06 if "distorted" in name else 0.0, wander=wander)
     # The query of a small photo without a skyline.
     unknown, size = (np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX)), (WIDTH_PX, HEIGHT_PX)
-    return pose, QuerySkyline(*unknown, *size, projection=projection)
+    return pose, PhotoSkyline(*unknown, *size, projection=projection)
 
 
 def rays_of(pose, query):

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
-from skyline.camera import QueryRays, level, project
-from skyline.photo.skyline import Projection, QuerySkyline
+from skyline.camera import Rays, level, project
+from skyline.photo.skyline import PhotoSkyline, Projection
 
 
 def test_a_field_of_view_is_searched_about_the_one_given():
@@ -36,15 +36,13 @@ def test_a_field_of_view_is_searched_about_the_one_given():
 )
 def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
     row_px = np.full(64, 20.0)
-    query = QuerySkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
-    assert QueryRays.of(query, 0.025, finds_fov=True).distortion_sd == sd
+    query = PhotoSkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
+    assert Rays.of(query, 0.025, finds_fov=True).distortion_sd == sd
 
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():
     u = np.radians([-110.0, 110.0])
-    around = QueryRays(
-        u, np.array([0.1, 0.2]), np.ones(2), 220.0, projection=Projection.CYLINDRICAL
-    )
+    around = Rays(u, np.array([0.1, 0.2]), np.ones(2), 220.0, projection=Projection.CYLINDRICAL)
     np.testing.assert_allclose(around.fov_at(around.log_scale(242.0)), 242.0)
     assert around.about(2.2).log_scale_sd == pytest.approx(0.01)
     assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
@@ -77,6 +75,6 @@ def test_a_sphere_raised_past_the_zenith_looks_back(row_deg, pitch_deg, expected
 
 @pytest.mark.parametrize("projection", [Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR])
 def test_rays_of_another_field_of_view_are_those_of_its_photo(projection):
-    query = QuerySkyline(np.linspace(40.0, 60.0, 64), np.ones(64), 64, 100, 200.0, projection)
-    rays = QueryRays.of(query, 0.025, finds_fov=True).with_fov(230.0)
+    query = PhotoSkyline(np.linspace(40.0, 60.0, 64), np.ones(64), 64, 100, 200.0, projection)
+    rays = Rays.of(query, 0.025, finds_fov=True).with_fov(230.0)
     np.testing.assert_allclose((rays.u, rays.v), query.with_fov(230.0).image_plane())

@@ -26,7 +26,7 @@ from skyline import (
     Frame,
     InputError,
     MatchResult,
-    QuerySkyline,
+    PhotoSkyline,
     export_matches,
     read_photo,
     write_located,
@@ -43,7 +43,7 @@ PHOTO = np.full((30, 40, 3), 99, np.uint8)
 
 
 def matches():
-    query = QuerySkyline(np.full(40, 10.0), np.ones(40), 40, 30)
+    query = PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30)
     return [MatchResult(query, (BEST, OTHER), 1.0, name=NAME)]
 
 
@@ -162,7 +162,7 @@ def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
     fiji = Frame.local(lon=180.0, lat=-17.0)
     covariance_m2 = ((400.0, 100.0), (100.0, 900.0))
     held = candidate_at(-5.0, 0.0, 90.0, covariance_m2=covariance_m2, frame=fiji)
-    query = QuerySkyline(np.full(9, 4.0), np.ones(9), 9, 6)
+    query = PhotoSkyline(np.full(9, 4.0), np.ones(9), 9, 6)
     matches = [MatchResult(query, (held,), 0.0, name="q.jpg")]
     export_matches(tmp_path / "a.geojson", matches, fiji)
     point, *shapes = json.loads((tmp_path / "a.geojson").read_text())["features"]

@@ -19,7 +19,7 @@ from store_rows import VIEWS_HEADER
 from skyline.errors import InputError
 from skyline.match.result import MatchResult
 from skyline.peaks import Peaks
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.report import files
 from skyline.report.labels import encode_figure, place_labels
 from skyline.report.maps import detail_area, draw_match_map
@@ -43,7 +43,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 VIEWS = oracle.skyline(FIELD, EYE, 256)
-BLANK = QuerySkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
+BLANK = PhotoSkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX, 70.0)
 
 
 class OracleViewer(Viewer):

@@ -11,7 +11,7 @@ from scenes import FRAME, candidate_at, field_from
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.eyes import stand_on
 from skyline.view import Viewer
 
@@ -75,7 +75,7 @@ def test_the_curve_of_the_earth_hides_what_is_far():
 
 
 def test_a_viewer_refuses_poses_and_warns_of_peaks_that_are_elsewhere(caplog):
-    terrain, query = two_cones(0.0), QuerySkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
+    terrain, query = two_cones(0.0), PhotoSkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
     lon, lat = FRAME.to_lonlat(TWO.easting_m, TWO.northing_m)
     east, north = FRAME.from_lonlat(lat, lon)
     away = Peaks(names=TWO.names, easting_m=east, northing_m=north, height_m=TWO.height_m)

@@ -16,10 +16,10 @@ from scenes import candidate_at
 
 from skyline.errors import BusyError, InputError
 from skyline.match.result import MatchResult
-from skyline.photo.skyline import QuerySkyline
+from skyline.photo.skyline import PhotoSkyline
 from skyline.report.files import RESULTS, ResultsFile
 
-QUERY = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+QUERY = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 PLACE = candidate_at(
     1000.0, 2000.0, 131.0, confidence=0.9, confidence_1km=0.95,
     covariance_m2=((9.0, 0.0), (0.0, 9.0)),

@@ -5,7 +5,7 @@ import re
 import numpy as np
 from scenes import candidate_at, field_from
 
-from skyline import MatchResult, QuerySkyline, open_store
+from skyline import MatchResult, PhotoSkyline, open_store
 
 
 def test_terrain_is_one_line_and_a_table():
@@ -25,7 +25,7 @@ def test_a_store_says_what_it_holds(store):
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():
     row_px = np.full(40, 12.0)
     row_px[10:15] = np.nan
-    query = QuerySkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
+    query = PhotoSkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
     found = candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97)
     html = MatchResult(query, (found,), 1.0, None, 200.0)._repr_html_()
     line = re.search(r' d="([^"]*)"', html)[1]

@@ -129,8 +129,8 @@ def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
     second = page.all("#candidates button")[1]
     chance = second.text.split("\n")[1]
     second.click()
-    assert page.find("#answer").text.startswith(f"Candidate 2: {chance} sure within 200 m.")
-    check_origin(page, downloads, "found, rank 2", "Candidate 2, chosen by a person: latitude")
+    assert page.find("#answer").text.startswith(f"Pose 2: {chance} sure within 200 m.")
+    check_origin(page, downloads, "found, rank 2", "Pose 2, chosen by a person: latitude")
     for leave in LEAVING.values():
         page.all("#candidates button")[0].click()
         assert verdict(page) == (found, "")

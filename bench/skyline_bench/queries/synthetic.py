@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import QueryRays
+from skyline.camera import Rays
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
-from skyline.photo.skyline import QuerySkyline, distorted
+from skyline.photo.skyline import PhotoSkyline, distorted
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, stand_on
@@ -123,7 +123,7 @@ class Truth:
 class SyntheticQuery:
     """One query and the truth about it."""
 
-    skyline: QuerySkyline  # The matcher's input
+    skyline: PhotoSkyline  # The matcher's input
     given_fov_deg: float  # The field of view it is given with
     fov_slack: float  # Standard deviation of the true one about that, as a share
     truth: Truth
@@ -133,12 +133,12 @@ class SyntheticQuery:
     distance_m: float  # Harmonic mean of that skyline's; NaN where none is in the image
     occluders: tuple[Occluder, ...]
 
-    def rays(self) -> QueryRays:
+    def rays(self) -> Rays:
         """Return the query as a matcher's rays, with what is known of its field of view.
 
         It raises `InputError` where no column has a skyline.
         """
-        return QueryRays.of(self.skyline, self.fov_slack, finds_fov=True)
+        return Rays.of(self.skyline, self.fov_slack, finds_fov=True)
 
 
 def make_queries(
@@ -256,7 +256,7 @@ def _photographed(
     given = camera.pin_hole_fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
     return SyntheticQuery(
-        QuerySkyline(found, sure, camera.width_px, camera.height_px, given),
+        PhotoSkyline(found, sure, camera.width_px, camera.height_px, given),
         given,
         config.fov_slack,
         truth,

@@ -18,7 +18,7 @@ from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
-from skyline.pose import Hypotheses, candidates_of
+from skyline.pose import Poses, candidates_of
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
@@ -88,7 +88,7 @@ def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -
     truth, fov_deg = query.truth, query.skyline.fov_deg or query.truth.fov_deg
     eye = truth.easting_m, truth.northing_m, truth.eye_elevation_m
     pose = *eye, truth.heading_deg, truth.pitch_deg, truth.roll_deg, fov_deg, 0.0, 0.0
-    hypotheses = Hypotheses(*(np.array([value]) for value in pose))
+    hypotheses = Poses(*(np.array([value]) for value in pose))
     with suppress(InputError):  # The matcher does not refine.
         start = candidates_of(matcher.frame, hypotheses)[0]
         fitted = matcher.fit(query.skyline, start).candidates
