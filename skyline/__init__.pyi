@@ -1,3 +1,4 @@
+from .camera import Projection as Projection
 from .errors import BuildError as BuildError
 from .errors import ContextError as ContextError
 from .errors import FetchError as FetchError
@@ -31,7 +32,6 @@ from .photo.read import read_photo as read_photo
 from .photo.read import read_query as read_query
 from .photo.skyline import Lens as Lens
 from .photo.skyline import PhotoSkyline as PhotoSkyline
-from .photo.skyline import Projection as Projection
 from .photo.strokes import Correction as Correction
 from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind

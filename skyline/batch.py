@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from skyline.camera import Projection
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.files import (
     REPORT_PAGE,
@@ -28,7 +29,7 @@ from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.read import check_fov, photos_in, read_query
-from skyline.photo.skyline import Lens, PhotoSkyline, Projection
+from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Runner
 
 _NUMBERS = (

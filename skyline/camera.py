@@ -1,203 +1,193 @@
-"""A query's skyline as rays of a camera, and its directions for a pitch and a roll."""
+"""The geometry of a camera: pixels, places on its image, rays, azimuths and elevations.
 
-import math
-from dataclasses import dataclass, replace
+Nothing else in Skyline projects, levels or distorts, nor takes derivatives of any of these. Four
+kinds of coordinates follow one another:
+
+* *pixels*: columns and rows; pixel centres are at whole numbers;
+* *across, above*: right of and above a picture's middle, in halves of its width;
+* *u, v*: the same on an image of unit focal length, see `Projection.rays`;
+* *azimuth, elevation*: directions in a level frame, see `level`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.photo.skyline import (
-    MAX_PANORAMA_DEG,
-    WANDER_DEGREES,
-    Lens,
-    PhotoSkyline,
-    Projection,
-    wander_of,
-)
 
-REFERENCE_FOV_DEG = 60.0
-"""Field of view to which sizes of pixels are compared."""
-FOV_RANGE_DEG = (25.0, 100.0)
-"""Fields of view that are searched where none is known."""
-USUAL_FOV_DEG = (55.0, 14.0)
-"""Mean and standard deviation of those fields of view: most photos are taken with a phone or a
-usual zoom lens."""
-_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
-"""Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
-6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
-near slopes bend to fit."""
-_WIDE_DEG = 75.0
-"""Lenses of a greater field of view are wide."""
-_WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
-_WANDER_FOV_DEG = 240.0
-"""Standard deviations of a panorama's row shifts, one for each polynomial degree, at this field of
-view. As in a random walk, they fall with the inverse of the degree. They grow with the square root
-of the field of view."""
-_FOV_DEVIATIONS = 4.0
-"""Standard deviations to either side of a given field of view that are searched."""
+MIN_FOV_DEG = 1.0
+MAX_FOV_DEG = 179.0
+MAX_PANORAMA_DEG = 360.0
+MOST_DISTORTION = 0.3
+"""Greatest distortion of a lens, see `undistorted`; a lens with more is a fisheye."""
+WANDER_DEGREES = range(2, 6)
+"""Degrees of the Legendre polynomials by which the rows of a panorama wander."""
+_NEWTON_STEPS = 30
+_NEWTON_ERROR = 1e-9
+_LEAST_FORWARD = np.float32(0.05)
+"""`ImagePoints.levelled` moves rays of a lens that look less far ahead to this much."""
+_FISHEYE_TERM = -1 / 24
+"""Mean of t in a fisheye's mapping, x + t x^3, from the radius x in the image to the angle off the
+axis. An equisolid lens has 1/24, an equidistant one 0, a stereographic one -1/12."""
+_FARTHEST_FISHEYE_RAD = np.radians(85.0)
+"""Largest angle off the axis of `fisheye_rays`; pixels that look farther aside are drawn in."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rays:
-    """The trusted columns of a query skyline in the camera's frame.
+class Projection(StrEnum):
+    """Projections of a photo.
 
-    Raises `InputError` where all weights are 0.
+    Each is described by the two quantities that grow evenly across and up the photo.
+
+    Attributes
+    ----------
+    PERSPECTIVE
+        Tangents of the angle, across and upwards: a photo through a lens.
+    CYLINDRICAL
+        Azimuth across, tangent of elevation upwards: swept and most stitched panoramas.
+    EQUIRECTANGULAR
+        Azimuth across, elevation upwards: photo spheres.
     """
 
-    u: Float64Array
-    v: Float64Array
-    """``u``, ``v``: (W,) float64. Positions on an image of unit focal length, to the right of its
-    middle and up. The rays (right, up, forward) are (u, v, 1) for a lens, and (sin u, v, cos u) for
-    a panorama, whose image is a cylinder."""
-    weight: Float64Array
-    """(W,) float64. Trust in each ray, at least 0; only ratios matter."""
-    fov_deg: float
-    """Horizontal field of view that u and v were computed with."""
-    fov_range_deg: tuple[float, float] | None = None
-    """Range of the true field of view; by default it is `fov_deg` exactly."""
-    fov_sd_deg: float = math.inf
-    """Standard deviation of the true field of view about `fov_deg`; infinite for a uniform
-    distribution over the range."""
-    projection: Projection = Projection.PERSPECTIVE
-    distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
-    distortion. A distortion k moves a ray outwards by k times its `reach`; see
-    `skyline.photo.skyline.undistorted`."""
+    PERSPECTIVE = "perspective"
+    CYLINDRICAL = "cylindrical"
+    EQUIRECTANGULAR = "equirectangular"
 
     @classmethod
-    def of(cls, query: PhotoSkyline, fov_slack: float, *, finds_fov: bool) -> "Rays":
-        """Return a query's rays, with the fields of view that the query may have.
-
-        ``fov_slack`` is the deviation of a field of view, as a share of it, where its lens has none
-        of its own. Raises `InputError` for a query of unknown field of view, unless the matcher
-        finds it, and for a panorama of unknown field of view.
-        """
-        is_panorama = query.projection.is_panorama
-        weight = query.confidence[query.trusted]
-        if query.fov_deg is not None:
-            fov_deg, lens = query.fov_deg, query.lens or Lens(query.fov_deg)
-            distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
-            rays = cls(
-                *query.image_plane(),
-                weight,
-                fov_deg,
-                projection=query.projection,
-                distortion_sd=0.0 if is_panorama else distortion_sd,
-            )
-            slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_slack
-            sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
-            return rays.about(sd_deg, lens.most_deg or math.inf)
-        if finds_fov and not is_panorama:
-            fov_deg, sd_deg = USUAL_FOV_DEG
-            u, v = query.with_fov(fov_deg).image_plane()
-            return cls(u, v, weight, fov_deg, FOV_RANGE_DEG, sd_deg, distortion_sd=_DISTORTION_SD)
-        raise InputError(
-            "the query's field of view is not known: it is not in the image; give --fov-deg"
-        )
-
-    def __post_init__(self) -> None:
-        if not self.weight.any():
-            raise InputError("all weights of the query are 0, so there is nothing to match")
+    def _missing_(cls, value: object) -> "Projection":
+        raise InputError(f"projection is {value!r}; expected {', '.join(cls)}")
 
     @property
     def is_panorama(self) -> bool:
-        """True if the photo was swept or stitched."""
-        return self.projection.is_panorama
+        """True if the photo was swept or stitched, rather than taken in one exposure."""
+        return self is not Projection.PERSPECTIVE
 
-    @property
-    def fov_bounds_deg(self) -> tuple[float, float]:
-        """The smallest and the largest field of view that are searched."""
-        return self.fov_range_deg or (self.fov_deg, self.fov_deg)
+    def check_fov_deg(self, fov_deg: float) -> float:
+        """Return a horizontal field of view, or raise `InputError` if it is impossible."""
+        greatest = MAX_PANORAMA_DEG if self.is_panorama else MAX_FOV_DEG
+        if not MIN_FOV_DEG <= fov_deg <= greatest:
+            hint = (
+                "a full turn is the most"
+                if self.is_panorama
+                else "a phone's main camera has about 65; a panorama needs its projection, too, "
+                "usually cylindrical"
+            )
+            raise InputError(
+                f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
+                f"{greatest:g}: {hint}"
+            )
+        return float(fov_deg)
 
-    @property
-    def log_scale_bounds(self) -> tuple[float, float]:
-        """The smallest and the largest `log_scale`."""
-        low, high = self.log_scale(np.array(self.fov_bounds_deg))
-        return float(low), float(high)
+    def rays(
+        self, across: Float64Array, above: Float64Array, fov_deg: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return places u, v on an image of unit focal length for places in a photo.
 
-    @property
-    def log_scale_sd(self) -> float:
-        """Standard deviation of `log_scale`."""
-        sd_rad, fov_rad = math.radians(self.fov_sd_deg), math.radians(self.fov_deg)
-        return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
+        Through a lens u and v are right and up over forward: the ray is (u, v, 1). A panorama's
+        image is a cylinder: u is the azimuth from its middle, radians, v the tangent of the
+        elevation, and the ray is (sin u, v, cos u).
 
-    def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
-        """Return the logarithm of the factor on u and v that gives each field of view."""
-        return np.asarray(
-            np.log(self._half_width(fov_deg)) - np.log(self._half_width(self.fov_deg))
-        )
-
-    def fov_at(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view, degrees, of factors on u and v; the inverse of `log_scale`."""
-        half_width = self._half_width(self.fov_deg) * np.exp(log_scale)
-        half_rad = half_width if self.is_panorama else np.arctan(half_width)
-        return np.asarray(np.degrees(2.0 * half_rad))
-
-    def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view of factors, as `fov_at`, within `fov_bounds_deg`."""
-        return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
-
-    @property
-    def warp_sd(self) -> Float64Array:
-        """Standard deviations (K,) of how an image may be warped.
-
-        One of the distortion of a lens that may distort, and one for each column of a panorama's
-        `wander`.
+        Parameters
+        ----------
+        across, above : (N,) float64
+            From the photo's middle to the right and upwards, in halves of its width.
+        fov_deg : float
+            Horizontal field of view.
         """
-        if self.is_panorama:
-            grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)
-            return np.radians(_WANDER_SD_DEG) * grown
-        return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
+        half = np.radians(fov_deg) / 2.0
+        if self is Projection.PERSPECTIVE:
+            return across * np.tan(half), above * np.tan(half)
+        up = above * half if self is Projection.CYLINDRICAL else np.tan(above * half)
+        return across * half, up
 
-    @property
-    def wander(self) -> Float64Array:
-        """Ways (W, 4) in which the rows of a panorama wander; (W, 0) for a lens."""
-        if not self.is_panorama:
-            return np.zeros((len(self.u), 0))
-        return wander_of(self.u / self._half_width(self.fov_deg))
+    def places(
+        self, u: Float64Array, v: Float64Array, fov_deg: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the places across and above in a photo of rays u, v: the inverse of `rays`."""
+        half = np.radians(fov_deg) / 2.0
+        if self is Projection.PERSPECTIVE:
+            return u / np.tan(half), v / np.tan(half)
+        above = v if self is Projection.CYLINDRICAL else np.arctan(v)
+        return u / half, above / half
 
-    @property
-    def reach(self) -> Float64Array:
-        """Squared distance (W,) from the image's middle, in half widths."""
-        return np.asarray((self.u**2 + self.v**2) / self._half_width(self.fov_deg) ** 2)
-
-    @property
-    def half_width(self) -> float:
-        """Half the width of an image of unit focal length."""
-        return float(self._half_width(self.fov_deg))
-
-    def _half_width(self, fov_deg: Float64Array | float) -> Float64Array:
+    def half_width(self, fov_deg: Any) -> Any:
         """Return half the width of an image of unit focal length."""
         half_rad = np.radians(fov_deg) / 2.0
-        return np.asarray(half_rad if self.is_panorama else np.tan(half_rad))
+        return half_rad if self.is_panorama else np.tan(half_rad)
 
-    def with_fov(self, fov_deg: float) -> "Rays":
-        """Return the same photo's rays for another field of view, degrees, within the range."""
-        u, v = self.scaled(self._half_width(fov_deg) / self._half_width(self.fov_deg))
-        return replace(self, u=u, v=v, fov_deg=fov_deg)
+    def fov_deg(self, half_width: Any) -> Any:
+        """Return the horizontal field of view of an image; the inverse of `half_width`."""
+        half_rad = half_width if self.is_panorama else np.arctan(half_width)
+        return np.degrees(2.0 * half_rad)
 
-    def scaled(self, scale: Any) -> tuple[Any, Any]:
-        """Return u and v for half widths ``scale`` times as large, in the dtype of ``scale``."""
-        u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
-        if self.projection is Projection.EQUIRECTANGULAR:
-            return u * scale, np.tan(np.arctan(v) * scale)
-        return u * scale, v * scale
+    def column_deg(self, width: int, fov_deg: float) -> Float64Array:
+        """Return the degrees of azimuth that each of ``width`` columns spans, (width,)."""
+        edges = np.linspace(-1.0, 1.0, width + 1)
+        u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
+        azimuth = u if self.is_panorama else np.arctan(u)
+        return np.asarray(np.degrees(np.diff(azimuth)), dtype=np.float64)
 
-    def about(self, sd_deg: float, most_deg: float = math.inf) -> "Rays":
-        """Return the rays with a normally distributed field of view.
 
-        Four standard deviations about the current one are searched, as far as a camera allows and
-        up to ``most_deg``. With a deviation of 0 the field of view is known exactly.
-        """
-        if sd_deg == 0.0:
-            return self
-        fov_deg = self.fov_deg
-        possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
-        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, possible_deg, most_deg)
-        narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
-        return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=sd_deg)
+def from_middle(
+    column_px: ArrayLike, row_px: ArrayLike, width_px: int, height_px: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return places across and above in a picture for its pixels."""
+    across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / width_px - 1.0
+    above = (height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / width_px
+    return across, above
+
+
+def wander_of(across: Float64Array) -> Float64Array:
+    """Return the ways in which the rows of a panorama wander up and down, at places across it.
+
+    A panorama is joined from many exposures, and its horizon is seldom straight. Each of the ways,
+    (..., 4), is a Legendre polynomial of ``across``, which is -1 and 1 at the sides. The lower
+    degrees are left out: they are a shift and a turn of the whole image.
+    """
+    return np.asarray(legendre.legvander(across, WANDER_DEGREES[-1])[..., WANDER_DEGREES])
+
+
+def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
+    """Return how far up the rows of a panorama have wandered, as tangents, at places across it.
+
+    ``wander`` has a factor for each of the ways of `wander_of`.
+    """
+    return np.asarray(legendre.legval(across, (0.0,) * WANDER_DEGREES[0] + tuple(wander)))
+
+
+def undistorted(
+    across: Float64Array, above: Float64Array, distortion: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return the places at which a lens without distortion would show what this lens shows.
+
+    The distortion k multiplies the distance r from the middle, in halves of the width, by
+    1 + k r^2; it is positive for barrel distortion.
+    """
+    stretch = 1.0 + distortion * (across**2 + above**2)
+    return across * stretch, above * stretch
+
+
+def distorted(
+    across: Float64Array, above: Float64Array, distortion: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return the inverse of `undistorted`; NaN for places that the lens does not show."""
+    if distortion == 0.0:
+        return across, above
+    aim = np.hypot(across, above)
+    # Beyond this radius a negative distortion would show things twice.
+    farthest = np.inf if distortion > 0.0 else 1.0 / np.sqrt(-3.0 * distortion)
+    r = np.minimum(aim, 0.9 * min(farthest, 1.0))
+    for _ in range(_NEWTON_STEPS):
+        r = r - (r + distortion * r**3 - aim) / (1.0 + 3.0 * distortion * r**2)
+        r = np.minimum(r, (1.0 - _NEWTON_ERROR) * farthest)
+    met = np.abs(r + distortion * r**3 - aim) < _NEWTON_ERROR
+    shrink = np.where(met, 1.0 / (1.0 + distortion * r**2), np.nan)
+    return across * shrink, above * shrink
 
 
 def level(
@@ -277,52 +267,6 @@ def project(
     )
 
 
-def level_with_changes(
-    query: Rays,
-    pitch_rad: Float64Array,
-    roll_rad: Float64Array,
-    log_scale: Float64Array,
-    warp: Float64Array,
-) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Level a query's R rays at M attitudes, scales and warps (M, K), with derivatives.
-
-    Returns azimuths and elevation tangents (M, R), as `level`, and the derivatives (M, R, 3 + K) of
-    both by pitch and roll, in radians, by the logarithm of the scale, and by the warps; see
-    `Rays.warp_sd`.
-    """
-    scale = np.exp(log_scale)[:, np.newaxis]
-    u, v = query.scaled(scale)
-    attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
-    if query.is_panorama:
-        wander = scale[..., np.newaxis] * query.wander
-        grown = v
-        if query.projection is Projection.EQUIRECTANGULAR:
-            grown = np.arctan(query.v) * scale * (1.0 + np.square(v))
-        wandered = (wander @ warp[..., np.newaxis])[..., 0]
-        (right, up, forward), changes = _panorama_with_changes(
-            u, v + wandered, grown + wandered, wander, *attitude, query.projection
-        )
-    else:
-        stretch: Any = 1.0
-        share = np.zeros((*u.shape, 0))
-        if warp.shape[1]:
-            stretch = 1.0 + warp * query.reach
-            share = (query.reach / stretch)[..., np.newaxis]
-        (right, up, forward), changes = _axes_with_changes(u * stretch, v * stretch, *attitude)
-        # Distortion moves rays outwards like the scale, but the more the farther out they are.
-        changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
-    right_change, up_change, forward_change = changes
-    flat = np.hypot(right, forward)
-    right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
-    flat_change = (right_ * right_change + forward_ * forward_change) / flat_
-    return (
-        np.arctan2(right, forward),
-        up / flat,
-        (forward_ * right_change - right_ * forward_change) / flat_**2,
-        (up_change - up_ * flat_change / flat_) / flat_,
-    )
-
-
 def _axes_with_changes(
     u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
@@ -373,69 +317,226 @@ def _panorama_with_changes(
     return axes, [right_change, up_change, forward_change]
 
 
-def thinned(query: Rays, bins: int) -> Rays:
-    """Average the rays within each of ``bins`` steps of a level camera's azimuth.
+def near_level_changes(
+    azimuth: Float32Array, elevation_tan: Float32Array, slope: Float32Array, *, is_panorama: bool
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Return how fast rays of a nearly level camera rise above a curve.
 
-    The terrain's curve is no finer than its bins, so averages hold nearly all the information of
-    many columns at the cost of few. They are returned from left to right. The weight of an average
-    is the mean weight of its rays, so weights refer to the noise of averages.
+    The camera turns about its middle, so these are exact for a level camera that sees the horizon,
+    and neglect products of the pitch, the roll and the elevations otherwise.
+
+    Parameters
+    ----------
+    azimuth, elevation_tan : (M, R) float32
+        Directions of the rays, the azimuths from the optical axis, radians.
+    slope : (M, R) float32
+        Slope of the curve, a tangent of elevation over a radian of azimuth.
+
+    Returns
+    -------
+    by_pitch, by_roll, by_log_scale : (M, R) float32
+        Tangents by a radian of pitch and of roll, and by the logarithm of the image's scale.
     """
-    azimuth = query.u if query.is_panorama else np.arctan(query.u)
-    step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
-    step -= step.min()
-    total = np.bincount(step, query.weight)
-    kept = np.flatnonzero(total)
-    return _averaged(query, step, kept, total[kept] / np.bincount(step)[kept])
+    sine, cosine = np.sin(azimuth), np.cos(azimuth)
+    if is_panorama:
+        return np.ones_like(elevation_tan), -sine, elevation_tan - slope * azimuth
+    by_log_scale = elevation_tan * np.square(cosine) - slope * sine * cosine
+    return cosine, -sine, by_log_scale
 
 
-def in_runs(query: Rays, count: int) -> Rays:
-    """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
+def fisheye_off_axis_rad(radius: Any) -> Any:
+    """Return the angle off the axis at a radius of a usual fisheye's image."""
+    return radius + _FISHEYE_TERM * radius**3
 
-    The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
-    degrees.
+
+def fisheye_rays(
+    u: Float64Array, v: Float64Array, shrink: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return rays u, v of a lens for places on a fisheye's image, made ``shrink`` as large."""
+    radius = np.maximum(np.hypot(u, v), 1e-12)
+    off_axis = np.minimum(fisheye_off_axis_rad(shrink * radius), _FARTHEST_FISHEYE_RAD)
+    stretch = np.tan(off_axis) / radius
+    return u * stretch, v * stretch
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImagePoints:
+    """R points on an image of unit focal length, and the lens or panorama that drew it."""
+
+    u: Float64Array
+    """(R,) float64. Position to the right of the image's middle; see `Projection.rays`."""
+    v: Float64Array
+    """(R,) float64. Position above the image's middle."""
+    fov_deg: float
+    """Horizontal field of view that u and v were computed with."""
+    projection: Projection = Projection.PERSPECTIVE
+
+    @property
+    def is_panorama(self) -> bool:
+        """True if the photo was swept or stitched."""
+        return self.projection.is_panorama
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the image."""
+        return float(self.projection.half_width(self.fov_deg))
+
+    @property
+    def reach(self) -> Float64Array:
+        """Squared distance (R,) from the image's middle, in half widths."""
+        return np.asarray((self.u**2 + self.v**2) / self.half_width**2)
+
+    @property
+    def wander(self) -> Float64Array:
+        """Ways (R, 4) in which the rows of a panorama wander; (R, 0) for a lens."""
+        if not self.is_panorama:
+            return np.zeros((len(self.u), 0))
+        return wander_of(self.u / self.half_width)
+
+    def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
+        """Return the logarithm of the factor on u and v that gives each field of view."""
+        half_width = self.projection.half_width(fov_deg)
+        return np.asarray(np.log(half_width) - np.log(self.half_width))
+
+    def fov_at(self, log_scale: Float64Array) -> Float64Array:
+        """Return the fields of view, degrees, of factors on u and v; the inverse of `log_scale`."""
+        half_width = self.half_width * np.exp(log_scale)
+        return np.asarray(self.projection.fov_deg(half_width))
+
+    def scaled(self, scale: Any) -> tuple[Any, Any]:
+        """Return u and v for half widths ``scale`` times as large, in the dtype of ``scale``."""
+        u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
+        if self.projection is Projection.EQUIRECTANGULAR:
+            return u * scale, np.tan(np.arctan(v) * scale)
+        return u * scale, v * scale
+
+    def levelled(
+        self, pitch: Float32Array, roll: Float32Array, log_scale: Float32Array, lift: Any
+    ) -> tuple[Float32Array, Float32Array]:
+        """Return azimuths and tangents of elevation (M, R) at M attitudes and scales.
+
+        ``pitch``, ``roll`` and ``log_scale`` are (M, 1), angles in radians; ``lift`` (M, R) is
+        added to v. Azimuths of a lens are within a quarter turn of the axis, even for rays that
+        look back.
+        """
+        u, v = self.scaled(np.exp(log_scale))
+        right, up, forward = level_axes(u, v + lift, pitch, roll, self.projection)
+        if self.is_panorama:
+            return np.arctan2(right, forward), up / np.hypot(right, forward)
+        forward = np.maximum(forward, _LEAST_FORWARD)
+        return np.arctan(right / forward), up / np.hypot(right, forward)
+
+    def levelled_with_changes(
+        self,
+        pitch_rad: Float64Array,
+        roll_rad: Float64Array,
+        log_scale: Float64Array,
+        warp: Float64Array,
+    ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+        """Return directions at M attitudes, scales and warps (M, K), with derivatives.
+
+        The warp is the distortion of a lens, K = 1, or none, K = 0; for a panorama, the factors of
+        `wander`, K = 4.
+
+        Returns
+        -------
+        azimuth, elevation_tan : (M, R) float64
+            As in `level`.
+        azimuth_change, elevation_change : (M, R, 3 + K) float64
+            Their derivatives by pitch and roll, radians, the logarithm of the scale, and warps.
+        """
+        scale = np.exp(log_scale)[:, np.newaxis]
+        u, v = self.scaled(scale)
+        attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
+        if self.is_panorama:
+            wander = scale[..., np.newaxis] * self.wander
+            grown = v
+            if self.projection is Projection.EQUIRECTANGULAR:
+                grown = np.arctan(self.v) * scale * (1.0 + np.square(v))
+            wandered = (wander @ warp[..., np.newaxis])[..., 0]
+            (right, up, forward), changes = _panorama_with_changes(
+                u, v + wandered, grown + wandered, wander, *attitude, self.projection
+            )
+        else:
+            stretch: Any = 1.0
+            share = np.zeros((*u.shape, 0))
+            if warp.shape[1]:
+                stretch = 1.0 + warp * self.reach
+                share = (self.reach / stretch)[..., np.newaxis]
+            (right, up, forward), changes = _axes_with_changes(u * stretch, v * stretch, *attitude)
+            # Distortion moves rays outwards like the scale, but the more the farther out they are.
+            changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
+        right_change, up_change, forward_change = changes
+        flat = np.hypot(right, forward)
+        right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
+        flat_change = (right_ * right_change + forward_ * forward_change) / flat_
+        return (
+            np.arctan2(right, forward),
+            up / flat,
+            (forward_ * right_change - right_ * forward_change) / flat_**2,
+            (up_change - up_ * flat_change / flat_) / flat_,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A camera with the size of its picture, held in an attitude.
+
+    Attributes
+    ----------
+    projection : Projection
+    width_px, height_px : int
+        Size of the picture.
+    fov_deg : float
+        Horizontal field of view.
+    grid_heading_deg : float
+        Grid azimuth of the optical axis.
+    pitch_deg, roll_deg : float
+        See `level`.
+    distortion : float
+        See `undistorted`.
+    wander : tuple of float
+        See `wandered`; empty for none.
     """
-    if query.is_panorama:
-        count = max(1, round(count * query.fov_deg / REFERENCE_FOV_DEG))
-    left, right = query.u.min(), query.u.max()
-    width = max((right - left) / count, 1e-9)
-    step = np.minimum((query.u - left) / width, count - 1).astype(np.intp)
-    total = np.bincount(step, query.weight, count)
-    kept = np.flatnonzero(total > 0.3 * np.median(total[total > 0.0]))
-    return _averaged(query, step, kept, total[kept] / total[kept].mean())
 
+    projection: Projection
+    width_px: int
+    height_px: int
+    fov_deg: float
+    grid_heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    distortion: float = 0.0
+    wander: tuple[float, ...] = ()
 
-def _averaged(query: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
-    """Return the weighted means of the rays in each kept step, with new weights."""
-    total = np.bincount(step, query.weight)[kept]
-    u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
-    return replace(query, u=u, v=v, weight=weight)
+    def pixels(
+        self, grid_azimuth_deg: ArrayLike, elevation_tan: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the columns and rows at which directions appear; NaN for those not in front."""
+        turn = np.radians(np.asarray(grid_azimuth_deg, dtype=np.float64) - self.grid_heading_deg)
+        tangent = np.asarray(elevation_tan, dtype=np.float64)
+        u, v = project(turn, tangent, self.pitch_deg, self.roll_deg, self.projection)
+        if self.wander:
+            v = v - wandered(u / self.projection.half_width(self.fov_deg), self.wander)
+        across, above = self.projection.places(u, v, self.fov_deg)
+        across, above = distorted(across, above, self.distortion)
+        half_px = self.width_px / 2.0
+        return (
+            across * half_px + (self.width_px - 1.0) / 2.0,
+            (self.height_px - 1.0) / 2.0 - above * half_px,
+        )
 
+    def directions(
+        self, column_px: ArrayLike, row_px: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return grid azimuths, degrees, and tangents of elevation of pixels.
 
-def on_bins(query: Rays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
-    """Return a query, levelled at one pitch, on B equal steps of azimuth.
-
-    These are the tangents y (B,) of its elevation angle, NaN outside the photo, and the trust (B,)
-    in each, 0 outside. Bin B / 2 is straight ahead.
-
-    Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
-    slope. Values at bin centres are interpolated linearly between these averages.
-    """
-    azimuth, y = level(query.u, query.v, pitch_deg, 0.0, query.projection)
-    position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
-    nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
-    weight = np.bincount(nearest, query.weight, bins)
-    filled = np.flatnonzero(weight)
-    total = weight[filled]
-    at = np.bincount(nearest, query.weight * position, bins)[filled] / total
-    mean_y = np.bincount(nearest, query.weight * y, bins)[filled] / total
-    mean_weight = total / np.bincount(nearest, minlength=bins)[filled]
-    centres = np.arange(bins, dtype=np.float64)
-    after = np.searchsorted(at, centres)
-    spacing = np.diff(at, prepend=-np.inf, append=np.inf)
-    step = float(np.median(np.diff(np.sort(position)))) if len(position) > 1 else 0.0
-    # A centre within half a bin of a lone or outermost average still belongs to it.
-    seen = (spacing[after] <= 3.0 * max(step, 1.0)) | (weight > 0.0)
-    return (
-        np.where(seen, np.interp(centres, at, mean_y), np.nan),
-        np.where(seen, np.interp(centres, at, mean_weight), 0.0),
-    )
+        The inverse of `pixels`.
+        """
+        across, above = from_middle(column_px, row_px, self.width_px, self.height_px)
+        straight = undistorted(across, above, self.distortion)
+        u, v = self.projection.rays(*straight, self.fov_deg)
+        if self.wander:
+            v = v + wandered(across, self.wander)
+        turn, tangent = level(u, v, self.pitch_deg, self.roll_deg, self.projection)
+        return np.degrees(turn) + self.grid_heading_deg, tangent

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import Rays
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
@@ -38,6 +37,7 @@ from skyline.match.prior import (
     Prior,
     Standing,
 )
+from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.result import to_dataframe
 from skyline.match.retrieval import Retriever

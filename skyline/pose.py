@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
+from skyline.camera import Camera
 from skyline.geodesy import Frame, in_turn
+from skyline.photo.skyline import PhotoSkyline
 
 RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
 """Largest errors of an answer that is right, and of one that is roughly right. Poses farther apart
@@ -60,7 +62,7 @@ class Pose:
         not refined.
     wander : tuple of float
         How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
-        `skyline.photo.skyline.wander_of`; empty for a lens, and where it is not known.
+        `skyline.camera.wander_of`; empty for a lens, and where it is not known.
     easting_m, northing_m : float
         The same place in the store's frame.
     eye_elevation_m : float
@@ -150,6 +152,20 @@ class Pose:
     def grid_heading_deg(self) -> float:
         """Grid azimuth of the optical axis, in [0, 360), as renderers take it."""
         return (self.heading_deg - self.convergence_deg) % 360.0
+
+    def camera(self, photo: PhotoSkyline) -> Camera:
+        """Return the camera that took a photo of the size and projection of ``photo``."""
+        return Camera(
+            projection=photo.projection,
+            width_px=photo.width_px,
+            height_px=photo.height_px,
+            fov_deg=self.fov_deg,
+            grid_heading_deg=self.grid_heading_deg,
+            pitch_deg=self.pitch_deg,
+            roll_deg=self.roll_deg,
+            distortion=self.distortion,
+            wander=self.wander,
+        )
 
     def distance_m(self, other: "Pose") -> float:
         """Return the horizontal distance of another pose of the same frame, metres."""

@@ -14,17 +14,15 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-from numpy.typing import ArrayLike
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
-from skyline.camera import level, project
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
-from skyline.photo.skyline import PhotoSkyline, distorted, undistorted, wandered
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
@@ -50,37 +48,6 @@ _WIDTH = 1024
 _MARGIN_DEG = 20.0
 """A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
 is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
-
-
-def pixels_of(
-    pose: Pose, query: PhotoSkyline, azimuth_deg: ArrayLike, elevation_tan: ArrayLike
-) -> tuple[Float64Array, Float64Array]:
-    """Return the columns and rows at which directions appear; NaN for those not in front."""
-    turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
-    y = np.asarray(elevation_tan, dtype=np.float64)
-    u, v = project(turn, y, pose.pitch_deg, pose.roll_deg, query.projection)
-    if pose.wander:
-        v = v - wandered(u / np.radians(pose.fov_deg / 2.0), pose.wander)
-    across, above = query.projection.places(u, v, pose.fov_deg)
-    across, above = distorted(across, above, pose.distortion)
-    half_px = query.width_px / 2.0
-    return (
-        across * half_px + (query.width_px - 1.0) / 2.0,
-        (query.height_px - 1.0) / 2.0 - above * half_px,
-    )
-
-
-def directions_of(
-    pose: Pose, query: PhotoSkyline, column_px: ArrayLike, row_px: ArrayLike
-) -> tuple[Float64Array, Float64Array]:
-    """Return grid azimuths and elevations of pixels; the inverse of `pixels_of`."""
-    across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / query.width_px - 1.0
-    above = (query.height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / query.width_px
-    u, v = query.projection.rays(*undistorted(across, above, pose.distortion), pose.fov_deg)
-    if pose.wander:
-        v = v + wandered(across, pose.wander)
-    turn, y = level(u, v, pose.pitch_deg, pose.roll_deg, query.projection)
-    return np.degrees(turn) + pose.grid_heading_deg, y
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +111,12 @@ def sight_of(pose: Pose, query: PhotoSkyline, views: Views) -> Sight:
     azimuth_deg = azimuth_deg[order]
     elevation_tan = np.tan(np.radians(views.elevation_deg())).ravel()[order]
     is_sure = views.flags.ravel()[order] == 0
-    column, row = pixels_of(pose, query, azimuth_deg, elevation_tan)
+    column, row = pose.camera(query).pixels(azimuth_deg, elevation_tan)
     near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
     gap_deg, known = np.full(query.width_px, np.nan), np.isfinite(elevation_tan)
     if known.any():
         trusted = np.flatnonzero(query.trusted)
-        photo_deg, y = directions_of(pose, query, trusted, query.row_px[trusted])
+        photo_deg, y = pose.camera(query).directions(trusted, query.row_px[trusted])
         there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
         gap_deg[query.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
     return Sight(column[near], row[near], is_sure[near], gap_deg)
@@ -160,7 +127,7 @@ def peaks_in_picture(
 ) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
     azimuth_deg = [one.azimuth_deg for one in sightings]
-    column, row = pixels_of(pose, query, azimuth_deg, [one.elevation_tan for one in sightings])
+    column, row = pose.camera(query).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
     return [
         SeenPeak(**asdict(one), column_px=x, row_px=y)
         for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
@@ -359,7 +326,7 @@ class Viewer(Releasable):
             raise InputError(f"the step is {step} pixels; expected 1 or more")
         eye = self._standing(pose)
         row_px, column_px = np.mgrid[: query.height_px : step, : query.width_px : step]
-        azimuth_deg, elevation_tan = directions_of(pose, query, column_px, row_px)
+        azimuth_deg, elevation_tan = pose.camera(query).directions(column_px, row_px)
         azimuth_rad = np.radians(azimuth_deg)
         narrowest_deg = query.projection.column_deg(query.width_px, pose.fov_deg).min()
         distance_m = first_hits_m(

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyline.camera import Rays
-from skyline.photo.skyline import Projection
+from skyline.camera import Projection
+from skyline.match.rays import Rays
 from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline_bench.queries.pinhole import Camera
@@ -33,12 +33,12 @@ def photographed_from(field, eye, **camera):
 
 def equally_trusted(u, v, fov_deg):
     """Return rays that all weigh the same."""
-    return Rays(u, v, np.ones_like(u), fov_deg)
+    return Rays(u=u, v=v, weight=np.ones_like(u), fov_deg=fov_deg)
 
 
 def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
     """Return a query whose field of view was assumed to be another one."""
-    query = Rays(u, v, np.ones_like(u), fov_deg, (1.0, 179.0))
+    query = Rays(u=u, v=v, weight=np.ones_like(u), fov_deg=fov_deg, fov_range_deg=(1.0, 179.0))
     return replace(query.with_fov(assumed_fov_deg or fov_deg), fov_range_deg=fov_range_deg)
 
 
@@ -51,7 +51,7 @@ def swept(
     v = y - np.tan(raised)
     if projection is Projection.EQUIRECTANGULAR:
         v = np.tan(np.arctan(y) - raised)
-    return Rays(u, v, np.ones_like(u), fov_deg, projection=projection)
+    return Rays(u=u, v=v, weight=np.ones_like(u), fov_deg=fov_deg, projection=projection)
 
 
 def poses(count=1, **given):

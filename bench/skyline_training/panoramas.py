@@ -12,8 +12,9 @@ import numpy as np
 from PIL import Image
 
 from skyline.arrays import Progress
+from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import Viewpoints, stand_on

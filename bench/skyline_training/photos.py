@@ -14,8 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.camera import undistorted
 from skyline.geodesy import Frame
-from skyline.photo.skyline import undistorted
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField

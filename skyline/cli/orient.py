@@ -11,6 +11,7 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import Query, listed
+from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Projection
 from skyline.cli.console import (
     PEAKS,
     AsJson,
@@ -39,7 +40,7 @@ from skyline.files import STANDARD, csv_lines, on_disk, read_bytes, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
-from skyline.photo.skyline import MOST_DISTORTION, WANDER_DEGREES, PhotoSkyline, Projection
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.terrain.folders import dem_names

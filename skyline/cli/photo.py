@@ -9,6 +9,7 @@ import numpy as np
 from typer import Argument, Option
 
 from skyline.batch import Query
+from skyline.camera import Projection
 from skyline.cli.console import (
     PEAKS,
     StoreDem,
@@ -20,7 +21,6 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError, MissingFileError, SkylineError, check_suffix, suffix_of
 from skyline.photo.read import OVERLAYS, extract_photo, write_overlay
-from skyline.photo.skyline import Projection
 from skyline.photo.trace import TRACES, write_trace
 from skyline.store.read import is_store
 

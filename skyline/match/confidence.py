@@ -29,9 +29,10 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import FOV_RANGE_DEG, Rays, level
+from skyline.camera import level
 from skyline.errors import InputError
 from skyline.geodesy import distance_in_words
+from skyline.match.rays import FOV_RANGE_DEG, Rays
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import (

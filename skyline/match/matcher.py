@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.camera import Rays
 from skyline.errors import InputError, SkylineError, StoreError, entry_named, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
@@ -27,6 +26,7 @@ from skyline.match.confidence import (
 )
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.projections import with_projection
+from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, reporting_progress

@@ -20,15 +20,14 @@ narrow panorama needs little of it.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import Rays, in_runs
+from skyline.camera import MAX_PANORAMA_DEG, Projection, fisheye_off_axis_rad, fisheye_rays
+from skyline.match.rays import Rays, in_runs
 from skyline.match.refine import Refinement
 from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
-from skyline.photo.skyline import MAX_PANORAMA_DEG, Projection
 from skyline.pose import Poses
 
 FISHEYE = "fisheye"
@@ -43,11 +42,8 @@ _LENS_DISTORTION = 0.035
 """Scale of the exponential distribution of barrel distortion among lenses that draw straight lines
 straight. Of those in lensfun's database that are wider than 75 degrees, 171 settings, the
 distortions have an rms of 0.048, and 1 % exceed 0.17."""
-_FISHEYE_TERM = -1 / 24
-"""Mean of t in a fisheye's mapping, x + t x^3, from the radius x in the image to the angle off the
-axis. An equisolid lens has 1/24, an equidistant one 0, a stereographic one -1/12."""
 _FISHEYE_SD = 0.06
-"""Standard deviation of that term."""
+"""Standard deviation of the term of `skyline.camera.fisheye_off_axis_rad`."""
 _SCALES = np.array([0.87, 1.0])
 """Factors on the perspective fit's scale from which the other projections are fitted."""
 _DENSITY = 0.8
@@ -55,8 +51,6 @@ _DENSITY = 0.8
 solver averages no two of them in any projection, so the costs are of the same columns."""
 _WIDEST = 1.5
 """Largest radius x at the side of a fisheye that is tried: 156 degrees."""
-_FARTHEST_RAD = np.radians(85.0)
-"""Largest angle off the axis; pixels in the corners that lie farther off are drawn in."""
 _FOV_RANGE = np.array([0.75, 1.25])
 """The fields of view that are tried, as shares of the one of the perspective fit's scale."""
 _MOST_FISHEYE_DEG = 170.0
@@ -162,15 +156,14 @@ def _panorama(columns: Rays) -> Rays:
 def _fisheye(columns: Rays) -> Rays:
     """Return a perspective photo's rays as a fisheye of the same scale has them."""
     shrink = min(1.0, _WIDEST / columns.half_width)
-    radius = np.maximum(np.hypot(columns.u, columns.v), 1e-12)
-    stretch = np.tan(np.minimum(_off_axis_rad(shrink * radius), _FARTHEST_RAD)) / radius
+    u, v = fisheye_rays(columns.u, columns.v, shrink)
     side = shrink * columns.half_width
-    side_rad = float(_off_axis_rad(side))
+    side_rad = float(fisheye_off_axis_rad(side))
     fov_deg = math.degrees(2.0 * side_rad)
     return replace(
         columns,
-        u=columns.u * stretch,
-        v=columns.v * stretch,
+        u=u,
+        v=v,
         fov_deg=fov_deg,
         fov_range_deg=_range_deg(fov_deg, _MOST_FISHEYE_DEG),
         # A change of the angle as a share of its tangent.
@@ -181,10 +174,6 @@ def _fisheye(columns: Rays) -> Rays:
 def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
     low_deg, high_deg = np.minimum(_FOV_RANGE * fov_deg, most_deg).tolist()
     return low_deg, high_deg
-
-
-def _off_axis_rad(radius: Any) -> Any:
-    return radius + _FISHEYE_TERM * radius**3
 
 
 def _from(pose: Poses, rays: Rays, scales: Float64Array, distortion: Float64Array) -> Poses:

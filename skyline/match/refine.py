@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import Rays
 from skyline.geodesy import in_turn
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
+from skyline.match.rays import Rays
 from skyline.match.screen import report_progress
 from skyline.match.solver import (
     EYE_HEIGHT,

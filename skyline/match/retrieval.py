@@ -27,9 +27,10 @@ from functools import cached_property
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Rows
-from skyline.camera import REFERENCE_FOV_DEG, Rays, in_runs, level_axes
+from skyline.camera import near_level_changes
 from skyline.errors import InputError
 from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.rays import REFERENCE_FOV_DEG, Rays, in_runs
 from skyline.match.screen import Screen, report_progress, screen_places
 from skyline.pose import Poses
 from skyline.store.places import Places
@@ -73,8 +74,6 @@ _DAMPING = np.float32(1e-3)
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
 """Longest step of a round; moves in standard deviations of the place. Rows of a panorama wander at
 most as far as a pitch goes."""
-_MIN_FORWARD = np.float32(0.05)
-"""Rays nearer to a quarter turn from straight ahead are taken to lie there."""
 _QUERY_ERROR_DEG = 0.06
 """Expected error of a mean of rays, at a field of view of 60 degrees."""
 _CURVATURE = 0.05
@@ -307,7 +306,7 @@ class CurveFit:
     ground_slope : (M, 2) float32
         Rise of the ground to the east and to the north.
     rays : Rays
-        R means of runs of the query's rays; see `skyline.camera.in_runs`.
+        R means of runs of the query's rays; see `skyline.match.rays.in_runs`.
     runs : int
         Number of runs within 60 degrees.
     """
@@ -367,7 +366,9 @@ class CurveFit:
         of 0.
         """
         y, nearness = self._y, self._nearness
-        azimuth, tangent = self._project(pose)
+        lift = pose[:, _WANDER:] @ self._wander.T if self._rays.is_panorama else np.float32(0.0)
+        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
+        azimuth, tangent = self._rays.levelled(pitch, roll, zoom, lift)
         bins = y.shape[1]
         toward = azimuth + pose[:, :1]
         position = toward * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
@@ -391,30 +392,13 @@ class CurveFit:
         north = (profile * cosine - slope * sine - ground[:, 1]) * near
         miss = tangent - profile - east * pose[:, _EAST, np.newaxis]
         miss -= north * pose[:, _NORTH, np.newaxis]
-        own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
-        if self._rays.is_panorama:
-            pitch, zoom = np.ones_like(tangent), tangent - slope * azimuth
-        else:
-            pitch = own_cosine
-            zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
-        change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
+        turned = near_level_changes(azimuth, tangent, slope, is_panorama=self._rays.is_panorama)
+        change = np.stack([-slope, *turned, -east, -north], axis=1)
         if self._rays.is_panorama:
             wander = self._wander.T
             change = np.concatenate([change, np.tile(wander, (len(y), 1, 1))], axis=1)
         miss = np.where(known, miss, np.float32(0.0))
         return miss, change, near, known
-
-    def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
-        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
-        u, v = self._rays.scaled(np.exp(zoom))
-        if self._rays.is_panorama:
-            v = v + pose[:, _WANDER:] @ self._wander.T
-        right, up, forward = level_axes(u, v, pitch, roll, self._rays.projection)
-        if self._rays.is_panorama:
-            return np.arctan2(right, forward), up / np.hypot(right, forward)
-        forward = np.maximum(forward, _MIN_FORWARD)
-        return np.arctan(right / forward), up / np.hypot(right, forward)
 
     def _query_error(self, pose: Float32Array) -> FloatArray:
         """Return the expected error (M,) of the query's tangents, as large as a pixel.
@@ -422,8 +406,8 @@ class CurveFit:
         A camera measures pixels. If the error did not grow with the field of view, a small enough
         one would make every miss small.
         """
-        half_rad = np.radians([self._rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
-        size = 1.0 if self._rays.is_panorama else float(np.divide(*np.tan(half_rad)))
+        usual = self._rays.projection.half_width(REFERENCE_FOV_DEG)
+        size = 1.0 if self._rays.is_panorama else self._rays.half_width / usual
         scale = np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
         return np.asarray(np.radians(_QUERY_ERROR_DEG) * scale)
 

@@ -11,12 +11,12 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.camera import Rays
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.match import confidence, projections
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.projections import OtherProjection
+from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.pose import (

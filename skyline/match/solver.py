@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import Rays, level_with_changes, thinned
+from skyline.camera import MOST_DISTORTION
 from skyline.match.likelihood import (
     ABOVE_SHARE,
     BELOW_SHARE,
@@ -30,7 +30,7 @@ from skyline.match.likelihood import (
     likelihood,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
-from skyline.photo.skyline import MOST_DISTORTION
+from skyline.match.rays import Rays, thinned
 from skyline.pose import Poses
 from skyline.terrain.sightlines import DataEdge
 
@@ -347,8 +347,8 @@ class Solver:
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
         pitch, roll, scale = state[:, PITCH:WARP].T
-        turned, ray_y, turned_change, ray_change = level_with_changes(
-            self.query, pitch, roll, scale, state[:, WARP:]
+        turned, ray_y, turned_change, ray_change = self.query.levelled_with_changes(
+            pitch, roll, scale, state[:, WARP:]
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)

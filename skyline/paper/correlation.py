@@ -32,7 +32,7 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
-from skyline.camera import Rays, on_bins
+from skyline.match.rays import Rays, on_bins
 from skyline.pose import Poses
 from skyline.skylines import (
     DEFAULT_WIDTH,

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import BoolArray, Complex64Array, Float32Array, Float64Array, IntArray
-from skyline.camera import Rays
+from skyline.match.rays import Rays
 from skyline.paper.correlation import TANGENT_PER_PX, ProfileMatcher, Profiles, at_pitches
 from skyline.paper.curves import (
     MIN_OVERLAP,

@@ -31,8 +31,9 @@ from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
 
 from PIL.ExifTags import Base
 
+from skyline.camera import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.exif import Tags, positive, text_of
-from skyline.photo.skyline import MAX_PANORAMA_DEG, MIN_FOV_DEG, Lens, Projection
+from skyline.photo.skyline import Lens
 from skyline.photo.xmp import Xmp
 
 _FULL_FRAME_MM = hypot(36.0, 24.0)

@@ -22,6 +22,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
+from skyline.camera import Projection
 from skyline.errors import InputError, MissingFileError, suffix_of
 from skyline.files import (
     STANDARD,
@@ -36,7 +37,7 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT, camera_of
 from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
-from skyline.photo.skyline import Lens, PhotoSkyline, Projection, check_of_image
+from skyline.photo.skyline import Lens, PhotoSkyline, check_of_image
 from skyline.photo.trace import read_trace
 from skyline.photo.xmp import xmp_of
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import Float64Array
+from skyline.camera import Projection
 from skyline.errors import InputError, check_suffix
 from skyline.files import Row, Table, read_table, write_whole
-from skyline.photo.skyline import Lens, PhotoSkyline, Projection
+from skyline.photo.skyline import Lens, PhotoSkyline
 
 TRACES = (".csv",)
 """The suffix of traces: files of others are photos."""

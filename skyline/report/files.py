@@ -28,6 +28,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
+from skyline.camera import Projection
 from skyline.errors import BusyError, InputError, SkylineError, printable, suffix_of
 from skyline.files import (
     STANDARD,
@@ -41,7 +42,7 @@ from skyline.files import (
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
-from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.store.read import Store
 

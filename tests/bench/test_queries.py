@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from query_scenes import hills
 from scenes import field_of, fractal
 
-from skyline.camera import level
+from skyline.camera import level, undistorted
 from skyline.photo.lens import ALONE_SD
-from skyline.photo.skyline import PhotoSkyline, undistorted
+from skyline.photo.skyline import PhotoSkyline
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import at_elevation
 from skyline_bench.queries.made_photos import Scenery

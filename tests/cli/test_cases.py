@@ -11,8 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 from scenes import field_of
 
-from skyline.camera import Rays
 from skyline.match.confidence import MatchConfig
+from skyline.match.rays import Rays
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_query
 from skyline.report.labels import encode_figure, labels_of

@@ -7,11 +7,11 @@ import pytest
 from scenes import NORTH_M, WEST_M, at_deg
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
+from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.solver import TEMPERATURE
-from skyline.photo.skyline import Lens, PhotoSkyline, Projection
-from skyline.view import pixels_of
+from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
@@ -117,7 +117,7 @@ def test_a_panorama_that_sees_behind_is_found(
     assert best.fov_deg == pytest.approx(fov_deg, abs=0.5)
     assert best.pitch_deg == pytest.approx(raised_deg, abs=0.1 + sag_deg)
     elevation_tan = np.tan(np.radians(elevation_deg))
-    _, drawn_px = pixels_of(best, query, best.grid_heading_deg + turn_deg, elevation_tan)
+    _, drawn_px = best.camera(query).pixels(best.grid_heading_deg + turn_deg, elevation_tan)
     off_deg = np.abs(drawn_px - row_px) * fov_deg / width
     assert np.median(off_deg) < 0.1
     assert off_deg.max() < 0.4

@@ -7,10 +7,10 @@ import pytest
 from query_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
+from skyline.camera import distorted
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.refine import WHOLE, JointRefinement, Refinement
 from skyline.match.solver import Curves
-from skyline.photo.skyline import distorted
 from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.camera import Rays
 from skyline.errors import InputError
 from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
+from skyline.match.rays import Rays
 from skyline.match.result import MatchResult
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -19,7 +19,7 @@ GIVEN_DEG, SD_DEG = 60.0, 1.5
 @pytest.fixture
 def rays():
     u = np.linspace(-0.5, 0.5, 100)
-    return Rays(u, 0.0 * u, np.ones_like(u), GIVEN_DEG).about(SD_DEG)
+    return Rays(u=u, v=0.0 * u, weight=np.ones_like(u), fov_deg=GIVEN_DEG).about(SD_DEG)
 
 
 def query(fov_deg=GIVEN_DEG, noted=NOTHING_NOTED, lens=None):

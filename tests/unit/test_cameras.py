@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL.ExifTags import Base
 
-from skyline.camera import Rays
+from skyline.match.rays import Rays
 from skyline.photo.lens import lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")
@@ -144,7 +144,7 @@ def test_zoomed_and_cropped_frames_are_within_what_is_searched(camera, is_uprigh
     found = lens_of(notes_of(camera), size)
     sd_deg = 0.025 * found.fov_deg if found.sd_deg is None else found.sd_deg
     assert abs(true_deg - found.fov_deg) <= 1.5 * sd_deg
-    rays = Rays(*np.zeros((2, 1)), np.ones(1), found.fov_deg)
+    rays = Rays(u=np.zeros(1), v=np.zeros(1), weight=np.ones(1), fov_deg=found.fov_deg)
     low_deg, high_deg = rays.about(sd_deg, found.most_deg or math.inf).fov_bounds_deg
     assert low_deg < true_deg < high_deg
 

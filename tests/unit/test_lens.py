@@ -5,9 +5,10 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.camera import Rays
+from skyline.camera import Projection
+from skyline.match.rays import Rays
 from skyline.photo.lens import GPANO, lens_of, panorama_of_xmp, swept_lens_of
-from skyline.photo.skyline import Lens, Projection
+from skyline.photo.skyline import Lens
 from skyline.photo.xmp import Xmp
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
@@ -111,7 +112,13 @@ def test_a_panorama_resized_or_cropped_has_the_field_of_view_that_is_left(size, 
 )
 def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, most_deg):
     _, lens = panorama_of_xmp(gpano(**WHOLE), size)
-    rays = Rays(*np.zeros((2, 1)), np.ones(1), lens.fov_deg, projection=Projection.CYLINDRICAL)
+    rays = Rays(
+        u=np.zeros(1),
+        v=np.zeros(1),
+        weight=np.ones(1),
+        fov_deg=lens.fov_deg,
+        projection=Projection.CYLINDRICAL,
+    )
     low, high = rays.about(lens.sd_deg, lens.most_deg).fov_bounds_deg
     assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
     assert f"a panorama of {most_deg:.1f} degrees, but the photo was cropped" in lens.reason

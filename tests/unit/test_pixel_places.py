@@ -9,11 +9,12 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 from scenes import candidate_at, field_from, field_of, fractal
 
+from skyline.camera import Projection
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
-from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.eyes import at_elevation
-from skyline.view import Viewer, directions_of, pixels_of, sight_of
+from skyline.view import Viewer, sight_of
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)
@@ -43,7 +44,7 @@ def pose_at(field, east_m, north_m, eye_height_m, name, heading_deg=130.0):
 
 def rays_of(pose, query):
     row_px, column_px = np.mgrid[:HEIGHT_PX, :WIDTH_PX]
-    azimuth_deg, elevation_tan = directions_of(pose, query, column_px, row_px)
+    azimuth_deg, elevation_tan = pose.camera(query).directions(column_px, row_px)
     return np.radians(azimuth_deg), elevation_tan
 
 
@@ -139,7 +140,7 @@ def test_places_are_seen_in_their_pixels_and_sky_is_above_the_skyline(rough, nam
     east_m, north_m = easting_m - pose.easting_m, northing_m - pose.northing_m
     away_m = np.hypot(east_m, north_m)
     up_m = places.elevation_m - pose.eye_elevation_m - Curvature().drop_m(away_m)
-    column, row = pixels_of(pose, query, np.degrees(np.arctan2(east_m, north_m)), up_m / away_m)
+    column, row = pose.camera(query).pixels(np.degrees(np.arctan2(east_m, north_m)), up_m / away_m)
     seen = np.isfinite(places.distance_m)
     rows, columns = np.nonzero(seen)
     across = np.abs(column[seen] - columns)

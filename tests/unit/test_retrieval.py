@@ -1,5 +1,7 @@
 """Retrieval: poses found back among places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,6 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
-from skyline.camera import Rays
 from skyline.match.retrieval import Retriever
 
 
@@ -40,11 +41,11 @@ def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch,
 def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     true = rays(5, 30.0)
     wrong = true.with_fov(63.0)
-    query = Rays(wrong.u, wrong.v, wrong.weight, 63.0, (57.0, 66.0))
+    query = replace(wrong, fov_deg=63.0, fov_range_deg=(57.0, 66.0))
     found = Retriever(places).shortlist(query, 5)
     assert found.easting_m[0] == pytest.approx(500.0, abs=50.0)
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.5)
-    narrow = Rays(wrong.u, wrong.v, wrong.weight, 63.0, (61.0, 66.0))
+    narrow = replace(wrong, fov_deg=63.0, fov_range_deg=(61.0, 66.0))
     found = Retriever(places).shortlist(narrow, 5)
     assert ((found.fov_deg >= 61.0) & (found.fov_deg <= 66.0)).all()
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
-from skyline.camera import Rays, level, level_with_changes
+from skyline.camera import Projection, distorted, wander_of
 from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
+from skyline.match.rays import Rays
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
-from skyline.photo.skyline import Projection, distorted, wander_of
 from skyline.terrain.sightlines import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
@@ -37,19 +37,6 @@ def settled(hypotheses, panoramas, query, edge=None):
     curves = curves_of(*panoramas)
     fit = solver.settle(curves, solver.start(hypotheses))
     return solver.hypotheses(curves, fit)
-
-
-@pytest.mark.parametrize("projection", Projection)
-def test_levelled_rays_are_those_of_every_matcher(projection):
-    u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
-    query = Rays(u, v, np.ones(9), 60.0, projection=projection)
-    state = np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)])
-    level_image = np.zeros((1, len(query.warp_sd)))
-    found_azimuth, found_y, *_ = level_with_changes(query, *state, level_image)
-    angles_deg = np.degrees(0.1), np.degrees(-0.2)
-    azimuth, y = level(*query.scaled(np.array(1.2)), *angles_deg, projection)
-    np.testing.assert_allclose(found_azimuth[0], azimuth, atol=1e-12)
-    np.testing.assert_allclose(found_y[0], y, atol=1e-12)
 
 
 LENS = rays_of(*seen(hills, **TRUTH), 60.0)
@@ -88,7 +75,7 @@ def test_a_wide_lens_finds_its_distortion():
     u, v = seen(hills, heading_deg=350.0, pitch_deg=2.0, roll_deg=-1.5, fov_deg=100.0)
     half_width = np.tan(np.radians(50.0))
     bent = half_width * np.stack(distorted(u / half_width, v / half_width, 0.1))
-    true = Rays(*bent, np.ones_like(u), 100.0)
+    true = Rays(u=bent[0], v=bent[1], weight=np.ones_like(u), fov_deg=100.0)
     free = replace(true, distortion_sd=0.05)
     found = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), free)
     straight = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), true)

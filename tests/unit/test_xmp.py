@@ -10,8 +10,8 @@ from PIL.ExifTags import IFD, Base
 from PIL.PngImagePlugin import PngInfo
 from xmp_packets import ATTRIBUTES, ELEMENTS, FORMS, GPANO, WHOLE, xmp_packet
 
+from skyline.camera import Projection
 from skyline.photo.read import read_photo
-from skyline.photo.skyline import Projection
 from skyline.photo.xmp import xmp_of
 
 SPHERE = (Projection.EQUIRECTANGULAR, 360.0)

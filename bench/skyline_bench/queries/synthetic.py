@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import Rays
+from skyline.camera import distorted
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
-from skyline.photo.skyline import PhotoSkyline, distorted
+from skyline.match.rays import Rays
+from skyline.photo.skyline import PhotoSkyline
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, stand_on
@@ -68,7 +69,7 @@ class QueryConfig:
     mappings: tuple[str, ...] = (PIN_HOLE,)
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
-    # Standard deviation of the lens's distortion; see `skyline.photo.skyline.undistorted`.
+    # Standard deviation of the lens's distortion; see `skyline.camera.undistorted`.
     distortion_sd: float = 0.0
     max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
     # Standard deviations of pitch and roll as people hold cameras; None draws both evenly.

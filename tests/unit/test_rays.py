@@ -1,15 +1,14 @@
-"""Rays of a query under another field of view."""
+"""Rays of a photo under another field of view."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
-from skyline.camera import Rays, level, project
-from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.camera import Projection
+from skyline.match.rays import Rays
+from skyline.photo.skyline import PhotoSkyline
 
 
 def test_a_field_of_view_is_searched_about_the_one_given():
@@ -42,35 +41,16 @@ def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():
     u = np.radians([-110.0, 110.0])
-    around = Rays(u, np.array([0.1, 0.2]), np.ones(2), 220.0, projection=Projection.CYLINDRICAL)
+    around = Rays(
+        u=u,
+        v=np.array([0.1, 0.2]),
+        weight=np.ones(2),
+        fov_deg=220.0,
+        projection=Projection.CYLINDRICAL,
+    )
     np.testing.assert_allclose(around.fov_at(around.log_scale(242.0)), 242.0)
     assert around.about(2.2).log_scale_sd == pytest.approx(0.01)
     assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
-
-
-@pytest.mark.parametrize("projection", Projection)
-@given(share=st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)))
-def test_levelled_rays_project_back(projection, share):
-    wide, most_deg = (3.1, 20.0) if projection.is_panorama else (1.5, (60.0, 180.0))
-    u, v = np.meshgrid(np.linspace(-wide, wide, 9), np.linspace(-0.3, 0.3, 5))
-    turned_deg = np.multiply(share, most_deg)
-    levelled = level(u, v, *turned_deg, projection)
-    back = project(*levelled, *turned_deg, projection)
-    np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("row_deg", "pitch_deg", "expected_deg"),
-    [(75.0, 10.0, (0.0, 85.0)), (82.0, 10.0, (180.0, 88.0)), (-89.0, -10.0, (180.0, -81.0))],
-)
-def test_a_sphere_raised_past_the_zenith_looks_back(row_deg, pitch_deg, expected_deg):
-    v, sphere = np.tan(np.radians([row_deg])), Projection.EQUIRECTANGULAR
-    azimuth, y = level(np.zeros(1), v, pitch_deg, 0.0, sphere)
-    found_deg = np.degrees([np.abs(azimuth[0]), np.arctan(y[0])])
-    np.testing.assert_allclose(found_deg, expected_deg, atol=1e-9)
-    # No row of the photo looks so far down.
-    _, below = project(np.zeros(1), np.tan(np.radians([-85.0])), 10.0, 0.0, sphere)
-    assert np.isnan(below[0])
 
 
 @pytest.mark.parametrize("projection", [Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR])

@@ -1,0 +1,222 @@
+"""The trusted columns of a photo's skyline as rays of its camera, and means of them."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import Float64Array, IntArray
+from skyline.camera import (
+    MAX_PANORAMA_DEG,
+    WANDER_DEGREES,
+    ImagePoints,
+    level,
+)
+from skyline.errors import InputError
+from skyline.photo.skyline import Lens, PhotoSkyline
+
+REFERENCE_FOV_DEG = 60.0
+"""Field of view to which sizes of pixels are compared."""
+FOV_RANGE_DEG = (25.0, 100.0)
+"""Fields of view that are searched where none is known."""
+USUAL_FOV_DEG = (55.0, 14.0)
+"""Mean and standard deviation of those fields of view: most photos are taken with a phone or a
+usual zoom lens."""
+_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
+"""Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
+6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
+near slopes bend to fit."""
+_WIDE_DEG = 75.0
+"""Lenses of a greater field of view are wide."""
+_WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
+_WANDER_FOV_DEG = 240.0
+"""Standard deviations of a panorama's row shifts, one for each polynomial degree, at this field of
+view. As in a random walk, they fall with the inverse of the degree. They grow with the square root
+of the field of view."""
+_FOV_DEVIATIONS = 4.0
+"""Standard deviations to either side of a given field of view that are searched."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Rays(ImagePoints):
+    """The trusted columns of a photo's skyline, and what is known of its camera.
+
+    Raises `InputError` where all weights are 0.
+    """
+
+    weight: Float64Array
+    """(R,) float64. Trust in each ray, at least 0; only ratios matter."""
+    fov_range_deg: tuple[float, float] | None = None
+    """Range of the true field of view; by default it is `fov_deg` exactly."""
+    fov_sd_deg: float = math.inf
+    """Standard deviation of the true field of view about `fov_deg`; infinite for a uniform
+    distribution over the range."""
+    distortion_sd: float = 0.0
+    """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
+    distortion. A distortion k moves a ray outwards by k times its `reach`; see
+    `skyline.camera.undistorted`."""
+
+    @classmethod
+    def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":
+        """Return a photo's rays, with the fields of view that it may have.
+
+        ``fov_sd_share`` is the deviation of a field of view, as a share of it, where its lens has
+        none of its own. Raises `InputError` for a photo of unknown field of view, unless the
+        matcher finds it, and for a panorama of unknown field of view.
+        """
+        is_panorama = photo.projection.is_panorama
+        weight = photo.confidence[photo.trusted]
+        if photo.fov_deg is not None:
+            fov_deg, lens = photo.fov_deg, photo.lens or Lens(photo.fov_deg)
+            distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
+            u, v = photo.image_plane()
+            rays = cls(
+                u=u,
+                v=v,
+                weight=weight,
+                fov_deg=fov_deg,
+                projection=photo.projection,
+                distortion_sd=0.0 if is_panorama else distortion_sd,
+            )
+            share = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_sd_share
+            fov_sd_deg = share * fov_deg if lens.sd_deg is None else lens.sd_deg
+            return rays.about(fov_sd_deg, lens.most_deg or math.inf)
+        if finds_fov and not is_panorama:
+            fov_deg, fov_sd_deg = USUAL_FOV_DEG
+            u, v = photo.with_fov(fov_deg).image_plane()
+            return cls(
+                u=u,
+                v=v,
+                weight=weight,
+                fov_deg=fov_deg,
+                fov_range_deg=FOV_RANGE_DEG,
+                fov_sd_deg=fov_sd_deg,
+                distortion_sd=_DISTORTION_SD,
+            )
+        raise InputError(
+            "the photo's field of view is not known: it is not in the image; give --fov-deg"
+        )
+
+    def __post_init__(self) -> None:
+        if not self.weight.any():
+            raise InputError("all weights of the photo are 0, so there is nothing to match")
+
+    @property
+    def fov_bounds_deg(self) -> tuple[float, float]:
+        """The smallest and the largest field of view that are searched."""
+        return self.fov_range_deg or (self.fov_deg, self.fov_deg)
+
+    @property
+    def log_scale_bounds(self) -> tuple[float, float]:
+        """The smallest and the largest `log_scale`."""
+        low, high = self.log_scale(np.array(self.fov_bounds_deg))
+        return float(low), float(high)
+
+    @property
+    def log_scale_sd(self) -> float:
+        """Standard deviation of `log_scale`."""
+        sd_rad, fov_rad = math.radians(self.fov_sd_deg), math.radians(self.fov_deg)
+        return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
+
+    def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
+        """Return the fields of view of factors, as `fov_at`, within `fov_bounds_deg`."""
+        return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
+
+    @property
+    def warp_sd(self) -> Float64Array:
+        """Standard deviations (K,) of how an image may be warped.
+
+        One of the distortion of a lens that may distort, and one for each column of a panorama's
+        `wander`.
+        """
+        if self.is_panorama:
+            grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)
+            return np.radians(_WANDER_SD_DEG) * grown
+        return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
+
+    def with_fov(self, fov_deg: float) -> "Rays":
+        """Return the same photo's rays for another field of view, degrees, within the range."""
+        u, v = self.scaled(np.asarray(self.projection.half_width(fov_deg) / self.half_width))
+        return replace(self, u=u, v=v, fov_deg=fov_deg)
+
+    def about(self, fov_sd_deg: float, most_deg: float = math.inf) -> "Rays":
+        """Return the rays with a normally distributed field of view.
+
+        Four standard deviations about the current one are searched, as far as a camera allows and
+        up to ``most_deg``. With a deviation of 0 the field of view is known exactly.
+        """
+        if fov_sd_deg == 0.0:
+            return self
+        fov_deg = self.fov_deg
+        possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
+        widest_deg = min(fov_deg + _FOV_DEVIATIONS * fov_sd_deg, possible_deg, most_deg)
+        narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * fov_sd_deg, 0.5 * fov_deg)
+        return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=fov_sd_deg)
+
+
+def thinned(rays: Rays, bins: int) -> Rays:
+    """Average the rays within each of ``bins`` steps of a level camera's azimuth.
+
+    The terrain's curve is no finer than its bins, so averages hold nearly all the information of
+    many columns at the cost of few. They are returned from left to right. The weight of an average
+    is the mean weight of its rays, so weights refer to the noise of averages.
+    """
+    azimuth = rays.u if rays.is_panorama else np.arctan(rays.u)
+    step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
+    step -= step.min()
+    total = np.bincount(step, rays.weight)
+    kept = np.flatnonzero(total)
+    return _averaged(rays, step, kept, total[kept] / np.bincount(step)[kept])
+
+
+def in_runs(rays: Rays, count: int) -> Rays:
+    """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
+
+    The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
+    degrees.
+    """
+    if rays.is_panorama:
+        count = max(1, round(count * rays.fov_deg / REFERENCE_FOV_DEG))
+    left, right = rays.u.min(), rays.u.max()
+    width = max((right - left) / count, 1e-9)
+    step = np.minimum((rays.u - left) / width, count - 1).astype(np.intp)
+    total = np.bincount(step, rays.weight, count)
+    kept = np.flatnonzero(total > 0.3 * np.median(total[total > 0.0]))
+    return _averaged(rays, step, kept, total[kept] / total[kept].mean())
+
+
+def _averaged(rays: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
+    """Return the weighted means of the rays in each kept step, with new weights."""
+    total = np.bincount(step, rays.weight)[kept]
+    u, v = (np.bincount(step, rays.weight * ray)[kept] / total for ray in (rays.u, rays.v))
+    return replace(rays, u=u, v=v, weight=weight)
+
+
+def on_bins(rays: Rays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
+    """Return rays, levelled at one pitch, on B equal steps of azimuth.
+
+    These are the tangents y (B,) of its elevation angle, NaN outside the photo, and the trust (B,)
+    in each, 0 outside. Bin B / 2 is straight ahead.
+
+    Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
+    slope. Values at bin centres are interpolated linearly between these averages.
+    """
+    azimuth, y = level(rays.u, rays.v, pitch_deg, 0.0, rays.projection)
+    position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
+    nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
+    weight = np.bincount(nearest, rays.weight, bins)
+    filled = np.flatnonzero(weight)
+    total = weight[filled]
+    at = np.bincount(nearest, rays.weight * position, bins)[filled] / total
+    mean_y = np.bincount(nearest, rays.weight * y, bins)[filled] / total
+    mean_weight = total / np.bincount(nearest, minlength=bins)[filled]
+    centres = np.arange(bins, dtype=np.float64)
+    after = np.searchsorted(at, centres)
+    spacing = np.diff(at, prepend=-np.inf, append=np.inf)
+    step = float(np.median(np.diff(np.sort(position)))) if len(position) > 1 else 0.0
+    # A centre within half a bin of a lone or outermost average still belongs to it.
+    seen = (spacing[after] <= 3.0 * max(step, 1.0)) | (weight > 0.0)
+    return (
+        np.where(seen, np.interp(centres, at, mean_y), np.nan),
+        np.where(seen, np.interp(centres, at, mean_weight), 0.0),
+    )
