@@ -1,3 +1,4 @@
+from .camera import Camera as Camera
 from .camera import Projection as Projection
 from .errors import BuildError as BuildError
 from .errors import ContextError as ContextError

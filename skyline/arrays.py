@@ -23,7 +23,7 @@ Index = slice | NDArray[np.integer] | BoolArray
 
 
 class Rows:
-    """Base of dataclasses whose fields are arrays, or `Rows`, of one length."""
+    """Base of dataclasses whose fields are arrays, or `Rows`, of one length, or None."""
 
     __slots__ = ()
 
@@ -31,7 +31,11 @@ class Rows:
         return len(getattr(self, self._names()[0]))
 
     def __getitem__(self, index: Index) -> Self:
-        return type(self)(**{name: column[index] for name, column in self.columns().items()})
+        columns = {
+            name: None if column is None else column[index]
+            for name, column in self.columns().items()
+        }
+        return type(self)(**columns)
 
     def columns(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -55,6 +59,8 @@ class Rows:
 
 
 def _chosen(chosen: BoolArray, new: Any, old: Any) -> Any:
+    if old is None:
+        return None
     if isinstance(old, Rows):
         return old.replaced(chosen, new)
     return np.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
@@ -62,4 +68,6 @@ def _chosen(chosen: BoolArray, new: Any, old: Any) -> Any:
 
 def _concatenated(column: list[Any]) -> Any:
     first = column[0]
+    if first is None:
+        return None
     return type(first).concatenate(column) if isinstance(first, Rows) else np.concatenate(column)

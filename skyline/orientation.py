@@ -46,7 +46,7 @@ from skyline.match.solver import TEMPERATURE
 from skyline.photo.exif import NotedPlace
 from skyline.photo.read import Picture
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose, RefinedPoses, candidates_of, hypothesis_of
+from skyline.pose import Pose, Poses
 from skyline.render.context import Releasable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
@@ -93,11 +93,11 @@ _SAME_EYE_SDS, _SAME_EYE_SHARE = 3.0, 0.2
 """Eyes are the same that differ in height by less than so many deviations of the terrain model, or
 by less than this share of their height above the ground, by which distances of the ground grow."""
 _CLOSE_EYE = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
-"""An eye of another height whose score is behind by less is too likely to trust the best one."""
+"""An eye of another height whose cost is higher by less is too likely to trust the best one."""
 _FAR_SD = 4.0
 """A pose farther from the known place than so many of its standard errors is of another place."""
 _CLOSE = 20.0
-"""A heading whose score is behind by less than this is named in a refusal."""
+"""A heading whose cost is higher by less than this is named in a refusal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,9 +316,9 @@ class Orienter(Releasable):
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
-    def _refined(self, rays: Rays, query: PhotoSkyline) -> RefinedPoses:
+    def _refined(self, rays: Rays, query: PhotoSkyline) -> Poses:
         """Return the best pose of each heading in each standing, best first."""
-        found = list[RefinedPoses]()
+        found = list[Poses]()
         for number, standing in enumerate(self._standings(query.noted)):
             retriever = self._retriever
             if number > 0:
@@ -328,9 +328,9 @@ class Orienter(Releasable):
             best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
             refinement = self._refinement(rays, query.noted, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
-            found.append(replace(poses, score=poses.score + TEMPERATURE * standing.cost))
-        poses = RefinedPoses.concatenate(found)
-        return poses[np.argsort(poses.score, kind="stable")]
+            found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
+        poses = Poses.concatenate(found)
+        return poses[np.argsort(poses.cost, kind="stable")]
 
     def _refinement(
         self, rays: Rays, noted: NotedPlace, standing: Standing
@@ -352,10 +352,12 @@ class Orienter(Releasable):
         if from_exif is None:
             return known
         return replace(
-            known, heading_deg=from_exif.heading_deg, heading_sd_deg=from_exif.heading_sd_deg
+            known,
+            grid_heading_deg=from_exif.grid_heading_deg,
+            heading_sd_deg=from_exif.heading_sd_deg,
         )
 
-    def _orientation(self, query: PhotoSkyline, rays: Rays, poses: RefinedPoses) -> Orientation:
+    def _orientation(self, query: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
             return Orientation(query, None, refusal="no heading fits at this place")
@@ -364,7 +366,7 @@ class Orienter(Releasable):
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
-        pose = replace(candidates_of(self.frame, poses[:1])[0], rank=None)
+        pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
         refusal = at_bound(pose, rays) or other_eye
         if moved_m[0] > _FAR_SD * self._within_m:
             refusal = (
@@ -380,12 +382,12 @@ class Orienter(Releasable):
             standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
             other = projections.other_projection(
                 rays,
-                hypothesis_of(pose),
+                Poses.of(pose),
                 lambda bent: self._refinement(bent, query.noted, standing),
             )
             refusal = projections.with_projection(refusal, other)
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
-        errors_deg = dict(zip(names, poses.angle_sd_deg[0].tolist(), strict=True))
+        errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
             query,
             pose,
@@ -396,14 +398,14 @@ class Orienter(Releasable):
             refusal=refusal,
         )
 
-    def _other_eye(self, poses: RefinedPoses) -> str | None:
+    def _other_eye(self, poses: Poses) -> str | None:
         """Return the refusal of a best pose that another standing rivals; None if none does."""
         heights_m = self._eye_heights_m(poses)
-        is_same = np.abs(in_turn(poses.heading_deg - poses.heading_deg[0])) < _APART_DEG
+        is_same = np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _APART_DEG
         off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
         same_m = max(_SAME_EYE_SDS * self._scene.height_sd_m, _SAME_EYE_SHARE * heights_m[0])
         is_other = is_same & (off_m > same_m)
-        is_close = poses.score - poses.score[0] < _CLOSE_EYE
+        is_close = poses.cost - poses.cost[0] < _CLOSE_EYE
         rivals = np.flatnonzero(is_other & is_close)
         if not len(rivals):
             return None
@@ -413,22 +415,22 @@ class Orienter(Releasable):
             "(--at LON,LAT,ELEV)"
         )
 
-    def _eye_heights_m(self, poses: RefinedPoses) -> Float64Array:
+    def _eye_heights_m(self, poses: Poses) -> Float64Array:
         """Return the heights (M,) of eyes above the ground."""
         ground_m = self._scene.ground_m(poses.easting_m, poses.northing_m)
         return np.asarray(poses.eye_elevation_m - ground_m)
 
-    def _moved_m(self, poses: RefinedPoses) -> Float64Array:
+    def _moved_m(self, poses: Poses) -> Float64Array:
         """Return how far poses (M,) lie from the known place."""
         place_m = poses.easting_m + 1j * poses.northing_m
         return np.abs(place_m - complex(self._east, self._north))
 
-    def _doubt(self, poses: RefinedPoses, pose: Pose, sure: float) -> str:
+    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str:
         """Return the refusal of a pose of too little confidence, with what speaks against it."""
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
-        score = poses.score
-        if len(poses) > 1 and score[1] - score[0] < _CLOSE:
-            other_deg = (poses.heading_deg[1] + pose.convergence_deg) % 360.0
+        cost = poses.cost
+        if len(poses) > 1 and cost[1] - cost[0] < _CLOSE:
+            other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
 
@@ -466,13 +468,13 @@ class _RefinementByHeading(Refinement):
     def survivors(self, particles: Particles, count: int) -> Particles:
         """Return the particles of the next round: the best, and the best of each heading."""
         ordered = particles.best(len(particles))
-        standing = self.hypotheses(ordered)
+        standing = self.poses(ordered)
         rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best particle of each heading, best first."""
-        standing = self.hypotheses(particles)
+        standing = self.poses(particles)
         return particles[standing.suppress_non_maxima(count, np.inf, _APART_DEG)]
 
 

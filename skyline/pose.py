@@ -1,7 +1,7 @@
-"""Poses of a camera: hypotheses, refined poses, and candidates with their shapes on the map."""
+"""Poses of a camera: one on the map, with its shapes there, and columns of many."""
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ _ELLIPSE_POINTS = 72
 
 _JSON = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
-    "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "score", "confidence",
+    "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "cost", "confidence",
     "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
 )  # fmt: skip
 
@@ -69,7 +69,7 @@ class Pose:
         Elevation of the camera above the DEM's datum.
     convergence_deg : float
         Grid convergence at the place: true azimuth minus grid azimuth.
-    score : float
+    cost : float
         Lower is better; the unit depends on the matcher. NaN for a pose set by hand.
     confidence, confidence_1km : float or None
         Estimated probability that the place is right within 200 m, and within 1 km, and the
@@ -104,7 +104,7 @@ class Pose:
     northing_m: float
     eye_elevation_m: float
     convergence_deg: float
-    score: float
+    cost: float
     distortion: float = 0.0
     wander: tuple[float, ...] = ()
     confidence: float | None = None
@@ -253,75 +253,8 @@ def view_wedge_m(candidate: Pose, reach_m: float) -> Float64Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses(Rows):
-    """M poses that the camera may have had, with their scores."""
-
-    easting_m: Float64Array
-    northing_m: Float64Array
-    eye_elevation_m: Float64Array
-    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (M,) float64. Position of the eye, in
-    the store's frame and above the DEM's datum."""
-    heading_deg: Float64Array
-    """(M,) float64. Grid azimuth of the optical axis, in [0, 360)."""
-    pitch_deg: Float64Array
-    roll_deg: Float64Array
-    fov_deg: Float64Array
-    distortion: Float64Array
-    """``pitch_deg``, ``roll_deg``, ``fov_deg``, ``distortion``: (M,) float64. As in `Pose`."""
-    score: Float64Array
-    """(M,) float64. Lower is better; the unit depends on the step that gave it. Infinite for a
-    pose that does not fit."""
-
-    def distances_m(self) -> Float64Array:
-        """Return the horizontal distances (M, M) between the poses."""
-        place = self.easting_m + 1j * self.northing_m
-        return np.asarray(np.abs(place[:, np.newaxis] - place))
-
-    def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
-        """Return which pairs of poses (M, M) lie and look within a distance and a turn."""
-        turn = np.abs(in_turn(self.heading_deg - self.heading_deg[:, np.newaxis]))
-        return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
-
-    def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
-        """Return the score (M,) of each pose's best rival minus the pose's own score.
-
-        Rivals are the poses farther away than ``farther_than_m``, and those that look more than
-        ``turn_deg`` away. Infinite for a pose without rivals.
-        """
-        is_same = self.are_same(farther_than_m, turn_deg)
-        rival = np.where(is_same, np.inf, self.score).min(axis=1, initial=np.inf)
-        return np.asarray(rival - self.score)
-
-    def suppress_non_maxima(
-        self, count: int, separation_m: float, turn_deg: float = 360.0
-    ) -> IntArray:
-        """Return the indices of at most ``count`` distinct poses, best first.
-
-        A pose is left out where a better one lies nearer than ``separation_m`` and looks within
-        ``turn_deg`` of the same direction, or where its score is infinite. Equal scores keep their
-        order.
-        """
-        place = self.easting_m + 1j * self.northing_m
-        left = np.isfinite(self.score)
-        chosen: list[int] = []
-        for index in np.argsort(self.score, kind="stable"):
-            if len(chosen) == count:
-                break
-            if not left[index]:
-                continue
-            chosen.append(int(index))
-            turn = np.abs(in_turn(self.heading_deg - self.heading_deg[index]))
-            left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
-            left[index] = False
-        return np.array(chosen, dtype=np.intp)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RefinedPoses(Poses):
-    """M poses fitted by rendering, best first, with the figures a confidence is learned from.
-
-    Their score is the negative log-likelihood; only differences within one query are meaningful.
-    """
+class FitFigures(Rows):
+    """Figures of M poses that were fitted by rendering; confidences are learned from them."""
 
     covariance_m2: Float64Array
     """(M, 2, 2) float64. Covariance of easting and northing, square metres, including other optima
@@ -332,59 +265,149 @@ class RefinedPoses(Poses):
     """(M,) float64. As in `Pose`."""
     skyline_m: Float64Array
     """(M,) float64. As in `Pose`."""
+    beyond_share: Float64Array
+    """(M,) float64. As in `Pose`."""
     effective_columns: Float64Array
     """(M,) float64. Number of independent columns that would hold as much information."""
     height_sd_m: Float64Array
     """(M,) float64. Standard deviation of the terrain model's height errors that the fit
     suggests."""
-    beyond_share: Float64Array
-    """(M,) float64. As in `Pose`."""
     margin: Float64Array
+    """(M,) float64. `Poses.rival_margin` for `RIGHT_WITHIN_M`; below 0 for all but the best
+    pose."""
     far_margin: Float64Array
-    """``margin``, ``far_margin``: (M,) float64. `Poses.rival_margin` for either of
-    `DISTANCES_M`; below 0 for all but the best pose."""
+    """(M,) float64. `Poses.rival_margin` for `ROUGHLY_WITHIN_M`."""
     angle_sd_deg: Float64Array
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
-    wander: Float64Array
-    """(M, 4) float64, or (M, 0). As in `Pose`."""
 
 
-def hypothesis_of(candidate: Pose) -> Poses:
-    """Return a candidate's pose as one hypothesis, with a score of 0."""
-    pose = asdict(candidate) | {"heading_deg": candidate.grid_heading_deg, "score": 0.0}
-    return Poses(**{f.name: np.array([float(pose[f.name])]) for f in fields(Poses)})
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Poses(Rows):
+    """M poses that a camera may have had, in a frame; what a matcher returns."""
+
+    easting_m: Float64Array
+    """(M,) float64. Easting of the eye in the frame."""
+    northing_m: Float64Array
+    """(M,) float64. Northing of the eye in the frame."""
+    eye_elevation_m: Float64Array
+    """(M,) float64. Elevation of the eye above the DEM's datum."""
+    grid_heading_deg: Float64Array
+    """(M,) float64. Grid azimuth of the optical axis, in [0, 360)."""
+    pitch_deg: Float64Array
+    """(M,) float64. As in `Pose`."""
+    roll_deg: Float64Array
+    """(M,) float64. As in `Pose`."""
+    fov_deg: Float64Array
+    """(M,) float64. As in `Pose`."""
+    cost: Float64Array
+    """(M,) float64. Lower is better; the unit depends on the step that gave it, and only
+    differences within one photo are meaningful. Infinite for a pose that does not fit."""
+    distortion: Float64Array | None = None
+    """(M,) float64. As in `Pose`; None for 0."""
+    wander: Float64Array | None = None
+    """(M, 4) float64. As in `Pose`; None where it is not known."""
+    confidence: Float64Array | None = None
+    """(M,) float64. Probability that a pose is right within 200 m; None if not estimated."""
+    confidence_1km: Float64Array | None = None
+    """(M,) float64. Probability that a pose is right within 1 km; None if not estimated."""
+    fits: FitFigures | None = None
+    """Figures of poses that were fitted by rendering; None for others."""
+
+    @classmethod
+    def of(cls, pose: Pose) -> "Poses":
+        """Return one pose as columns, with a cost of 0."""
+        return cls(
+            easting_m=np.array([pose.easting_m]),
+            northing_m=np.array([pose.northing_m]),
+            eye_elevation_m=np.array([pose.eye_elevation_m]),
+            grid_heading_deg=np.array([pose.grid_heading_deg]),
+            pitch_deg=np.array([pose.pitch_deg]),
+            roll_deg=np.array([pose.roll_deg]),
+            fov_deg=np.array([pose.fov_deg]),
+            cost=np.zeros(1),
+            distortion=np.array([pose.distortion]),
+        )
+
+    def figures(self) -> FitFigures:
+        """Return the figures of fits; raises `ValueError` for poses that were not rendered."""
+        if self.fits is None:
+            raise ValueError("these poses were not fitted by rendering, so they have no figures")
+        return self.fits
+
+    def on_map(self, frame: Frame) -> tuple[Pose, ...]:
+        """Return each pose, best first, on the map; ``frame`` is the frame of the eastings."""
+        lon, lat = frame.to_lonlat(easting_m=self.easting_m, northing_m=self.northing_m)
+        convergence_deg = frame.convergence_deg(
+            easting_m=self.easting_m, northing_m=self.northing_m
+        )
+        columns = self.columns()
+        grid_heading_deg = columns.pop("grid_heading_deg")
+        fits = columns.pop("fits")
+        columns |= {
+            "lon": lon,
+            "lat": lat,
+            "heading_deg": (grid_heading_deg + convergence_deg) % 360.0,
+            "convergence_deg": convergence_deg,
+            "rank": np.arange(1, len(self) + 1),
+        }
+        if fits is not None:
+            for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
+                columns[name] = getattr(fits, name)
+            columns["covariance_m2"] = fits.covariance_m2
+            columns["refined"] = np.ones(len(self), dtype=bool)
+        known = {
+            name: map(_tuple, column.tolist())
+            for name, column in columns.items()
+            if column is not None
+        }
+        return tuple(
+            Pose(**dict(zip(known, row, strict=True))) for row in zip(*known.values(), strict=True)
+        )
+
+    def distances_m(self) -> Float64Array:
+        """Return the horizontal distances (M, M) between the poses."""
+        place = self.easting_m + 1j * self.northing_m
+        return np.asarray(np.abs(place[:, np.newaxis] - place))
+
+    def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
+        """Return which pairs of poses (M, M) are near each other and look the same way."""
+        turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[:, np.newaxis]))
+        return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
+
+    def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
+        """Return the cost (M,) of each pose's best rival minus the pose's own cost.
+
+        Rivals are the poses farther away than ``farther_than_m``, and those that look more than
+        ``turn_deg`` away. Infinite for a pose without rivals.
+        """
+        is_same = self.are_same(farther_than_m, turn_deg)
+        rival = np.where(is_same, np.inf, self.cost).min(axis=1, initial=np.inf)
+        return np.asarray(rival - self.cost)
+
+    def suppress_non_maxima(
+        self, count: int, separation_m: float, turn_deg: float = 360.0
+    ) -> IntArray:
+        """Return the indices of at most ``count`` distinct poses, best first.
+
+        A pose is left out where a better one lies nearer than ``separation_m`` and looks within
+        ``turn_deg`` of the same direction, or where its cost is infinite. Equal costs keep their
+        order.
+        """
+        place = self.easting_m + 1j * self.northing_m
+        left = np.isfinite(self.cost)
+        chosen: list[int] = []
+        for index in np.argsort(self.cost, kind="stable"):
+            if len(chosen) == count:
+                break
+            if not left[index]:
+                continue
+            chosen.append(int(index))
+            turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[index]))
+            left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
+            left[index] = False
+        return np.array(chosen, dtype=np.intp)
 
 
-def candidates_of(
-    frame: Frame,
-    poses: Poses,
-    confidence: Float64Array | None = None,
-    confidence_1km: Float64Array | None = None,
-) -> tuple[Pose, ...]:
-    """Return poses, best first, as candidates; ``frame`` is that of their eastings and northings.
-
-    The confidences (M,) are the probabilities that each is right within 200 m, and within 1 km.
-    """
-    place = {"easting_m": poses.easting_m, "northing_m": poses.northing_m}
-    lon, lat = frame.to_lonlat(**place)
-    convergence_deg = frame.convergence_deg(**place)
-    heading_deg = (poses.heading_deg + convergence_deg) % 360.0
-    columns = {f.name: getattr(poses, f.name).tolist() for f in fields(Poses)} | {
-        "lon": lon.tolist(),
-        "lat": lat.tolist(),
-        "heading_deg": heading_deg.tolist(),
-        "convergence_deg": convergence_deg.tolist(),
-        "rank": range(1, len(poses) + 1),
-    }
-    if confidence is not None and confidence_1km is not None:
-        columns["confidence"] = confidence.tolist()
-        columns["confidence_1km"] = confidence_1km.tolist()
-    if isinstance(poses, RefinedPoses):
-        for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
-            columns[name] = getattr(poses, name).tolist()
-        covariance_m2 = poses.covariance_m2.tolist()
-        columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
-        columns["refined"] = [True] * len(poses)
-        columns["wander"] = [tuple(row) for row in poses.wander.tolist()]
-    rows = zip(*columns.values(), strict=True)
-    return tuple(Pose(**dict(zip(columns, row, strict=True))) for row in rows)
+def _tuple(value: Any) -> Any:
+    """Return a list, and the lists in it, as tuples; anything else as it is."""
+    return tuple(map(_tuple, value)) if isinstance(value, list) else value

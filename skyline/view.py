@@ -270,7 +270,7 @@ class Viewer(Releasable):
             northing_m=northing_m,
             eye_elevation_m=float(eye_m[0]),
             convergence_deg=float(convergence_deg),
-            score=math.nan,
+            cost=math.nan,
         )
 
     def held(self, pose: Pose) -> Pose:

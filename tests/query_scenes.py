@@ -55,10 +55,11 @@ def swept(
 
 
 def poses(count=1, **given):
-    """Return hypotheses at the origin, level and looking north, but for what is given."""
-    defaults = dict.fromkeys(Poses.__dataclass_fields__, 0.0) | {"fov_deg": 60.0}
-    rows = {name: np.zeros(count) + given.get(name, value) for name, value in defaults.items()}
-    return Poses(**rows)
+    """Return poses at the origin, level and looking north, but for what is given."""
+    names = ("easting_m", "northing_m", "eye_elevation_m", "grid_heading_deg", "pitch_deg")
+    names += ("roll_deg", "fov_deg", "cost")
+    values = dict.fromkeys(names, 0.0) | {"fov_deg": 60.0} | given
+    return Poses(**{name: np.zeros(count) + value for name, value in values.items()})
 
 
 def hills(azimuth_rad):

@@ -9,7 +9,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import Affine, from_origin
 
 from skyline.geodesy import Frame
-from skyline.pose import Pose, Poses, candidates_of
+from skyline.pose import Pose, Poses
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
@@ -25,14 +25,18 @@ WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
 def candidate_at(
     easting_m, northing_m, grid_heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
-    *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None,
+    *, cost=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None,
     confidence_1km=None, frame=FRAME, rank=1,
 ) -> Pose:  # fmt: skip
     """Return the candidate of one pose."""
-    pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
-    poses = Poses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
+    values = {
+        "easting_m": easting_m, "northing_m": northing_m, "eye_elevation_m": eye_elevation_m,
+        "grid_heading_deg": grid_heading_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg,
+        "fov_deg": fov_deg, "cost": cost,
+    }  # fmt: skip
+    poses = Poses(**{name: np.array([float(value)]) for name, value in values.items()})
     return replace(
-        candidates_of(frame, poses)[0], rank=rank, confidence=confidence,
+        poses.on_map(frame)[0], rank=rank, confidence=confidence,
         confidence_1km=confidence_1km, refined=covariance_m2 is not None,
         covariance_m2=covariance_m2,
     )  # fmt: skip

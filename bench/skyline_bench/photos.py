@@ -321,12 +321,12 @@ def _stages(
     gap_deg = viewer.look(there, query).median_gap_deg
     if gap_deg is None or gap_deg > _ODD_DEG:
         stage = "skyline"
-    elif stage == "ranking" and there.score < result.candidates[0].score:
+    elif stage == "ranking" and there.cost < result.candidates[0].cost:
         stage = "search"
     return {
         "lost": stage,
         "true_place_gap_deg": gap_deg,
-        "true_place_behind": there.score - result.candidates[0].score,
+        "true_place_behind": there.cost - result.candidates[0].cost,
     }
 
 

@@ -236,7 +236,7 @@ def _matcher(
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
     build_places(terrain, store, bounds_deg=bounds_deg, places=places)
     with Matcher(store, terrain) as matcher:
-        ranker = matcher._ranker
+        ranker = matcher._method
         assert isinstance(ranker, FullMatcher)
         yield ranker
 
@@ -264,9 +264,9 @@ def examples_from(
 def _example(
     figures: dict[str, Float64Array], poses: Poses, query: SyntheticQuery, kind: str
 ) -> Example:
-    best = int(np.argmin(poses.score))
+    best = int(np.argmin(poses.cost))
     off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
-    turn_deg = abs(float(in_turn(poses.heading_deg[best] - query.truth.heading_deg)))
+    turn_deg = abs(float(in_turn(poses.grid_heading_deg[best] - query.truth.heading_deg)))
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
         off_m if turn_deg <= SAME_VIEW_DEG else math.inf,

@@ -107,7 +107,7 @@ def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, fl
         return None
     figures = confidence.oriented_figures(poses, rays, orienter._moved_m(poses))
     first = {name: float(values[0]) for name, values in figures.items()}
-    return first, float(poses.heading_deg[0])
+    return first, float(poses.grid_heading_deg[0])
 
 
 def learn_orientation(

@@ -39,11 +39,13 @@ from skyline.errors import (
 )
 from skyline.files import STANDARD, read_bytes, version_of
 from skyline.match.confidence import MatchConfig
-from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
+from skyline.match.matcher import FULL, Matcher
+from skyline.match.method import MATCHERS
 from skyline.match.prior import Narrowing
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import read_peaks
 from skyline.photo.skyline import PhotoSkyline
+from skyline.plugins import names_of
 from skyline.report.files import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.survey.cluster import runner_of
@@ -51,7 +53,6 @@ from skyline.terrain.folders import dem_names
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""
-_CHOICES = (FULL, _UNREFINED, *PROFILE_MATCHERS)
 
 # Groups of options in the help, after the options that are needed most.
 _known, _search, _files = panel("The photos"), panel("The search"), panel("More files to write")
@@ -98,7 +99,8 @@ def match(
         str,
         _search(
             metavar="NAME",
-            help=f"One of {', '.join(_CHOICES)}; {_UNREFINED} is faster and less exact.",
+            help=f"{FULL}, {_UNREFINED}, paper, correlation, or another package's; {_UNREFINED} is "
+            "faster and less exact.",
         ),
     ] = FULL,
     surface: Surfaces = None,
@@ -128,7 +130,7 @@ def match(
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
     stores, photos = split_stores(store, query)
-    entry_named("matcher", matcher, dict.fromkeys(_CHOICES))
+    entry_named("matcher", matcher, dict.fromkeys([*names_of(MATCHERS), _UNREFINED]))
     for is_wrong, error in (
         (not photos, f"{', '.join(map(str, stores))} are stores; name photos to find in them"),
         (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),

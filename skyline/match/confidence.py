@@ -42,7 +42,6 @@ from skyline.pose import (
     SAME_VIEW_DEG,
     Pose,
     Poses,
-    RefinedPoses,
 )
 
 _MAX_MARGIN = 60.0
@@ -153,7 +152,7 @@ class Logistic:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
-def refined_figures(poses: RefinedPoses, found: Poses, query: Rays) -> dict[str, Float64Array]:
+def refined_figures(poses: Poses, found: Poses, query: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
     The skyline of another region can be bent to fit some place well, but seldom resembles that
@@ -161,13 +160,13 @@ def refined_figures(poses: RefinedPoses, found: Poses, query: Rays) -> dict[str,
     narrow search no retrieved pose lies so far away, and rivals are more than 200 m away. If all
     retrieved poses are one place, there is no rival, and the odds are even.
     """
-    retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
+    retrieved, best = retrieved_figures(found, query), int(np.argmin(found.cost))
     widest_m = found.distances_m().max(initial=0.0)
     margin = log_odds = np.zeros(len(poses))
     if widest_m > ROUGHLY_WITHIN_M:
-        margin, log_odds = poses.far_margin, _log_odds(poses, ROUGHLY_WITHIN_M)
+        margin, log_odds = poses.figures().far_margin, _log_odds(poses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
-        margin, log_odds = poses.margin, _log_odds(poses, RIGHT_WITHIN_M)
+        margin, log_odds = poses.figures().margin, _log_odds(poses, RIGHT_WITHIN_M)
     if widest_m > RIGHT_WITHIN_M:
         log_odds = log_odds - 2.0 * np.log(max(1.0, _LEARNED_EXTENT_M / widest_m))
     return pose_figures(poses, query) | {
@@ -178,9 +177,7 @@ def refined_figures(poses: RefinedPoses, found: Poses, query: Rays) -> dict[str,
     }
 
 
-def oriented_figures(
-    poses: RefinedPoses, query: Rays, moved_m: Float64Array
-) -> dict[str, Float64Array]:
+def oriented_figures(poses: Poses, query: Rays, moved_m: Float64Array) -> dict[str, Float64Array]:
     """Return the figures (M,) of poses at a known place, one for each heading, by name.
 
     The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
@@ -193,28 +190,29 @@ def oriented_figures(
     return figures | {
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
-        "log_heading_sd": np.log(np.maximum(poses.angle_sd_deg[:, 0], 1e-2)),
+        "log_heading_sd": np.log(np.maximum(poses.figures().angle_sd_deg[:, 0], 1e-2)),
         "log_moved": np.log(np.maximum(moved_m, 1.0)),
     }
 
 
-def pose_figures(poses: RefinedPoses, query: Rays) -> dict[str, Float64Array]:
+def pose_figures(poses: Poses, query: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
-    trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
+    fits = poses.figures()
+    trace_m2 = np.trace(fits.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.fov_deg)) / query.log_scale_sd
     figures = {
-        "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
-        "inlier_share": poses.terrain_share,
-        "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
+        "log_residual": np.log(np.maximum(fits.residual_deg, 1e-3)),
+        "inlier_share": fits.terrain_share,
+        "log_columns": np.log(np.maximum(fits.effective_columns, 1.0)),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
-        "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
+        "log_height_sd": np.log(np.maximum(fits.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
         "roll_deg": np.abs(poses.roll_deg),
     }
     return figures | _warp_figure(poses, query) | _query_figures(query, len(poses))
 
 
-def _warp_figure(poses: RefinedPoses, query: Rays) -> dict[str, Float64Array]:
+def _warp_figure(poses: Poses, query: Rays) -> dict[str, Float64Array]:
     """Return the rms (M,) of how poses warp the image, in standard deviations, by its name.
 
     It is the distortion of a lens, or the wander of a panorama; see `Rays.warp_sd`. A lens
@@ -222,7 +220,9 @@ def _warp_figure(poses: RefinedPoses, query: Rays) -> dict[str, Float64Array]:
     """
     if not len(query.warp_sd):
         return {}
-    warp = poses.wander if query.is_panorama else poses.distortion[:, np.newaxis]
+    warp = poses.wander if poses.distortion is None else poses.distortion[:, np.newaxis]
+    if warp is None:
+        return {}
     rms = np.sqrt(np.mean((warp / query.warp_sd) ** 2, axis=1))
     return {"warp_deviations": np.minimum(rms, _MOST_LENS_DEVIATIONS)}
 
@@ -237,7 +237,7 @@ def _log_odds(poses: Poses, within_m: float) -> Float64Array:
 
 def _weights(poses: Poses) -> Float64Array:
     """Return the likelihoods (M,) of poses, as shares of the best one's."""
-    return np.asarray(np.exp((poses.score.min() - poses.score) / TEMPERATURE))
+    return np.asarray(np.exp((poses.cost.min() - poses.cost) / TEMPERATURE))
 
 
 def retrieved_figures(found: Poses, query: Rays) -> dict[str, Float64Array]:
@@ -245,7 +245,7 @@ def retrieved_figures(found: Poses, query: Rays) -> dict[str, Float64Array]:
     margin = _margin_or(found, RIGHT_WITHIN_M, np.zeros(len(found)))
     far_margin = _margin_or(found, ROUGHLY_WITHIN_M, margin)
     return {
-        "score": found.score,
+        "cost": found.cost,
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
         "log_far_margin": _log_margin(far_margin),
@@ -270,10 +270,10 @@ def shared_probabilities(
 
     The models were learned from best poses, and hold for the best one alone. All poses within the
     distance that look the same way share the best pose's probability, and all other poses share
-    the rest. Shares follow the scores, and the shares of neighbouring poses add up. An infinite
-    score has no share.
+    the rest. Shares follow the costs, and the shares of neighbouring poses add up. An infinite
+    cost has no share.
     """
-    best = int(np.argmin(poses.score))
+    best = int(np.argmin(poses.cost))
     of_best = {name: values[best : best + 1] for name, values in figures.items()}
     weight = _weights(poses)
     near, roughly = (
@@ -413,10 +413,10 @@ def found_again(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) ->
     if fitted is None:
         return left
     near = nearest(fitted)
-    standing = [one for one in (near, left) if one and one.score < fitted.score + TEMPERATURE]
+    standing = [one for one in (near, left) if one and one.cost < fitted.cost + TEMPERATURE]
     if standing:
-        return min(standing, key=lambda one: one.score)
-    if near is None or (near is not candidates[0] and fitted.score < candidates[0].score):
+        return min(standing, key=lambda one: one.cost)
+    if near is None or (near is not candidates[0] and fitted.cost < candidates[0].cost):
         return None
     return replace(
         fitted,
@@ -432,7 +432,7 @@ def misfit(fitted: Pose, config: MatchConfig, answer: Pose | None = None) -> str
     It has failed where the answer of the search fits better, and where poses that fit as badly are
     seldom right. The confidence of ``fitted`` is that of its stage, `FITTED`.
     """
-    if answer is not None and answer.score <= fitted.score:
+    if answer is not None and answer.cost <= fitted.cost:
         away, turn_deg = distance_in_words(answer.distance_m(fitted)), answer.turn_deg(fitted)
         if turn_deg > SAME_VIEW_DEG:
             away += f" and {turn_deg:.0f} degrees of heading"

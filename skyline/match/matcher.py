@@ -2,17 +2,16 @@
 
 import logging
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from pkgutil import resolve_name
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from PIL.Image import Image
 
-from skyline.errors import InputError, SkylineError, StoreError, entry_named, numbers_of
+from skyline.errors import InputError, SkylineError, StoreError, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
 from skyline.match.confidence import (
@@ -24,16 +23,17 @@ from skyline.match.confidence import (
     too_little,
     unsure,
 )
+from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.projections import with_projection
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
-from skyline.match.screen import ReportProgress, reporting_progress
-from skyline.match.search import BY_RENDERING, FullMatcher
+from skyline.match.screen import ReportProgress, silent
 from skyline.photo.read import Picture, read_query
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose, candidates_of
+from skyline.plugins import load
+from skyline.pose import Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.header import StoreHeader
@@ -43,9 +43,6 @@ from skyline.terrain.dem import Dem, read_surface
 from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
 
-if TYPE_CHECKING:
-    from skyline.paper.correlation import ProfileMatcher
-
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
@@ -53,13 +50,6 @@ _log = logging.getLogger(__name__)
 _DISAGREES = "the photo does not fit where the others were taken"
 _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
-PROFILE_MATCHERS: Mapping[str, str] = {
-    "paper": "skyline.paper.matcher:PaperMatcher",
-    "correlation": "skyline.paper.correlation:CorrelationMatcher",
-}
-"""The module and the class of each matcher of renderings: the paper's, and a baseline. A class is
-imported when it is first used, so that a matcher may lie in a layer above this one."""
-_MATCHERS = {FULL: "", **PROFILE_MATCHERS}
 
 
 class Matcher(Releasable):
@@ -75,8 +65,8 @@ class Matcher(Releasable):
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
         be read, a warning is logged and answers stay unrefined.
     matcher : str
-        ``full``, which searches a store of places, or one of `PROFILE_MATCHERS`, which search a
-        store of renderings.
+        ``full``, which searches a store of places; ``paper`` or ``correlation``, which search a
+        store of renderings; or the name of another package's, see `SearchMethod`.
     config : MatchConfig, optional
         Settings of the search, and the confidence from which there is an answer.
     render_thread : RenderThread, optional
@@ -106,40 +96,36 @@ class Matcher(Releasable):
         render_thread: RenderThread | None = None,
         surface: Dem | None = None,
     ) -> None:
-        kind = entry_named("matcher", matcher, _MATCHERS)
+        method: type[SearchMethod] = load(MATCHERS, matcher)
         self._config = MatchConfig() if config is None else _instance("config", config, MatchConfig)
         refine = self._config.refine
-        if surface is not None and not (matcher == FULL and refine):
+        if surface is not None and not (method.renders and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
         self.render_thread, self._scene = render_thread, None
-        self._ranker: FullMatcher | ProfileMatcher
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
             self.rows, self.holds = len(file), header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
+            file.expect(method.holds)
             self.frame = Frame(header.frame_wkt)
             if not self.frame.is_local:
                 _check_frame(file, self.frame)
             self.terrain = None if dem is None else header.read_dem(dem)
-            if matcher != FULL:
-                self._ranker = resolve_name(kind).open(file)
-                return
-            places = file.places()
-        if self.terrain is None:
-            self.terrain = terrain_at_hand(header, "answers unrefined")
-        if surface is not None and self.terrain is None:
-            raise InputError("a surface needs the store's DEM, which is not at hand; give it")
-        if refine and self.terrain is not None:
-            over = None if surface is None else read_surface(surface, self.terrain)
-            rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
-            self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-        self._ranker = FullMatcher(places, self.frame, self.terrain, self._scene)
+            if method.renders and self.terrain is None:
+                self.terrain = terrain_at_hand(header, "answers unrefined")
+            if surface is not None and self.terrain is None:
+                raise InputError("a surface needs the store's DEM, which is not at hand; give it")
+            if method.renders and refine and self.terrain is not None:
+                over = None if surface is None else read_surface(surface, self.terrain)
+                rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
+                self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
+            self._method = method.open(file, self.terrain, self._scene)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
         """The eyes of the store, or an even selection of very many."""
-        return self._ranker.eyes()
+        return self._method.eyes()
 
     def release(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
@@ -152,7 +138,7 @@ class Matcher(Releasable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
-        report_progress: ReportProgress | None = None,
+        report_progress: ReportProgress = silent,
     ) -> MatchResult:
         """Find where a photo, a sky mask, a trace or a query skyline was taken.
 
@@ -191,14 +177,11 @@ class Matcher(Releasable):
         refusal = too_little(query)
         if refusal is None:
             rays, prior = self._rays_and_prior(query, narrowing)
-            with reporting_progress(report_progress):
-                if isinstance(self._ranker, FullMatcher):
-                    candidates = self._ranker.rank(rays, top, prior)
-                else:
-                    candidates = candidates_of(self.frame, self._ranker.rank(rays, top))
+            poses = self._method.search(rays, prior, top, report_progress)
+            candidates = poses.on_map(self.frame)
             refusal = refusal_of(candidates, self._config, query, rays)
-            if candidates and isinstance(self._ranker, FullMatcher):
-                other = self._ranker.other_projection(rays, candidates[0], prior)
+            if candidates:
+                other = self._method.other_projection(rays, candidates[0], prior)
                 refusal = with_projection(refusal, other)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         seconds = time.perf_counter() - started
@@ -211,7 +194,7 @@ class Matcher(Releasable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
-        report_progress: ReportProgress | None = None,
+        report_progress: ReportProgress = silent,
     ) -> JointResult:
         """Find the one place where several photos were taken.
 
@@ -261,16 +244,20 @@ class Matcher(Releasable):
         }
         found: dict[int, tuple[Pose, ...]] = {}
         if len(usable) > 1:
-            with reporting_progress(report_progress):
-                together = self._full().rank_together(list(usable.values()), top)
-            found = {number: some for number, some in zip(usable, together, strict=True) if some}
+            photos_there = list(usable.values())
+            together, agrees = self._method.search_together(photos_there, top, report_progress)
+            found = {
+                number: poses.on_map(self.frame)
+                for number, poses, belongs in zip(usable, together, agrees, strict=True)
+                if belongs and len(poses)
+            }
         best = next(iter(found.values()), ())
         refusal = unsure(best, self._config)
         if len(found) < 2:
             refusal = "fewer than two photos agree on a place"
         for number, candidates in found.items():
             rays, prior = usable[number]
-            bent = self._full().other_projection(rays, candidates[0], prior)
+            bent = self._method.other_projection(rays, candidates[0], prior)
             if refusal is None and bent is not None and bent.is_likely:
                 refusal = f"{photos[number][0] or 'a photo'}: {bent.in_words}"
         other = _DISAGREES if len(usable) > 1 else _ALONE
@@ -344,23 +331,20 @@ class Matcher(Releasable):
             query = about_start  # No search finds a panorama's field of view.
         rays, prior = self._rays_and_prior(query, narrowing)
         rays_about_start, _ = self._rays_and_prior(about_start, None)
-        return self._full().fitted(rays, start, prior, rays_about_start)
-
-    def _full(self) -> FullMatcher:
-        if not isinstance(self._ranker, FullMatcher):
-            raise InputError(BY_RENDERING)
-        return self._ranker
+        poses = self._method.fitted(rays, start, prior, rays_about_start)
+        return next(iter(poses.on_map(self.frame)), None)
 
     def _rays_and_prior(
         self, query: PhotoSkyline, narrowing: Narrowing | None
     ) -> tuple[Rays, Prior]:
         """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
-        is_full = isinstance(self._ranker, FullMatcher)
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = Rays.of(query, self._config.fov_slack, finds_fov=is_full)
-        if not is_full:
+        rays = Rays.of(query, self._config.fov_slack, finds_fov=self._method.finds_fov)
+        if not self._method.takes_prior:
             if narrowing != Narrowing():
-                raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
+                raise InputError(
+                    "this matcher cannot narrow its search; use the full one, or leave it wide"
+                )
             return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
             narrowing = replace(narrowing, eye_height_m=query.eye_height_m)

@@ -87,7 +87,7 @@ class PlacePrior:
     northing_m: float
     sd_m: float
     """Scale s of the position's error."""
-    heading_deg: float | None = None
+    grid_heading_deg: float | None = None
     """Grid azimuth of the optical axis."""
     heading_sd_deg: float = _COMPASS_SD_DEG
     """Standard deviation of the heading, where the compass is not disturbed."""
@@ -104,9 +104,9 @@ class PlacePrior:
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
         if not (np.isfinite(east) and np.isfinite(north)):
             return None  # Too far from the frame to have a place in it.
-        heading_deg = noted.heading_deg
-        if heading_deg is not None:
-            heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
+        grid_heading_deg = noted.heading_deg
+        if grid_heading_deg is not None:
+            grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
         sd_m = max(LEAST_GPS_SD_M, noted.accuracy_m or GPS_SD_M)
         compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
         elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
@@ -114,7 +114,7 @@ class PlacePrior:
             # Other altitudes would pull an eye of unknown place to ground that is too high.
             elevation_m = noted.elevation_m
             elevation_sd_m = _altitude_sd_m(noted)
-        return cls(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
+        return cls(east, north, sd_m, grid_heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
 
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
@@ -125,8 +125,8 @@ class PlacePrior:
         azimuths of the optical axis.
         """
         cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
-        if self.heading_deg is not None:
-            turn = np.degrees(heading_rad) - self.heading_deg
+        if self.grid_heading_deg is not None:
+            turn = np.degrees(heading_rad) - self.grid_heading_deg
             off = in_turn(turn) / self.heading_sd_deg
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
             right *= 1.0 - _COMPASS_WRONG_SHARE
@@ -421,7 +421,7 @@ class Prior:
             turn = self.frame.convergence_deg(
                 easting_m=poses.easting_m, northing_m=poses.northing_m
             )
-            off = in_turn(poses.heading_deg + turn - heading)
+            off = in_turn(poses.grid_heading_deg + turn - heading)
             allowed &= np.abs(off) <= slack
         return allowed
 

@@ -110,11 +110,11 @@ def other_projection(
     if query.is_panorama:
         return None
     columns = _columns(query, float(pose.fov_deg[0]))
-    own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1), pose.distortion))
+    own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1)))
     own_log_p = -max(float(own.state[0, WARP:].sum()), 0.0) / _LENS_DISTORTION
     others = []
     for name, rays in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
-        fit = _best_fit(refinement_of(rays), _from(pose, rays, _SCALES, np.zeros(len(_SCALES))))
+        fit = _best_fit(refinement_of(rays), _from(replace(pose, distortion=None), rays, _SCALES))
         log_p = -0.5 * float(np.square(fit.state[0, WARP:] / rays.warp_sd).sum())
         log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
         fov_deg = float(rays.fov_at(fit.state[0, LOG_SCALE]))
@@ -176,10 +176,10 @@ def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
     return low_deg, high_deg
 
 
-def _from(pose: Poses, rays: Rays, scales: Float64Array, distortion: Float64Array) -> Poses:
+def _from(pose: Poses, rays: Rays, scales: Float64Array) -> Poses:
     """Return a pose at several scales of rays, from which they are fitted."""
     several = pose[np.zeros(len(scales), dtype=np.intp)]
-    return replace(several, fov_deg=rays.fov_at(np.log(scales)), distortion=distortion)
+    return replace(several, fov_deg=rays.fov_at(np.log(scales)))
 
 
 def _best_fit(refinement: Refinement, start: Poses) -> Fit:

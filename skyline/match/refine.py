@@ -2,19 +2,19 @@
 
 Poses move to where the rendering fits the query.
 
-Each round renders all remaining hypotheses in one call. A rendering holds the distance of every
+Each round renders all remaining poses in one call. A rendering holds the distance of every
 skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
 So position, heading, pitch, roll and field of view are solved together. A step is kept where the
 rendering from the new place fits better; otherwise a shorter one is tried from the old place. The
-worst hypotheses are dropped from round to round. Occlusion makes local optima, so the best few then
+worst poses are dropped from round to round. Occlusion makes local optima, so the best few then
 start again from places around them.
 
 These rounds treat the terrain model's errors as independent from column to column, which is quick
 and converges from far away. The last rounds model them as correlated (`skyline.match.likelihood`),
 which gives near and far terrain the right weights, and gives costs and covariances their meaning.
-Where the list of hypotheses is long, one coarse rendering of each first selects those worth
+Where the list of poses is long, one coarse rendering of each first selects those worth
 following. Where terrain is near, even the right place may look wrong until the eye has moved, so
-the likeliest hypotheses by their scores move before they are compared with others.
+the likeliest poses by their costs move before they are compared with others.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, R
 from skyline.geodesy import in_turn
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import report_progress
+from skyline.match.screen import ReportProgress, silent
 from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
@@ -45,8 +45,8 @@ from skyline.pose import (
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,
     SAME_VIEW_DEG,
+    FitFigures,
     Poses,
-    RefinedPoses,
 )
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views
@@ -61,7 +61,7 @@ _RIVALS = 3
 """Best poses of other answers, and best distant poses, that are kept to the end beside the best
 pose: their fits show how sure an answer is."""
 _LIKELIEST_ROUNDS = 4
-"""Moves of the likeliest hypotheses before they are compared with others."""
+"""Moves of the likeliest poses before they are compared with others."""
 _RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
 """Renderings of each place on the rings from which the search restarts, and the rings' radii: a
 near slope is found from 10 to 20 m away, and a far one from farther."""
@@ -93,19 +93,19 @@ _LEAST_SHARE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """The number of hypotheses that a refinement follows, and of the rounds for which it does."""
+    """The number of poses that a refinement follows, and of the rounds for which it does."""
 
     shortlist: int
-    """Poses taken, the best by their scores."""
+    """Poses taken, the best by their costs."""
     particles: int
     """Poses that are moved, the best by one coarse rendering each."""
     likeliest: int
-    """Poses that are moved besides, the best by their scores."""
+    """Poses that are moved besides, the best by their costs."""
     rounds: int
-    """Renderings of a hypothesis that is kept, before the last rounds."""
+    """Renderings of a pose that is kept, before the last rounds."""
     keep_share: float
     keep_least: int
-    """``keep_share``, ``keep_least``: share of the hypotheses kept from one round to the next, and
+    """``keep_share``, ``keep_least``: share of the poses kept from one round to the next, and
     their least number."""
     restarts: int
     """Best places around which the search restarts."""
@@ -131,7 +131,7 @@ WHOLE = Effort(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles(Rows):
-    """M moving hypotheses: their skylines, how these fit the query, and the next step."""
+    """M moving poses: their skylines, how these fit the query, and the next step."""
 
     curves: Curves
     fit: Fit
@@ -168,8 +168,9 @@ class Refinement:
         prior: Prior = NOTHING_KNOWN,
         eye: EyeHeightPrior | None = None,
         first_eye_height_m: float | None = None,
+        report: ReportProgress = silent,
     ) -> None:
-        self._scene, self.effort = scene, effort
+        self._scene, self.effort, self._report = scene, effort, report
         self._first_eye_height_m = first_eye_height_m
         eye = eye or EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
@@ -183,27 +184,27 @@ class Refinement:
         self._expected += effort.shortlist > effort.particles
         self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
 
-    def run(self, hypotheses: Poses) -> RefinedPoses:
+    def run(self, poses: Poses) -> Poses:
         """Return distinct poses that fit, best first; none where none fits.
 
         Eyes stand above the ground and never leave the map: a step off the map, or onto a hole, is
-        not taken, and a hypothesis that starts there gives no pose. A column without data is
+        not taken, and a pose that starts there gives no pose. A column without data is
         unknown, and counts no more than one that shows a tree.
 
-        The scores, headings and fields of view of the hypotheses are used, but not their eyes'
+        The costs, headings and fields of view of the poses are used, but not their eyes'
         elevations.
         """
         effort = self.effort
-        best = np.argsort(hypotheses.score, kind="stable")[: effort.shortlist]
-        hypotheses, likeliest = hypotheses[best], None
-        if len(hypotheses) > effort.particles:
+        best = np.argsort(poses.cost, kind="stable")[: effort.shortlist]
+        poses, likeliest = poses[best], None
+        if len(poses) > effort.particles:
             if effort.likeliest:
-                likeliest = self.started(self.rough, hypotheses[: effort.likeliest])
+                likeliest = self.started(self.rough, poses[: effort.likeliest])
                 for _ in range(_LIKELIEST_ROUNDS):
                     likeliest = self.moved(self.rough, likeliest)
-            seen = self.started(self.scout, hypotheses).best(effort.particles)
-            hypotheses = self.hypotheses(seen)
-        particles = self.started(self.rough, hypotheses)
+            seen = self.started(self.scout, poses).best(effort.particles)
+            poses = self.poses(seen)
+        particles = self.started(self.rough, poses)
         if likeliest is not None:
             particles = Particles.concatenate([particles, likeliest])
         for _ in range(effort.rounds - 1):
@@ -214,14 +215,14 @@ class Refinement:
         particles = self.distinct(particles, effort.finalists)
         for _ in range(effort.final_rounds):
             particles = self.moved(self.fine, particles)
-        return self.poses(self.distinct(particles, effort.finalists))
+        return self.with_figures(self.distinct(particles, effort.finalists))
 
-    def started(self, solver: Solver, hypotheses: Poses) -> Particles:
-        """Return particles at hypotheses, their attitudes solved from there."""
-        place_m = hypotheses.easting_m + 1j * hypotheses.northing_m
-        fit = solver.start(hypotheses)
+    def started(self, solver: Solver, poses: Poses) -> Particles:
+        """Return particles at poses, their attitudes solved from there."""
+        place_m = poses.easting_m + 1j * poses.northing_m
+        fit = solver.start(poses)
         if self._first_eye_height_m is not None:
-            fit = solver.at_height(fit, np.full(len(hypotheses), self._first_eye_height_m))
+            fit = solver.at_height(fit, np.full(len(poses), self._first_eye_height_m))
         return self.arrived(solver, place_m, fit)
 
     def reweighted(self, particles: Particles) -> Particles:
@@ -261,7 +262,7 @@ class Refinement:
 
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
-        standing = self.hypotheses(particles)
+        standing = self.poses(particles)
         best = standing.suppress_non_maxima(self.effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
         around = self.around(particles[best])
         for _ in range(_RESTART_ROUNDS - 1):
@@ -281,13 +282,13 @@ class Refinement:
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
         """Render the directions of the query from M eyes, at the heights of their states."""
-        report_progress("refining", min(1.0, self._rendered / self._expected))
+        self._report("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs(in_turn(turn))
-        half_deg = 0.5 * solver.query.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
+        half_deg = 0.5 * solver.rays.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
         wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
@@ -317,45 +318,44 @@ class Refinement:
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
-        standing = self.hypotheses(particles)
+        standing = self.poses(particles)
         return particles[_best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
-    def hypotheses(self, particles: Particles) -> Poses:
-        """Return the poses of particles; the scores are their costs."""
-        return self.rough.hypotheses(particles.curves, particles.fit)
+    def poses(self, particles: Particles) -> Poses:
+        """Return the poses of particles."""
+        return self.rough.poses(particles.curves, particles.fit)
 
-    def poses(self, particles: Particles) -> RefinedPoses:
-        """Return particles after the last rounds as poses with their figures."""
+    def with_figures(self, particles: Particles) -> Poses:
+        """Return particles after the last rounds as poses with the figures of their fits."""
         solver = self.fine
         linear, found = solver.evaluate(particles.curves, particles.fit)
         # Columns share errors that the likelihood takes for independent: variances are too small by
         # the temperature.
         covariance = TEMPERATURE * solver.covariance(linear, found)
-        trust = solver.query.weight
+        trust = solver.rays.weight
         squares = (found.trusted_odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum(found.trusted_odds.sum(axis=1), 1e-9)
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
-        hypotheses = self.hypotheses(particles)
-        return RefinedPoses(
-            **hypotheses.columns(),
-            covariance_m2=_spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+        poses = self.poses(particles)
+        fits = FitFigures(
+            covariance_m2=_spread(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             residual_deg=np.degrees(np.sqrt(squares / shown)),
             terrain_share=shown / trust.sum(),
             skyline_m=1.0 / np.maximum(nearness, _LEAST_NEARNESS),
             effective_columns=found.effective_columns,
             height_sd_m=solver.heights_m[particles.fit.height],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            margin=hypotheses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
-            far_margin=hypotheses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
+            margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
+            far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
             angle_sd_deg=self._angle_sd_deg(particles, covariance),
-            wander=solver.wander(particles.fit),
         )
+        return replace(poses, fits=fits)
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
         """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
         sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
-        query = self.fine.query
+        query = self.fine.rays
         fov_deg = np.abs(query.fov_at(scale + off) - query.fov_at(scale - off)) / 2.0
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
@@ -384,12 +384,12 @@ class JointRefinement:
 
     def run(
         self, found: Sequence[Poses], alone: Sequence[Poses]
-    ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+    ) -> tuple[tuple[Poses, ...], BoolArray]:
         """Return the M places where the N queries fit together, best first, and which agree there.
 
         ``found`` holds each query's poses; all queries have the same places in the same order, best
         first. ``alone`` holds the best pose from each query's own refinement, if there is one. The
-        returned poses of each query are at the same places; their scores are the costs of the
+        returned poses of each query are at the same places; their costs are those of the
         places. Margins and covariances are joint ones, with the information of one average query,
         not the sum: queries of one place share the terrain model's errors. A query agrees, (N, M)
         bool, where it was more likely taken than somewhere else.
@@ -411,7 +411,7 @@ class JointRefinement:
         best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
         particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
         self._solvers = [solo.fine for solo in self._solos]
-        self._least = np.array([poses.score.min(initial=np.inf) for poses in alone])
+        self._least = np.array([poses.cost.min(initial=np.inf) for poses in alone])
         particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
         for _ in range(effort.final_rounds):
             particles = self._moved(particles)
@@ -435,8 +435,8 @@ class JointRefinement:
 
     def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
         """Return the best distinct places, and rivals of the very best, best first."""
-        standing = self._solos[0].hypotheses(particles[0])
-        standing = replace(standing, score=_cost(self._off(particles)))
+        standing = self._solos[0].poses(particles[0])
+        standing = replace(standing, cost=_cost(self._off(particles)))
         chosen = _best_and_rivals(standing, count)
         return [own[chosen] for own in particles]
 
@@ -457,7 +457,7 @@ class JointRefinement:
         share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
-    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
         """Return the poses of each query at the places, and which queries agree; see `run`."""
         off = self._off(particles)
         cost, share = _cost(off), _share(off)
@@ -465,29 +465,41 @@ class JointRefinement:
         mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
         covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
-        poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
-        standing = replace(poses[0], score=cost)
+        poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
+        standing = replace(poses[0], cost=cost)
         # Margins and covariances are those of one query in the mean, and so are these odds.
-        covariance_m2 = _spread(replace(standing, score=cost / len(poses)), covariance_m2)
+        covariance_m2 = _spread(replace(standing, cost=cost / len(poses)), covariance_m2)
         margin, far_margin = (
             standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
             for least_m in DISTANCES_M
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        return tuple(replace(own, score=cost, **joint) for own in poses), agrees
+        together = tuple(
+            replace(own, cost=cost, fits=replace(own.figures(), **joint)) for own in poses
+        )
+        return together, agrees
 
 
 def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
     """Return the best particle of a query at each place, of all headings."""
     turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
     at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
-    none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
-    fov_deg = none + solo.scout.query.fov_deg
-    every = Poses(at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none)
+    none = np.zeros(len(at_m))
+    heading_deg = np.tile(turn_deg, len(place_m))
+    every = Poses(
+        easting_m=at_m.real,
+        northing_m=at_m.imag,
+        eye_elevation_m=none,
+        grid_heading_deg=heading_deg,
+        pitch_deg=none,
+        roll_deg=none,
+        fov_deg=none + solo.scout.rays.fov_deg,
+        cost=none,
+    )
     seen = solo.started(solo.scout, every)
     cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
     best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
-    return solo.started(solo.rough, solo.hypotheses(best))
+    return solo.started(solo.rough, solo.poses(best))
 
 
 def _joined(*parts: Sequence[Particles]) -> list[Particles]:
@@ -507,15 +519,15 @@ def _share(off: Float64Array) -> Float64Array:
     return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
 
 
-def _spread(hypotheses: Poses, covariance_m2: Float64Array) -> Float64Array:
+def _spread(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
     """Return the place's covariance (M, 2, 2) about each pose, over all poses of the same answer.
 
     ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
     """
-    place = np.stack([hypotheses.easting_m, hypotheses.northing_m], axis=1)
+    place = np.stack([poses.easting_m, poses.northing_m], axis=1)
     apart = place[:, np.newaxis] - place
     near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
-    better = hypotheses.score[:, np.newaxis] - hypotheses.score
+    better = poses.cost[:, np.newaxis] - poses.cost
     odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
     share = odds / odds.sum(axis=1, keepdims=True)
     squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
@@ -531,4 +543,4 @@ def _best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> In
         if len(others):
             rivals = standing[others].suppress_non_maxima(_RIVALS, _SEPARATION_M, turn_deg)
             chosen = np.union1d(chosen, others[rivals])
-    return chosen[np.argsort(standing.score[chosen], kind="stable")]
+    return chosen[np.argsort(standing.cost[chosen], kind="stable")]

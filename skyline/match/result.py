@@ -450,7 +450,7 @@ def _view(one: Pose) -> str:
 
 def _quality(one: Pose) -> str:
     if one.confidence is None:
-        return f"score {one.score:.3g} (the lower, the better it fits)"
+        return f"cost {one.cost:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 

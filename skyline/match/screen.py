@@ -23,8 +23,6 @@ does not grow with the store.
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import islice
 
@@ -46,7 +44,8 @@ from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource
 
 ReportProgress = Callable[[str, float], None]
-"""Called with the current step of a match, and the share of that step that is done, 0 to 1."""
+"""Called with the current step of a match, and the share of that step that is done, 0 to 1. An
+exception that it raises ends the match."""
 
 _TURNS_AT_ONCE = 20
 """Turns scored by one product; must divide the number of bins. With more turns, more of each
@@ -60,24 +59,9 @@ _BLOCKS_AT_ONCE = 16
 _PLACES_AT_ONCE = 1024
 """Places scored together, so that memory does not grow with the number of places."""
 
-_reporter: ContextVar[ReportProgress | None] = ContextVar("reporter", default=None)
 
-
-@contextmanager
-def reporting_progress(callback: ReportProgress | None) -> Iterator[None]:
-    """Let `report_progress` call ``callback`` within the block, in this thread."""
-    token = _reporter.set(callback)
-    try:
-        yield
-    finally:
-        _reporter.reset(token)
-
-
-def report_progress(step: str, share: float) -> None:
-    """Report the share of a step that is done; an exception of the callback ends the match."""
-    callback = _reporter.get()
-    if callback is not None:
-        callback(step, share)
+def silent(step: str, share: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +171,7 @@ class Screen:
             peak[:, k] = best.max(axis=1)
             turn[:, k] = np.where(peak[:, k] > -np.inf, best.argmax(axis=1), turn[:, 0])
             np.put_along_axis(best, (turn[:, [k]] + near) % PHASE_BINS, -np.inf, axis=1)
-        return turn_heading_deg(turn), np.take_along_axis(fov, turn, axis=1), peak
+        return turn_grid_heading_deg(turn), np.take_along_axis(fov, turn, axis=1), peak
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""
@@ -242,15 +226,15 @@ def query_waves(query: Rays) -> Complex128Array:
     return np.asarray(weight * np.exp(1j * RISE_TO_TURN * np.where(known, rise, 0.0)))
 
 
-def turn_heading_deg(turn: IntArray) -> Float64Array:
+def turn_grid_heading_deg(turn: IntArray) -> Float64Array:
     """Return the grid azimuth of the optical axis at turns, degrees in [0, 360)."""
     return np.asarray((turn + PHASE_BINS // 2 + 0.5) * (360.0 / PHASE_BINS) % 360.0)
 
 
-def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
-    """Return which turns (B,) look within a slack, plus the width of a turn, of a grid azimuth."""
-    axis_deg = turn_heading_deg(np.arange(PHASE_BINS))
-    off_deg = np.abs(in_turn(axis_deg - heading_deg))
+def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
+    """Mark the turns (B,) within ``slack_deg``, plus a turn's width, of a grid heading."""
+    axis_deg = turn_grid_heading_deg(np.arange(PHASE_BINS))
+    off_deg = np.abs(in_turn(axis_deg - grid_heading_deg))
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 
@@ -259,6 +243,7 @@ def screen_places(
     source: PlaceSource,
     count: int,
     contains: Callable[[Places], BoolArray],
+    report: ReportProgress = silent,
 ) -> Alike:
     """Return the best ``count`` places of a source, or fewer where fewer are contained.
 
@@ -283,7 +268,7 @@ def screen_places(
             found, places = ahead.pop(0).result()
             ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
-            report_progress("screening", seen / max(len(source), 1))
+            report("screening", seen / max(len(source), 1))
             kept = Alike.joined([kept, found])
             if len(kept) > _SLACK * count:
                 kept = kept.best(count)

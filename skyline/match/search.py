@@ -1,4 +1,4 @@
-"""The full matcher, of one query or of several of one eye.
+"""The full matcher, of one rays or of several of one eye.
 
 Retrieval among places comes first, then refinement by rendering, then a confidence.
 """
@@ -11,23 +11,23 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from skyline.arrays import BoolArray
 from skyline.errors import InputError
-from skyline.geodesy import Frame
 from skyline.match import confidence, projections
+from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
+from skyline.match.screen import ReportProgress, silent
 from skyline.pose import (
     Pose,
     Poses,
-    RefinedPoses,
-    candidates_of,
-    hypothesis_of,
 )
 from skyline.render.horizon import RenderedScene
-from skyline.store.read import PlaceSource
+from skyline.store.header import PLACES
+from skyline.store.read import PlaceSource, Store
 from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField, ground_of
 
@@ -39,10 +39,6 @@ _SEPARATION_M = 100.0
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
 _SHOWN_EYES = 20_000
-BY_RENDERING = (
-    "photos are matched together, and poses fitted, by rendering alone; use the full matcher, "
-    "refine, and give the DEM"
-)
 
 
 @contextmanager
@@ -61,25 +57,33 @@ _blas = cache(ThreadpoolController)
 """The libraries' controls, which take milliseconds to find."""
 
 
-class FullMatcher:
+class FullMatcher(SearchMethod):
     """Retrieval, refinement and confidence; without a scene, poses stay as retrieved.
 
-    ``terrain`` is that of the store's places; None where the DEM cannot be read.
+    ``terrain`` is the terrain of the store's places; None where the DEM cannot be read.
     """
 
+    holds = PLACES
+    renders = True
+    finds_fov = True
+    takes_prior = True
+
     def __init__(
-        self,
-        places: PlaceSource,
-        frame: Frame,
-        terrain: HeightField | None,
-        scene: RenderedScene | None,
+        self, places: PlaceSource, terrain: HeightField | None, scene: RenderedScene | None
     ) -> None:
         ground = None if terrain is None else ground_of(terrain)
-        self.frame, self._scene = frame, scene
+        self._scene = scene
         self.retriever = Retriever(places, ground)
         self.models = confidence.models()
         share = round(_SHORTLIST_SHARE * len(places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), _SHORTLIST_MOST)
+
+    @classmethod
+    def open(
+        cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
+    ) -> "FullMatcher":
+        """Return the matcher of an open store of places."""
+        return cls(store.places(), terrain, scene)
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
@@ -88,47 +92,48 @@ class FullMatcher:
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
-    def rank(self, query: Rays, top: int, prior: Prior) -> tuple[Pose, ...]:
-        """Return up to ``top`` candidates, best first, none where nothing fits.
-
-        Raises `InputError` where the search is narrowed to no place.
-        """
-        found, poses = self.found(query, prior)
-        if not len(found) or (poses is not None and not len(poses)):
-            return ()
+    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+        """Return up to ``top`` poses with confidences, best first; see `SearchMethod.search`."""
+        found, poses = self.found(rays, prior, report)
+        if not len(found):
+            return found
         if poses is None:
-            figures = confidence.retrieved_figures(found, query)
+            figures = confidence.retrieved_figures(found, rays)
             chosen = found.suppress_non_maxima(top, _SEPARATION_M)
             near, roughly = confidence.probabilities(self.models, "retrieved", figures)
-            return candidates_of(self.frame, found[chosen], near[chosen], roughly[chosen])
-        figures = confidence.refined_figures(poses, found, query)
+            return replace(found, confidence=near, confidence_1km=roughly)[chosen]
+        if not len(poses):
+            return poses
+        figures = confidence.refined_figures(poses, found, rays)
         # A pose that has moved out of the narrowing is no candidate.
-        allowed = replace(poses, score=np.where(prior.allows(poses), poses.score, np.inf))
+        allowed = replace(poses, cost=np.where(prior.allows(poses), poses.cost, np.inf))
         chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
-            return ()
+            return poses[chosen]
         near, roughly = confidence.shared_probabilities(self.models, allowed, figures)
-        return candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
+        return replace(poses, confidence=near, confidence_1km=roughly)[chosen]
 
     @one_blas_thread()
-    def found(self, query: Rays, prior: Prior) -> tuple[Poses, RefinedPoses | None]:
-        """Return the poses retrieved for a query, and the refined ones; None without a scene.
+    def found(
+        self, rays: Rays, prior: Prior, report: ReportProgress = silent
+    ) -> tuple[Poses, Poses | None]:
+        """Return the poses retrieved for a rays, and the refined ones; None without a scene.
 
         A quick refinement comes first, and is enough where one place fits far better than any
         other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
-        `rank`.
+        `search`.
         """
-        found = self.retriever.shortlist(query, self._shortlist, prior)
+        found = self.retriever.shortlist(rays, self._shortlist, prior, report)
         if not len(found) or self._scene is None:
             return found, None
-        start = self._with_noted(found, query, prior)
-        poses = Refinement(query, self._scene, QUICK, prior).run(start)
-        if not len(poses) or poses.margin[0] <= _SURE_MARGIN:
-            poses = Refinement(query, self._scene, WHOLE, prior).run(start)
+        start = self._with_noted(found, rays, prior, report)
+        poses = Refinement(rays, self._scene, QUICK, prior, report=report).run(start)
+        if not len(poses) or poses.figures().margin[0] <= _SURE_MARGIN:
+            poses = Refinement(rays, self._scene, WHOLE, prior, report=report).run(start)
         return found, poses
 
     @one_blas_thread()
-    def other_projection(self, query: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
+    def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
         """Return the likeliest other projection of a photo, as its best candidate shows it.
 
         None for a panorama, and for a candidate that is not refined or more likely wrong.
@@ -138,79 +143,79 @@ class FullMatcher:
         if scene is None or not best.refined or sure < projections.LEAST_CONFIDENCE:
             return None
         return projections.other_projection(
-            query, hypothesis_of(best), lambda rays: Refinement(rays, scene, QUICK, prior)
+            rays, Poses.of(best), lambda rays: Refinement(rays, scene, QUICK, prior)
         )
 
     @one_blas_thread()
-    def fitted(self, query: Rays, start: Pose, prior: Prior, about_start: Rays) -> Pose | None:
-        """Return a pose refined by rendering; None where nothing near it fits.
+    def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
+        """Return a pose refined by rendering, or none where nothing near it fits.
 
-        A start farther off is fitted with ``about_start``, the query's rays about the start's field
+        A start farther off is fitted with ``about_start``, the rays's rays about the start's field
         of view, while the eye keeps its height above the ground, if a camera can be held so low.
-        The pose is then fitted as in a search, so its score compares with those of a search with
-        the same query and prior. The confidence is that of `confidence.FITTED`. Raises `InputError`
+        The pose is then fitted as in a search, so its cost compares with those of a search with
+        the same rays and prior. The confidence is that of `confidence.FITTED`. Raises `InputError`
         without a scene, and for a pose off the map or on a hole.
         """
-        scene, pose = self._needed_scene(), hypothesis_of(start)
+        scene, pose = self._needed_scene(), Poses.of(start)
         off_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(off_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
         above_m, effort = max(LEAST_EYE_HEIGHT_M, float(off_m[0])), replace(WHOLE, restarts=1)
         held = Prior(Narrowing(eye_height_m=above_m))
         poses = Refinement(about_start, scene, effort, held).run(pose)
-        poses = Refinement(query, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])
+        poses = Refinement(rays, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])
         if not len(poses):
-            return None
+            return poses
         poses = poses[:1]
-        figures = confidence.pose_figures(poses, query)
+        figures = confidence.pose_figures(poses, rays)
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
-        return candidates_of(self.frame, poses, near, roughly)[0]
+        return replace(poses, confidence=near, confidence_1km=roughly)
 
     @one_blas_thread()
-    def rank_together(
-        self, queries: Sequence[tuple[Rays, Prior]], top: int
-    ) -> list[tuple[Pose, ...]]:
-        """Return up to ``top`` places of queries of one eye, as each query's candidates there.
+    def search_together(
+        self,
+        photos: Sequence[tuple[Rays, Prior]],
+        top: int,
+        report: ReportProgress = silent,
+    ) -> tuple[list[Poses], BoolArray]:
+        """Return the best common places of photos; see `SearchMethod.search_together`.
 
-        A query that was likely taken at another place has none. A place lies within the narrowings
-        of all queries that agree. Raises as `rank`, and `InputError` without a scene.
-
-        Each query is first matched by itself: its least cost shows whether it was taken there.
+        A place lies within the narrowings of all photos that agree. Each photo is first matched by
+        itself: its least cost shows whether it was taken there. Raises as `search`, and
+        `InputError` without a scene.
         """
         scene = self._needed_scene()
-        queries = _with_one_noted_place(queries)
-        found = [self.found(query, prior) for query, prior in queries]
+        photos = _with_one_noted_place(photos)
+        found = [self.found(rays, prior, report) for rays, prior in photos]
         alone = [places[:0] if poses is None else poses[:1] for places, poses in found]
-        refinements = [Refinement(query, scene, WHOLE, prior) for query, prior in queries]
-        places = self.retriever.shortlist_together(queries, WHOLE.particles)
+        refinements = [
+            Refinement(rays, scene, WHOLE, prior, report=report) for rays, prior in photos
+        ]
+        places = self.retriever.shortlist_together(photos, WHOLE.particles, report)
         joint, agreeing = JointRefinement(refinements).run(places, alone)
-        cost = joint[0].score
-        for poses, (_, prior), agrees in zip(joint, queries, agreeing, strict=True):
+        cost = joint[0].cost
+        for poses, (_, prior), agrees in zip(joint, photos, agreeing, strict=True):
             cost = np.where(prior.allows(poses) | ~agrees, cost, np.inf)
-        standing = replace(joint[0], score=cost)
+        standing = replace(joint[0], cost=cost)
         chosen = standing.suppress_non_maxima(top, _SEPARATION_M)
         agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
-        # As margins, odds are those of one query in the mean.
+        # Margins are those of one photo in the mean, and so are these odds.
         cost_of_one = cost / max(agrees.sum(), 1)
         figures = [
-            confidence.refined_figures(replace(poses, score=cost_of_one), retrieved, query)
-            for poses, (query, _), (retrieved, _), belongs in zip(
-                joint, queries, found, agrees, strict=True
+            confidence.refined_figures(replace(poses, cost=cost_of_one), retrieved, rays)
+            for poses, (rays, _), (retrieved, _), belongs in zip(
+                joint, photos, found, agrees, strict=True
             )
             if belongs and len(retrieved)
         ]
         near = roughly = np.zeros(len(cost))
         if figures:
-            # Queries of one place share the errors of the terrain model there, to an unknown
-            # degree: together they count as one query with the mean figures.
+            # Photos of one place share the errors of the terrain model there, to an unknown
+            # degree: together they count as one photo with the mean figures.
             mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
             near, roughly = confidence.shared_probabilities(self.models, standing, mean)
-        return [
-            candidates_of(self.frame, poses[chosen], near[chosen], roughly[chosen])
-            if belongs
-            else ()
-            for poses, belongs in zip(joint, agrees.tolist(), strict=True)
-        ]
+        sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
+        return [poses[chosen] for poses in sure], agrees
 
     def _needed_scene(self) -> RenderedScene:
         """Return the scene; raises `InputError` without one."""
@@ -218,34 +223,34 @@ class FullMatcher:
             raise InputError(BY_RENDERING)
         return self._scene
 
-    def _with_noted(self, found: Poses, query: Rays, prior: Prior) -> Poses:
+    def _with_noted(self, found: Poses, rays: Rays, prior: Prior, report: ReportProgress) -> Poses:
         """Return retrieved poses with those around the place that the photo's EXIF notes.
 
-        The best of these gets the score of the best pose of all; refinement then compares them.
+        The best of these gets the cost of the best pose of all; refinement then compares them.
         """
         near_noted = prior.near_noted()
         if near_noted is None:
             return found
         try:
-            near = self.retriever.shortlist(query, _SHORTLIST_LEAST // 4, near_noted)
+            near = self.retriever.shortlist(rays, _SHORTLIST_LEAST // 4, near_noted, report)
         except InputError:  # No place of the store lies there.
             return found
         if not len(near):
             return found
-        raised = near.score - near.score.min() + found.score.min()
-        return Poses.concatenate([found, replace(near, score=raised)])
+        raised = near.cost - near.cost.min() + found.cost.min()
+        return Poses.concatenate([found, replace(near, cost=raised)])
 
 
 def _with_one_noted_place(
-    queries: Sequence[tuple[Rays, Prior]],
+    photos: Sequence[tuple[Rays, Prior]],
 ) -> list[tuple[Rays, Prior]]:
-    """Return queries with the most precise noted place alone.
+    """Return photos with the most precise noted place alone.
 
     The positions of photos from one phone share their error, so they are not independent.
     """
-    noted = [prior.noted for _, prior in queries if prior.noted is not None]
+    noted = [prior.noted for _, prior in photos if prior.noted is not None]
     best = min(noted, key=lambda place: place.sd_m, default=None)
     return [
-        (query, prior if prior.noted is best else replace(prior, noted=None))
-        for query, prior in queries
+        (rays, prior if prior.noted is best else replace(prior, noted=None))
+        for rays, prior in photos
     ]

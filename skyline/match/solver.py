@@ -1,4 +1,4 @@
-r"""Damped Gauss-Newton on a query's residuals: position, attitude and field of view together.
+r"""Damped Gauss-Newton on a photo's residuals: position, attitude and field of view together.
 
 An eye that moves by (e, n, up) sees a skyline point at azimuth a, elevation tangent y and
 horizontal distance d move by
@@ -92,11 +92,11 @@ class SolverMode:
     nodes: int
     """Height errors along a skyline; see `HeightErrors.of`."""
     bins: int = 1440
-    """Steps of azimuth of the query and of the curves; by default about as fine as renderings."""
+    """Steps of azimuth of the rays and of the curves; by default about as fine as renderings."""
 
 
 SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
-"""For a first look at many hypotheses."""
+"""For a first look at many poses."""
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
 """For the search: quick, and it converges from farther away."""
 FINE = SolverMode(steps=2, choices=1, nodes=32)
@@ -159,7 +159,7 @@ class Curves(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(Rows):
-    """M states of the camera, and how well they fit the query."""
+    """M states of the camera, and how well they fit the rays."""
 
     state: Float64Array
     """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
@@ -171,7 +171,7 @@ class Fit(Rows):
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
     infinite for a state that does not fit."""
     odds: Float64Array
-    """(M, R) float64. Probability that a column of the query shows terrain."""
+    """(M, R) float64. Probability that a column of the rays shows terrain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,28 +196,28 @@ class Linearization:
 
 
 class Solver:
-    """Fits the pose of one query to curves.
+    """Fits the pose of one photo to curves.
 
-    The query is averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
+    The rays are averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
     standard deviation of the terrain model's heights, ``noted`` the prior from the photo's EXIF.
     Without ``edge`` no terrain is taken to lie past the data.
     """
 
     def __init__(
         self,
-        query: Rays,
+        rays: Rays,
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
         noted: PlacePrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
-        self.query, self.mode, self._eye = thinned(query, mode.bins), mode, eye
+        self.rays, self.mode, self._eye = thinned(rays, mode.bins), mode, eye
         self._noted, self._edge = noted, edge
         self.heights_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
-        low, high = query.log_scale_bounds
-        self.size = size = WARP + len(query.warp_sd)
+        low, high = rays.log_scale_bounds
+        self.size = size = WARP + len(rays.warp_sd)
         """Unknowns P of a state."""
         self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
         self._low[LOG_SCALE], self._high[LOG_SCALE] = low, high
@@ -226,33 +226,33 @@ class Solver:
         range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
         self._prior = np.zeros(size)
         self._prior[[PITCH, ROLL]] = _PITCH_SD_RAD**-2, _ROLL_SD_RAD**-2
-        self._prior[LOG_SCALE] = query.log_scale_sd**-2.0
+        self._prior[LOG_SCALE] = rays.log_scale_sd**-2.0
         free = np.full(size, np.inf)
         free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
         free[LOG_SCALE] = range_sd
-        self._prior[WARP:] = query.warp_sd**-2.0
-        if not query.is_panorama:
+        self._prior[WARP:] = rays.warp_sd**-2.0
+        if not rays.is_panorama:
             self._low[WARP:], self._high[WARP:] = -MOST_DISTORTION, MOST_DISTORTION
-            if not mode.nodes and query.distortion_sd < _LEAST_ROUGH_DISTORTION:
+            if not mode.nodes and rays.distortion_sd < _LEAST_ROUGH_DISTORTION:
                 self._prior[WARP:] = _HELD
         self._information = self._prior + free**-2.0
         off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
         self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
 
-    def start(self, hypotheses: Poses) -> Fit:
-        """Return hypotheses as states without a cost, with the largest errors."""
-        count = len(hypotheses)
+    def start(self, poses: Poses) -> Fit:
+        """Return poses as states without a cost, with the largest errors."""
+        count = len(poses)
         state = np.zeros((count, self.size))
         state[:, EYE_HEIGHT] = self._eye.usual_m
-        state[:, HEADING] = np.radians(hypotheses.heading_deg)
-        state[:, PITCH] = np.radians(hypotheses.pitch_deg)
-        state[:, ROLL] = np.radians(hypotheses.roll_deg)
-        scale = self.query.log_scale(hypotheses.fov_deg)
+        state[:, HEADING] = np.radians(poses.grid_heading_deg)
+        state[:, PITCH] = np.radians(poses.pitch_deg)
+        state[:, ROLL] = np.radians(poses.roll_deg)
+        scale = self.rays.log_scale(poses.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
-        if not self.query.is_panorama:
-            state[:, WARP:] = hypotheses.distortion[:, np.newaxis]
+        if not self.rays.is_panorama and poses.distortion is not None:
+            state[:, WARP:] = poses.distortion[:, np.newaxis]
         angle, height = (np.full(count, index) for index in _WIDEST)
-        odds = np.ones((count, len(self.query.u)))
+        odds = np.ones((count, len(self.rays.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
@@ -262,30 +262,26 @@ class Solver:
         state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
         return replace(fit, state=state)
 
-    def hypotheses(self, curves: Curves, fit: Fit) -> Poses:
-        """Return fits as poses of the eyes (M,) of curves; the score is the cost."""
-        # A lens has one warp or none; those of a panorama are in `wander`.
-        distortion = fit.state[:, WARP : WARP if self.query.is_panorama else None]
+    def poses(self, curves: Curves, fit: Fit) -> Poses:
+        """Return fits as poses of the eyes (M,) of curves."""
+        distortion = wander = None
+        if self.rays.is_panorama:
+            # The rows of an image wander with its scale.
+            wander = fit.state[:, WARP:] * np.exp(fit.state[:, LOG_SCALE, np.newaxis])
+        else:
+            distortion = fit.state[:, WARP:].sum(axis=1)
         return Poses(
-            curves.place_m.real,
-            curves.place_m.imag,
-            curves.ground_m + fit.state[:, EYE_HEIGHT],
-            np.degrees(fit.state[:, HEADING]) % 360.0,
-            np.degrees(fit.state[:, PITCH]),
-            np.degrees(fit.state[:, ROLL]),
-            self.query.fov_at(fit.state[:, LOG_SCALE]),
-            distortion.sum(axis=1),
-            fit.cost,
+            easting_m=curves.place_m.real,
+            northing_m=curves.place_m.imag,
+            eye_elevation_m=curves.ground_m + fit.state[:, EYE_HEIGHT],
+            grid_heading_deg=np.degrees(fit.state[:, HEADING]) % 360.0,
+            pitch_deg=np.degrees(fit.state[:, PITCH]),
+            roll_deg=np.degrees(fit.state[:, ROLL]),
+            fov_deg=self.rays.fov_at(fit.state[:, LOG_SCALE]),
+            cost=fit.cost,
+            distortion=distortion,
+            wander=wander,
         )
-
-    def wander(self, fit: Fit) -> Float64Array:
-        """Return how the rows of a panorama wander, as in `Pose`, (M, 4); (M, 0) for a lens.
-
-        It is that of the field of view of each fit.
-        """
-        if not self.query.is_panorama:
-            return np.zeros((len(fit.state), 0))
-        return np.asarray(fit.state[:, WARP:] * np.exp(fit.state[:, LOG_SCALE, np.newaxis]))
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Return fits after the mode's steps from one rendering, with newly chosen deviations.
@@ -320,7 +316,7 @@ class Solver:
         density = np.exp(-0.5 * (off / _AGREEMENT_RAD_SD) ** 2) / _AGREEMENT_RAD_SD
         other = np.where(off >= 0.0, ABOVE_SHARE, BELOW_SHARE)
         odds = np.log(density + other / RANGE_RAD)
-        agreement = np.tensordot(np.nan_to_num(odds), self.query.weight, axes=(1, 0))
+        agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
         angle = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_RAD_SD))
@@ -347,7 +343,7 @@ class Solver:
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
         pitch, roll, scale = state[:, PITCH:WARP].T
-        turned, ray_y, turned_change, ray_change = self.query.levelled_with_changes(
+        turned, ray_y, turned_change, ray_change = self.rays.levelled_with_changes(
             pitch, roll, scale, state[:, WARP:]
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
@@ -402,7 +398,7 @@ class Solver:
         """Return the likelihood of states, its cost with the priors, for their deviations."""
         found = likelihood(
             linear.residual_rad,
-            self.query.weight,
+            self.rays.weight,
             errors,
             ANGLES_DEG[fit.angle],
             self.heights_m[fit.height],

@@ -23,7 +23,7 @@ overlaps the profile (W below a share of the query's weight), or where either cu
 overlap. The score is 1 - ncc, in [0, 2].
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
@@ -32,8 +32,12 @@ import numpy as np
 from scipy import fft
 
 from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
+from skyline.match.method import SearchMethod
+from skyline.match.prior import Prior
 from skyline.match.rays import Rays, on_bins
+from skyline.match.screen import ReportProgress, silent
 from skyline.pose import Poses
+from skyline.render.horizon import RenderedScene
 from skyline.skylines import (
     DEFAULT_WIDTH,
     FLAG_NO_DATA,
@@ -44,9 +48,10 @@ from skyline.skylines import (
     quadrant_bins,
     quadrants,
 )
-from skyline.store.header import KeypointColumns
+from skyline.store.header import RENDERINGS, KeypointColumns
 from skyline.store.read import Store
 from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.heightfield import HeightField
 
 _BINS = 2048
 """A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""
@@ -100,23 +105,22 @@ class Profiles:
 
     def poses(
         self,
-        score: Float64Array,
-        heading_deg: Float64Array,
+        cost: Float64Array,
+        grid_heading_deg: Float64Array,
         pitch_deg: Float64Array,
         roll_deg: Float64Array,
         fov_deg: float,
     ) -> Poses:
-        """Return one pose at each location, of scores and angles (L,)."""
+        """Return one pose at each location, of costs and angles (L,)."""
         return Poses(
-            self.eyes.easting_m,
-            self.eyes.northing_m,
-            self.eyes.eye_elevation_m,
-            heading_deg % 360.0,
-            pitch_deg,
-            roll_deg,
-            np.full(len(self), fov_deg),
-            np.zeros(len(self)),
-            score,
+            easting_m=self.eyes.easting_m,
+            northing_m=self.eyes.northing_m,
+            eye_elevation_m=self.eyes.eye_elevation_m,
+            grid_heading_deg=grid_heading_deg % 360.0,
+            pitch_deg=pitch_deg,
+            roll_deg=roll_deg,
+            fov_deg=np.full(len(self), fov_deg),
+            cost=cost,
         )
 
     @classmethod
@@ -159,17 +163,18 @@ def at_pitches(query: Rays, bins: int) -> list[tuple[float, Float64Array, Float6
     return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
 
 
-class ProfileMatcher(ABC):
-    """Base class of matchers of renderings, which fit one pose at every location.
+class ProfileMatcher(SearchMethod):
+    """Base class of matchers of renderings, which fit one pose at every location."""
 
-    A new one is a subclass and a line in `skyline.match.matcher.PROFILE_MATCHERS`.
-    """
+    holds = RENDERINGS
 
     def __init__(self, profiles: Profiles) -> None:
         self.profiles = profiles
 
     @classmethod
-    def open(cls, store: Store) -> Self:
+    def open(
+        cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
+    ) -> Self:
         """Return a matcher of an open store of renderings that is not empty."""
         parts = [slice(k, k + _VIEWS_AT_ONCE) for k in range(0, len(store), _VIEWS_AT_ONCE)]
         return cls(Profiles.from_views((store.views(p), store.keypoint_columns(p)) for p in parts))
@@ -178,21 +183,21 @@ class ProfileMatcher(ABC):
         """Return the eyes of the profiles."""
         return self.profiles.eyes
 
-    def rank(self, query: Rays, top: int) -> Poses:
+    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
         """Return up to ``top`` poses, best first, at most one a location.
 
-        Locations where nothing fits are left out. Of equal scores the location that comes first in
+        Locations where nothing fits are left out. Of equal costs the location that comes first in
         the store wins.
         """
-        poses = self.fit(query)
+        poses = self.fit(rays)
         return poses[poses.suppress_non_maxima(top, 0.0)]
 
     @abstractmethod
-    def fit(self, query: Rays) -> Poses:
+    def fit(self, rays: Rays) -> Poses:
         """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
-        `at_pitches` levels the query at the assumed pitches and puts it on the profiles' bins. The
-        score is infinite at a location where nothing fits.
+        `at_pitches` levels the rays at the assumed pitches and puts them on the profiles' bins. The
+        cost is infinite at a location where nothing fits.
         """
 
 

@@ -256,7 +256,7 @@ class Store:
         StoreError
             Damaged data.
         """
-        self._expect(RENDERINGS)
+        self.expect(RENDERINGS)
         rows = self._indexed(index)
         fields: Any = {field: self._read(name, rows) for field, name in self.header.fields.items()}
         return Views(**fields)
@@ -268,7 +268,7 @@ class Store:
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with 65535; as `views` otherwise."""
-        self._expect(RENDERINGS)
+        self.expect(RENDERINGS)
         return self._read(KEYPOINTS, self._indexed(index))
 
     def eyes(self) -> Viewpoints:
@@ -289,7 +289,7 @@ class Store:
         StoreError
             Damaged data.
         """
-        self._expect(PLACES)
+        self.expect(PLACES)
         if not self._file:
             raise self._closed()
         size = self.header.chunk_rows(len(self))
@@ -352,7 +352,7 @@ class Store:
         rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
-    def _expect(self, holds: str) -> None:
+    def expect(self, holds: str) -> None:
         """Raise `InputError` unless the store has rows of this kind."""
         if self.header.holds != holds:
             raise InputError(

@@ -17,7 +17,7 @@ from scenes import write_dem
 
 from skyline.errors import ContextError
 from skyline.geodesy import Frame
-from skyline.match.matcher import PROFILE_MATCHERS, Matcher
+from skyline.match.matcher import Matcher
 from skyline.report.files import ResultsFile
 from skyline.store.read import open_store
 from skyline.store.write import write_store
@@ -33,7 +33,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     keys = "query answer answer_within_m candidates seconds loading_seconds"
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
-        fov_deg score confidence confidence_1km refined beyond_share distortion wander
+        fov_deg cost confidence confidence_1km refined beyond_share distortion wander
         residual_deg terrain_share skyline_m"""
     assert set(record["answer"]) == set(keys.split())
     assert record["answer"] == record["candidates"][0]
@@ -46,7 +46,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert "confidence" in record["refusal"]
 
 
-@pytest.mark.parametrize("matcher", PROFILE_MATCHERS)
+@pytest.mark.parametrize("matcher", ["paper", "correlation"])
 def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher):
     found = run("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher, "--json")
     answer = json.loads(found.out)["answer"]
@@ -61,7 +61,7 @@ def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
     for searched, options, message in (
         (renderings, (), "holds renderings, not places"),
         (store, paper, "holds places, not renderings"),
-        (renderings, (*paper, *heading), "only the full matcher can narrow its search"),
+        (renderings, (*paper, *heading), "cannot narrow its search; use the full one"),
         (store, ("--report", store), "is an input; choose another name for the output"),
         (store, ("--report", __file__), "is a file; name a folder"),
         (store, ("--use-gps", "--matcher", "unrefined"), "--use-gps acts in refinement"),
@@ -129,7 +129,7 @@ def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     done = run(*common, "--surface", canopy).ok()
     found, plain = (json.loads(one.out)["candidates"][0] for one in (done, run(*common)))
     assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting_m", "northing_m"))) < 20.0
-    assert found["score"] != plain["score"]
+    assert found["cost"] != plain["cost"]
     for options in (("--matcher", "unrefined"), ("--matcher", "paper")):
         assert_refused(run(*common, "--surface", canopy, *options), "a surface acts in refinement")
     assert_refused(run(*common, "--surface", "none.tif"), "no file")

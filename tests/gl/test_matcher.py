@@ -162,7 +162,7 @@ def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
     assert all(error_m(place, there) < 301.0 for place in found.places)
     with (
         Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher,
-        pytest.raises(InputError, match="together, and poses fitted, by rendering"),
+        pytest.raises(InputError, match="this needs rendering: use the full matcher"),
     ):
         matcher.match_together(skylines)
 

@@ -60,9 +60,9 @@ def _around(count=6, off_m=40.0, turn_deg=2.0):
         count,
         easting_m=PLACE[0] + ring.real,
         northing_m=PLACE[1] + ring.imag,
-        heading_deg=TRUTH["heading_deg"] + turn_deg * (-1.0) ** np.arange(count),
+        grid_heading_deg=TRUTH["heading_deg"] + turn_deg * (-1.0) ** np.arange(count),
         fov_deg=61.5,
-        score=np.arange(count),
+        cost=np.arange(count),
     )
 
 
@@ -75,15 +75,15 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     found = Refinement(query, scene, SHORT).run(_around())
     best = found
     assert _off_m(best)[0] < 3.0
-    assert best.heading_deg[0] == pytest.approx(160.0, abs=0.05)
+    assert best.grid_heading_deg[0] == pytest.approx(160.0, abs=0.05)
     assert best.pitch_deg[0] == pytest.approx(1.5, abs=0.05)
     assert best.roll_deg[0] == pytest.approx(-1.0, abs=0.1)
     assert best.fov_deg[0] == pytest.approx(60.0, abs=0.1)
     ground_m = scene.ground_m(best.easting_m, best.northing_m)
     assert best.eye_elevation_m[0] - ground_m[0] == pytest.approx(2.0, abs=1.0)
-    assert (np.diff(best.score) >= 0.0).all()
-    assert found.terrain_share[0] > 0.97
-    assert found.residual_deg[0] < 0.05
+    assert (np.diff(best.cost) >= 0.0).all()
+    assert found.figures().terrain_share[0] > 0.97
+    assert found.figures().residual_deg[0] < 0.05
 
 
 @pytest.mark.parametrize("distortion", [-0.03, 0.02])
@@ -116,23 +116,23 @@ def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
     found = Refinement(rays_of(u, v, 60.0), scene, SHORT).run(_around())
     off = PLACE - [found.easting_m[0], found.northing_m[0]]
     assert np.hypot(*off) < 20.0
-    assert found.terrain_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
-    assert off @ np.linalg.solve(found.covariance_m2[0], off) < 16.0
-    assert 20.0 < found.effective_columns[0] < len(v)
-    assert np.linalg.eigvalsh(found.covariance_m2).min() > 0.0
+    assert found.figures().terrain_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
+    assert off @ np.linalg.solve(found.figures().covariance_m2[0], off) < 16.0
+    assert 20.0 < found.figures().effective_columns[0] < len(v)
+    assert np.linalg.eigvalsh(found.figures().covariance_m2).min() > 0.0
 
 
 def test_neither_order_nor_far_places_matter(scene, rays):
     query = rays_of(*rays, 60.0)
     east_m = [2000, 9000, 5000, 7000]
-    far = poses(4, easting_m=east_m, northing_m=-8000.0, heading_deg=50.0, score=9.0)
+    far = poses(4, easting_m=east_m, northing_m=-8000.0, grid_heading_deg=50.0, cost=9.0)
     some = Poses.concatenate([_around(), far])
     order = np.random.default_rng(0).permutation(len(some))
     one, other = (Refinement(query, scene, SHORT).run(h) for h in (some, some[order]))
     first_m, same_m = (found.easting_m[0] for found in (one, other))
     np.testing.assert_allclose(first_m, same_m, atol=1e-3)
     assert _off_m(one)[0] < 3.0
-    assert one.margin[0] > 0.0
+    assert one.figures().margin[0] > 0.0
 
 
 def test_the_derivatives_predict_the_next_rendering(scene):
@@ -155,7 +155,7 @@ def test_the_derivatives_predict_the_next_rendering(scene):
 
 
 def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
-    outside = poses(2, easting_m=[-500.0, np.nan], northing_m=-6000.0, heading_deg=160.0)
+    outside = poses(2, easting_m=[-500.0, np.nan], northing_m=-6000.0, grid_heading_deg=160.0)
     query = rays_of(*rays, 60.0)
     assert len(Refinement(query, scene, SHORT).run(outside)) == 0
     both = Poses.concatenate([outside, _around(2, 20.0)])
@@ -169,7 +169,7 @@ def test_a_featureless_skyline_tells_no_place(scene):
         some = poses(3, easting_m=1500.0 + np.arange(3) * 60.0, northing_m=-1500.0)
         found = Refinement(rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT).run(some)
     # The skyline is the same from everywhere.
-    deviation_m = np.sqrt(np.linalg.eigvalsh(found.covariance_m2).max(axis=1))
+    deviation_m = np.sqrt(np.linalg.eigvalsh(found.figures().covariance_m2).max(axis=1))
     assert len(deviation_m) > 0
     assert (deviation_m > 100.0).all()
 
@@ -180,13 +180,15 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     alone = Refinement(query, scene, SHORT).run(found)
     each = Refinement(query, scene, SHORT)
     joint, _ = JointRefinement([each, each]).run([found] * 2, [alone[:1]] * 2)
-    once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
+    once, twice = (np.trace(one.figures().covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once
 
 
 def test_no_pose_leaves_the_map(scene, rays):
     west, south, _, north = scene.field.bounds_m
-    edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
+    edge = poses(
+        8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), grid_heading_deg=80.0
+    )
     found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge)
     assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
     assert np.isfinite(found.eye_elevation_m).all()

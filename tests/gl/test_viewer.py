@@ -131,7 +131,7 @@ def test_a_fit_at_a_candidate_of_a_search_is_that_candidate(matcher, photo):
                 again = searched.candidates[fit.best.rank - 1]
                 assert fit.best.confidence == again.confidence
                 assert fit.best.confidence_1km == again.confidence_1km
-                assert fit.best.score <= again.score
+                assert fit.best.cost <= again.cost
                 assert (fit.refusal, fit.within_m) == (
                     (searched.refusal, searched.within_m)
                     if again.rank == 1

@@ -99,8 +99,8 @@ def test_an_answer_and_a_refusal_are_printed_with_their_query():
     assert "candidate 1, right within 200 m" in answer
     assert "lat 46.70000 lon 9.80000" in place
     assert "60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in lens_line
-    scored = MatchResult(query(), (replace(BEST, score=0.00421, confidence=None),), 1.5, None)
-    assert "score 0.00421 (the lower" in scored.to_text()
+    scored = MatchResult(query(), (replace(BEST, cost=0.00421, confidence=None),), 1.5, None)
+    assert "cost 0.00421 (the lower" in scored.to_text()
     refused = MatchResult(query(), (), 1.5, "no place fits", name="c.jpg")
     assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
     assert replace(refused, name="").to_text().startswith("query (1.50 s)")

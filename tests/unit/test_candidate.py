@@ -60,18 +60,18 @@ def test_68_of_100_draws_about_a_pose_lie_within_its_radius(sd_m, seed):
 
 def test_the_best_pose_of_a_place_and_a_way_of_looking_stands_for_it():
     east_m = [0.0, 10.0, 500.0, 505.0]
-    some = poses(4, easting_m=east_m, heading_deg=[0, 90, 0, 0], score=[2.0, 1.0, 3.0, 3.0])
+    some = poses(4, easting_m=east_m, grid_heading_deg=[0, 90, 0, 0], cost=[2.0, 1.0, 3.0, 3.0])
     assert some.suppress_non_maxima(9, separation_m=100.0).tolist() == [1, 2]
-    turned = poses(3, heading_deg=[359.0, 2.0, 90.0], score=[1.0, 2.0, 3.0])
+    turned = poses(3, grid_heading_deg=[359.0, 2.0, 90.0], cost=[1.0, 2.0, 3.0])
     assert turned.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
-    lost = poses(3, easting_m=[0.0, 500.0, 900.0], score=[np.inf, 1.0, 2.0])
+    lost = poses(3, easting_m=[0.0, 500.0, 900.0], cost=[np.inf, 1.0, 2.0])
     assert lost.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
     assert lost.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
 
 
 def test_a_pose_has_rivals_at_other_places_and_in_other_directions():
     east_m = [0.0, 50.0, 900.0]
-    some = poses(3, easting_m=east_m, heading_deg=[350.0, 100.0, 5.0], score=[1.0, 4.0, 9.0])
+    some = poses(3, easting_m=east_m, grid_heading_deg=[350.0, 100.0, 5.0], cost=[1.0, 4.0, 9.0])
     assert some.rival_margin(200.0).tolist() == [8.0, 5.0, -8.0]
     assert some.rival_margin(200.0, turn_deg=30.0).tolist() == [3.0, -3.0, -8.0]
     assert np.isinf(some[:1].rival_margin(200.0)).all()

@@ -8,26 +8,34 @@ from query_scenes import equally_trusted, poses
 from scenes import candidate_at
 
 from skyline.match import confidence
-from skyline.pose import DISTANCES_M, RefinedPoses
+from skyline.pose import DISTANCES_M, FitFigures
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
-def retrieved(easting_m, score):
+def retrieved(easting_m, cost):
     """Poses along a line to the east."""
-    return poses(len(score), easting_m=easting_m, score=score)
+    return poses(len(cost), easting_m=easting_m, cost=cost)
 
 
 def fitted(residual_deg):
     """Refined poses at one place that differ by their residuals alone."""
     count = len(residual_deg)
-    one, zero = np.ones(count), np.zeros((3, count))
-    figures = residual_deg, one, 1e3 * one, 180.0 * one, 5.0 * one, *zero
-    covariance_m2 = np.tile(100.0 * np.eye(2), (count, 1, 1))
-    figures = *figures, np.ones((count, 4)), np.zeros((count, 0))
-    poses = retrieved([0.0] * count, [0.0] * count).columns().values()
-    return RefinedPoses(*poses, covariance_m2, *figures)
+    one = np.ones(count)
+    fits = FitFigures(
+        covariance_m2=np.tile(100.0 * np.eye(2), (count, 1, 1)),
+        residual_deg=residual_deg,
+        terrain_share=one,
+        skyline_m=1e3 * one,
+        beyond_share=0.0 * one,
+        effective_columns=180.0 * one,
+        height_sd_m=5.0 * one,
+        margin=0.0 * one,
+        far_margin=0.0 * one,
+        angle_sd_deg=np.ones((count, 4)),
+    )
+    return replace(retrieved([0.0] * count, [0.0] * count), fits=fits)
 
 
 @pytest.mark.parametrize("within_m", DISTANCES_M)
@@ -44,7 +52,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
 def candidate(east_m, score, heading_deg=90.0, rank=1, sure=None):
     """A candidate at the origin's northing; its confidences are one and the same."""
     alike = {"confidence": sure, "confidence_1km": sure}
-    return candidate_at(east_m, 0.0, heading_deg, score=score, rank=rank, **alike)
+    return candidate_at(east_m, 0.0, heading_deg, cost=score, rank=rank, **alike)
 
 
 # One that is sure, a worse one 150 m beside it, and one 5 km away.
@@ -80,7 +88,7 @@ def test_a_better_fit_of_the_same_answer_takes_the_candidates_place(fitted_m, sc
     fitted = candidate(fitted_m, score, rank=None)
     again = confidence.found_again(FOUND, fitted, fitted)
     assert (again.rank, again.confidence) == (rank, FOUND[rank - 1].confidence)
-    assert (again.easting_m, again.score) == (fitted_m, score)
+    assert (again.easting_m, again.cost) == (fitted_m, score)
 
 
 @pytest.mark.parametrize(
@@ -98,14 +106,14 @@ def test_a_fit_of_another_answer_is_none_of_the_candidates(fitted_m, score, head
 
 
 def test_a_fit_fails_where_few_such_fits_are_right_or_the_answer_fits_better():
-    def said(answer=None, sure=0.76, score=-900.0, heading_deg=90.0):
-        fitted = candidate(2400.0, score, heading_deg, rank=None, sure=sure)
+    def said(answer=None, sure=0.76, cost=-900.0, heading_deg=90.0):
+        fitted = candidate(2400.0, cost, heading_deg, rank=None, sure=sure)
         fitted = replace(fitted, residual_deg=0.1, terrain_share=0.5)
         return confidence.misfit(fitted, confidence.MatchConfig(), answer)
 
     apart = "the skylines are 0.10 degrees apart (rms) over 50 % of the skyline; "
     few = apart + "of poses that fit like this 74 % are right, and 75 % are needed"
-    assert said() is said(FOUND[0], score=-1001.0) is None
+    assert said() is said(FOUND[0], cost=-1001.0) is None
     assert said(sure=0.74) == said(FOUND[0], 0.74, -1001.0) == few
     # No share is named beside the confidence of a better candidate.
     assert said(FOUND[0]) == said(FOUND[0], 0.74) == apart + "candidate 1, 2400 m away, fits better"

@@ -5,6 +5,7 @@ import pytest
 from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
+from skyline.match.prior import NOTHING_KNOWN
 from skyline.paper import matcher
 from skyline.paper.correlation import CorrelationMatcher, Profiles, at_pitches
 from skyline.paper.curves import chamfer_px, plausible, ransac_maps
@@ -61,10 +62,13 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best, true = matcher.rank(query_at(viewpoints, index, heading_deg), 3), viewpoints
+        best, true = (
+            matcher.search(query_at(viewpoints, index, heading_deg), NOTHING_KNOWN, 3),
+            viewpoints,
+        )
         east_m = best.easting_m[0] - true.easting_m[index]
         north_m = best.northing_m[0] - true.northing_m[index]
-        off_deg = abs((best.heading_deg[0] - heading_deg + 180.0) % 360.0 - 180.0)
+        off_deg = abs((best.grid_heading_deg[0] - heading_deg + 180.0) % 360.0 - 180.0)
         right += np.hypot(east_m, north_m) < 1.0 and off_deg < 1.0
     # Keypoints are the paper's weak spot: now and then a low skyline has too few.
     assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
@@ -83,7 +87,7 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
                 a, b = q - np.average(q, weights=weight), p - np.average(p, weights=weight)
                 off = np.sqrt(np.sum(weight * a * a) * np.sum(weight * b * b))
                 best = max(best, np.sum(weight * a * b) / off)
-        assert 1.0 - fits.score[location] == pytest.approx(best, abs=1e-4)
+        assert 1.0 - fits.cost[location] == pytest.approx(best, abs=1e-4)
 
 
 def test_chamfer_distance_is_the_mean_of_nearest_points():
@@ -105,7 +109,7 @@ def test_degenerate_queries_have_an_answer(profiles):
             equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            assert np.isfinite(prepared(profiles).rank(query, 3).score).all()
+            assert np.isfinite(prepared(profiles).search(query, NOTHING_KNOWN, 3).cost).all()
 
 
 @pytest.mark.parametrize(("index", "heading_deg"), [(9, 315.0), (30, 100.0)])
@@ -118,10 +122,10 @@ def test_listed_poses_are_scored_as_without_a_shortlist(
     every = PaperMatcher(profiles).fit(query)
     monkeypatch.setattr(matcher, "_POSES", 8)
     listed = PaperMatcher(profiles).fit(query)
-    chosen = np.isfinite(listed.score)
-    assert 1 < chosen.sum() < np.isfinite(every.score).sum()
-    np.testing.assert_allclose(listed.score[chosen], every.score[chosen], rtol=1e-6)
-    assert listed.score.argmin() == every.score.argmin()
+    chosen = np.isfinite(listed.cost)
+    assert 1 < chosen.sum() < np.isfinite(every.cost).sum()
+    np.testing.assert_allclose(listed.cost[chosen], every.cost[chosen], rtol=1e-6)
+    assert listed.cost.argmin() == every.cost.argmin()
 
 
 def correspondences(seed, sets=20, points=30):

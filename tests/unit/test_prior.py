@@ -29,7 +29,7 @@ def test_its_probabilities_sum_to_one():
 
 
 def test_its_compass_is_a_weak_hint():
-    looking = replace(NOTED, heading_deg=350.0)
+    looking = replace(NOTED, grid_heading_deg=350.0)
     said = looking.cost(np.repeat(THERE, 3), np.zeros(3), np.radians([350.0, 10.0, 170.0]))
     assert said[0] < said[1] < said[2]
     assert said[2] - said[0] < 4.0
@@ -59,7 +59,7 @@ def test_a_step_is_pulled_to_the_noted_place(prior):
     solver = Solver(query, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
     eye = THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
     curves = Curves.of(*panorama_of(hills, distance_m=1e6), *eye)
-    fit = solver.settle(curves, solver.start(poses(heading_deg=350.0)))
+    fit = solver.settle(curves, solver.start(poses(grid_heading_deg=350.0)))
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
     # Terrain so far away does not constrain the place.
     assert (east < -50.0) == (prior is not None)

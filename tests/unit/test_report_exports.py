@@ -145,7 +145,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
     convergence_deg = float(frame.convergence_deg(**at_m(place)))
     assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
-    names = "lon lat easting_m northing_m pitch_deg roll_deg fov_deg score confidence refined"
+    names = "lon lat easting_m northing_m pitch_deg roll_deg fov_deg cost confidence refined"
     assert set(names.split()) <= point["properties"].keys()
     assert ellipse["properties"]["semi_major_m"] > ellipse["properties"]["semi_minor_m"] > 0.0
     for polygon in (view, ellipse):

@@ -31,11 +31,11 @@ def turned(heading_deg, other_deg):
 def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch, roll):
     found = Retriever(places).shortlist(rays(seed, heading, pitch_deg=pitch, roll_deg=roll), 3)
     assert abs(found.easting_m[0] - 100.0 * seed) < 50.0
-    assert turned(found.heading_deg[0], heading) < 0.3
+    assert turned(found.grid_heading_deg[0], heading) < 0.3
     assert found.pitch_deg[0] == pytest.approx(pitch, abs=0.3)
     assert found.roll_deg[0] == pytest.approx(roll, abs=0.3)
     assert found.fov_deg[0] == 60.0
-    assert (np.diff(found.score) >= 0.0).all()
+    assert (np.diff(found.cost) >= 0.0).all()
 
 
 def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
@@ -79,7 +79,7 @@ def test_a_place_between_entries_is_found():
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
     # of corners cut by steps of a degree.
     assert np.hypot(found.easting_m[0] - 12.0, found.northing_m[0] + 9.0) < 6.0
-    assert turned(found.heading_deg[0], heading_deg) < 0.7
+    assert turned(found.grid_heading_deg[0], heading_deg) < 0.7
 
 
 def test_a_near_place_that_fits_comes_before_far_ones_that_fit_worse():
@@ -97,4 +97,4 @@ def test_missing_headings_do_not_stop_the_others():
     y[:, 225:] = np.nan
     found = Retriever(places_of(y)).shortlist(rays(4, 100.0), 1)
     assert found.easting_m[0] == pytest.approx(400.0, abs=50.0)
-    assert turned(found.heading_deg[0], 100.0) < 0.3
+    assert turned(found.grid_heading_deg[0], 100.0) < 0.3

@@ -36,7 +36,7 @@ def settled(hypotheses, panoramas, query, edge=None):
     solver = Solver(query, LONG, EYE, HEIGHT_SD_M, edge=edge)
     curves = curves_of(*panoramas)
     fit = solver.settle(curves, solver.start(hypotheses))
-    return solver.hypotheses(curves, fit)
+    return solver.poses(curves, fit)
 
 
 LENS = rays_of(*seen(hills, **TRUTH), 60.0)
@@ -77,12 +77,12 @@ def test_a_wide_lens_finds_its_distortion():
     bent = half_width * np.stack(distorted(u / half_width, v / half_width, 0.1))
     true = Rays(u=bent[0], v=bent[1], weight=np.ones_like(u), fov_deg=100.0)
     free = replace(true, distortion_sd=0.05)
-    found = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), free)
-    straight = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), true)
+    found = settled(poses(grid_heading_deg=348.0, fov_deg=100.0), panorama_of(hills), free)
+    straight = settled(poses(grid_heading_deg=348.0, fov_deg=100.0), panorama_of(hills), true)
     assert found.distortion[0] == pytest.approx(0.1, abs=0.005)
-    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
+    assert found.grid_heading_deg[0] == pytest.approx(350.0, abs=0.02)
     assert straight.distortion[0] == 0.0
-    assert found.score[0] < straight.score[0]
+    assert found.cost[0] < straight.cost[0]
 
 
 def test_a_panorama_whose_rows_wander_finds_its_heading():
@@ -91,21 +91,21 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
     query = replace(query, v=query.v - wander_of(np.linspace(-1.0, 1.0, len(query.u))) @ wander)
     solver = Solver(query, LONG, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
-    start = poses(heading_deg=203.0, fov_deg=SWEPT[2])
+    start = poses(grid_heading_deg=203.0, fov_deg=SWEPT[2])
     fit = solver.settle(curves, solver.start(start))
     assert np.degrees(fit.state[0, HEADING]) == pytest.approx(SWEPT[0], abs=0.02)
     assert np.degrees(fit.state[0, PITCH]) == pytest.approx(SWEPT[1], abs=0.1)
-    np.testing.assert_allclose(solver.wander(fit)[0], wander, atol=np.radians(0.1))
-    assert solver.hypotheses(curves, fit).distortion[0] == 0.0
+    np.testing.assert_allclose(solver.poses(curves, fit).wander[0], wander, atol=np.radians(0.1))
+    assert solver.poses(curves, fit).distortion is None
 
 
 @pytest.mark.parametrize("raised_deg", [-25.0, 25.0])
 def test_a_sphere_cropped_far_from_the_horizon_is_levelled_exactly(raised_deg):
     query = swept(hills, 200.0, raised_deg, 230.0, Projection.EQUIRECTANGULAR)
     query = query.with_fov(228.0).about(2.0)
-    start = poses(heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0)
+    start = poses(grid_heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0)
     found = settled(start, panorama_of(hills), query)
-    assert found.heading_deg[0] == pytest.approx(200.0, abs=0.02)
+    assert found.grid_heading_deg[0] == pytest.approx(200.0, abs=0.02)
     assert found.pitch_deg[0] == pytest.approx(raised_deg, abs=0.1)
     assert found.fov_deg[0] == pytest.approx(230.0, abs=0.05)
 
@@ -124,10 +124,10 @@ def test_a_range_past_the_edge_speaks_less_against_the_right_place():
     assert 0.3 < np.mean(with_range(shown) > hills(shown)) < 0.6
     query = rays_of(*seen(with_range, **TRUTH), 60.0)
     places = [panorama_of(hills), panorama_of(lambda azimuth: hills(azimuth + 0.4))]
-    start = poses(heading_deg=350.0)
+    start = poses(grid_heading_deg=350.0)
 
     def scores(edge):
-        return [settled(start, place, query, edge).score[0] for place in places]
+        return [settled(start, place, query, edge).cost[0] for place in places]
 
     assert scores(_edge(-1.0)) == scores(None)
     (right, wrong), (right_without, wrong_without) = scores(_edge(0.17)), scores(None)
@@ -138,7 +138,7 @@ def test_a_range_past_the_edge_speaks_less_against_the_right_place():
 @pytest.mark.parametrize(("low", "high", "expected"), [(63.0, 70.0, 63.0), (50.0, 57.0, 57.0)])
 def test_the_field_of_view_keeps_to_its_range(low, high, expected):
     query = rays_of(*seen(hills, **TRUTH), 60.0, (low + high) / 2.0, (low, high))
-    found = settled(poses(heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
+    found = settled(poses(grid_heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
     assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
 
 
@@ -153,7 +153,7 @@ def test_noise_makes_no_lens_narrower(relief, noise):
     for seed in range(6):
         noisy = v + np.random.default_rng(seed).normal(0.0, noise, len(v))
         query = replace(rays_of(u, noisy, 60.0, 60.0, (30.0, 90.0)), fov_sd_deg=3.0)
-        start = poses(heading_deg=350.0, fov_deg=60.0)
+        start = poses(grid_heading_deg=350.0, fov_deg=60.0)
         found.append(float(settled(start, panorama_of(skyline), query).fov_deg[0]))
     assert np.mean(found) == pytest.approx(60.0, abs=0.02 + 3.0 * np.std(found) / np.sqrt(6.0))
 
@@ -162,7 +162,7 @@ def test_noise_makes_no_lens_narrower(relief, noise):
 def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
     level_hills = panorama_of(lambda a: 0.3 * hills(a))
     query = rays_of(*seen(lambda a: 0.3 * hills(a), **TRUTH), 60.0, 62.0, (50.0, 74.0))
-    start = poses(heading_deg=350.0, fov_deg=62.0)
+    start = poses(grid_heading_deg=350.0, fov_deg=62.0)
     found = settled(start, level_hills, query)
     drawn = settled(start, level_hills, replace(query, fov_sd_deg=sd_deg))
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.1)
@@ -170,33 +170,33 @@ def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg
         assert drawn.fov_deg[0] == pytest.approx(found.fov_deg[0], abs=1e-3)
     else:
         assert found.fov_deg[0] + 1e-3 < drawn.fov_deg[0] < 62.0
-        assert drawn.score[0] > found.score[0]
+        assert drawn.cost[0] > found.cost[0]
 
 
 def test_the_right_skyline_costs_least_and_order_does_not_matter():
     headings = np.array([349.0, 80.0, 200.0, 351.0])
-    found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), LENS)
-    assert found.score[[0, 3]].max() < found.score[[1, 2]].min() - 100.0
+    found = settled(poses(4, grid_heading_deg=headings), panorama_of(hills, 4), LENS)
+    assert found.cost[[0, 3]].max() < found.cost[[1, 2]].min() - 100.0
     order = np.array([2, 0, 3, 1])
-    other = settled(poses(4, heading_deg=headings[order]), panorama_of(hills, 4), LENS)
-    np.testing.assert_allclose(other.score, found.score[order], rtol=1e-9)
-    np.testing.assert_allclose(other.heading_deg, found.heading_deg[order], rtol=1e-9)
+    other = settled(poses(4, grid_heading_deg=headings[order]), panorama_of(hills, 4), LENS)
+    np.testing.assert_allclose(other.cost, found.cost[order], rtol=1e-9)
+    np.testing.assert_allclose(other.grid_heading_deg, found.grid_heading_deg[order], rtol=1e-9)
 
 
 @pytest.mark.parametrize("columns", [2, 15])
 def test_too_few_columns_have_no_fit(columns):
     few = np.linspace(0, len(LENS.u) - 1, columns).astype(int)
     query = replace(LENS, u=LENS.u[few], v=LENS.v[few], weight=LENS.weight[few])
-    found = settled(poses(heading_deg=350.0), panorama_of(hills), query)
-    assert found.score[0] == np.inf
-    assert np.isfinite(found.heading_deg[0])
+    found = settled(poses(grid_heading_deg=350.0), panorama_of(hills), query)
+    assert found.cost[0] == np.inf
+    assert np.isfinite(found.grid_heading_deg[0])
 
 
 @pytest.mark.parametrize("height", [0.0, 0.1])
 def test_a_level_skyline_keeps_its_heading(height):
     query = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
-    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
-    assert np.isfinite(found.score[0])
-    assert found.heading_deg[0] == pytest.approx(43.0, abs=0.5)
+    found = settled(poses(grid_heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
+    assert np.isfinite(found.cost[0])
+    assert found.grid_heading_deg[0] == pytest.approx(43.0, abs=0.5)
     assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)
     assert 50.0 <= found.fov_deg[0] <= 70.0

@@ -18,7 +18,7 @@ from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
-from skyline.pose import Poses, candidates_of
+from skyline.pose import Poses
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
@@ -86,14 +86,21 @@ def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -
     None where either does not exist: without refinement, or where nothing fits.
     """
     truth, fov_deg = query.truth, query.skyline.fov_deg or query.truth.fov_deg
-    eye = truth.easting_m, truth.northing_m, truth.eye_elevation_m
-    pose = *eye, truth.heading_deg, truth.pitch_deg, truth.roll_deg, fov_deg, 0.0, 0.0
-    hypotheses = Poses(*(np.array([value]) for value in pose))
+    true = Poses(
+        easting_m=np.array([truth.easting_m]),
+        northing_m=np.array([truth.northing_m]),
+        eye_elevation_m=np.array([truth.eye_elevation_m]),
+        grid_heading_deg=np.array([truth.heading_deg]),
+        pitch_deg=np.array([truth.pitch_deg]),
+        roll_deg=np.array([truth.roll_deg]),
+        fov_deg=np.array([fov_deg]),
+        cost=np.zeros(1),
+    )
     with suppress(InputError):  # The matcher does not refine.
-        start = candidates_of(matcher.frame, hypotheses)[0]
+        start = true.on_map(matcher.frame)[0]
         fitted = matcher.fit(query.skyline, start).candidates
         if fitted and result.candidates:
-            return result.candidates[0].score - fitted[0].score
+            return result.candidates[0].cost - fitted[0].cost
     return None
 
 

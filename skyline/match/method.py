@@ -1,0 +1,95 @@
+"""The interface of matchers: ours, and those of other packages."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Self
+
+from skyline.arrays import BoolArray
+from skyline.errors import InputError
+from skyline.match.prior import Prior
+from skyline.match.projections import OtherProjection
+from skyline.match.rays import Rays
+from skyline.match.screen import ReportProgress, silent
+from skyline.pose import Pose, Poses
+from skyline.render.horizon import RenderedScene
+from skyline.store.read import Store
+from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.heightfield import HeightField
+
+MATCHERS = "skyline.matchers"
+"""Group of the entry points by which matchers are found, ours as well as those of other
+packages."""
+BY_RENDERING = "this needs rendering: use the full matcher, refine, and give the DEM"
+
+
+class SearchMethod(ABC):
+    """A way to search a store for the pose of a photo.
+
+    A package adds one by an entry point of the group `MATCHERS` that names a subclass. Only `open`,
+    `eyes` and `search` must be written; the rest is for methods that render.
+    """
+
+    holds: ClassVar[str]
+    """The kind of rows of the stores that are searched: ``places`` or ``renderings``."""
+    renders: ClassVar[bool] = False
+    """Whether `open` gets the terrain and a scene to render, where the DEM can be read."""
+    finds_fov: ClassVar[bool] = False
+    """Whether a field of view that is not known is found with the pose."""
+    takes_prior: ClassVar[bool] = False
+    """Whether a search may be narrowed, and drawn to the place that a photo notes."""
+
+    @classmethod
+    @abstractmethod
+    def open(
+        cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
+    ) -> Self:
+        """Return the method for an open store that is not empty; the store is closed afterwards."""
+
+    @abstractmethod
+    def eyes(self) -> Viewpoints:
+        """Return the eyes of the store, or an even selection of very many."""
+
+    @abstractmethod
+    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+        """Return up to ``top`` poses of a photo, best first; none where nothing fits.
+
+        Parameters
+        ----------
+        rays : Rays
+            The photo's skyline: u, v and weight, (R,) each, and its field of view.
+        prior : Prior
+            What is known of the pose; `NOTHING_KNOWN` unless `takes_prior`.
+        top : int
+            Most poses to return, 1 or more.
+        report : callable
+            To be called with the name of a step and the share of it that is done, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            The search is narrowed to no place.
+        """
+
+    def search_together(
+        self,
+        photos: Sequence[tuple[Rays, Prior]],
+        top: int,
+        report: ReportProgress = silent,
+    ) -> tuple[list[Poses], BoolArray]:
+        """Return the best common places of N photos of one eye, and which photos agree on them.
+
+        Each photo's poses, up to ``top``, are at the same places in the same order. A photo that
+        does not agree, (N,) bool, was likely taken at another place.
+        """
+        raise InputError(BY_RENDERING)
+
+    def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
+        """Return a pose refined from a start, or none where nothing near it fits.
+
+        ``about_start`` are the photo's rays about the start's field of view.
+        """
+        raise InputError(BY_RENDERING)
+
+    def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
+        """Return the likeliest other projection of a photo; None where none can be told."""
+        return None
