@@ -80,15 +80,15 @@ class Pose:
         Covariance of easting and northing, square metres. This and the next four are None for a
         pose that was not refined.
     beyond_share : float or None
-        Share of the query's skyline in which terrain past the elevation model's edge may rise
+        Share of the photo's skyline in which terrain past the elevation model's edge may rise
         above the model's skyline.
     residual_deg : float or None
-        Root mean square difference in elevation between the query's skyline and the rendered one,
-        over the part of the query that shows terrain.
+        Root mean square difference in elevation between the photo's skyline and the rendered one,
+        over the part of the photo that shows terrain.
     terrain_share : float or None
-        Share of the query's skyline that shows terrain, as against trees or houses.
+        Share of the photo's skyline that shows terrain, as against trees or houses.
     skyline_m : float or None
-        Harmonic mean distance of the rendered skyline, in the query's columns.
+        Harmonic mean distance of the rendered skyline, in the photo's columns.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
         found. A pose that was fitted better than a candidate, in its place, has its rank.

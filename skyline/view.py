@@ -1,6 +1,6 @@
 """The view of a camera at a given pose: the rendered skyline and summits in its photo.
 
-A pose is a `Pose`; a picture has the size and the projection of a query. Azimuths are grid
+A pose is a `Pose`; a picture has the size and the projection of a photo. Azimuths are grid
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
 """
 
@@ -97,8 +97,8 @@ class SeenPeak(Sighting):
     row_px: float
 
 
-def sight_of(pose: Pose, query: PhotoSkyline, views: Views) -> Sight:
-    """Return the skyline of rendered views in the query's picture.
+def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
+    """Return the skyline of rendered views in the photo's picture.
 
     Parameters
     ----------
@@ -111,27 +111,27 @@ def sight_of(pose: Pose, query: PhotoSkyline, views: Views) -> Sight:
     azimuth_deg = azimuth_deg[order]
     elevation_tan = np.tan(np.radians(views.elevation_deg())).ravel()[order]
     is_sure = views.flags.ravel()[order] == 0
-    column, row = pose.camera(query).pixels(azimuth_deg, elevation_tan)
-    near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
-    gap_deg, known = np.full(query.width_px, np.nan), np.isfinite(elevation_tan)
+    column, row = pose.camera(photo).pixels(azimuth_deg, elevation_tan)
+    near = np.abs(column - photo.width_px / 2.0) <= _AROUND * photo.width_px
+    gap_deg, known = np.full(photo.width_px, np.nan), np.isfinite(elevation_tan)
     if known.any():
-        trusted = np.flatnonzero(query.trusted)
-        photo_deg, y = pose.camera(query).directions(trusted, query.row_px[trusted])
+        trusted = np.flatnonzero(photo.trusted)
+        photo_deg, y = pose.camera(photo).directions(trusted, photo.row_px[trusted])
         there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
-        gap_deg[query.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
+        gap_deg[photo.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
     return Sight(column[near], row[near], is_sure[near], gap_deg)
 
 
 def peaks_in_picture(
-    pose: Pose, query: PhotoSkyline, sightings: Sequence[Sighting]
+    pose: Pose, photo: PhotoSkyline, sightings: Sequence[Sighting]
 ) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
     azimuth_deg = [one.azimuth_deg for one in sightings]
-    column, row = pose.camera(query).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
+    column, row = pose.camera(photo).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
     return [
         SeenPeak(**asdict(one), column_px=x, row_px=y)
         for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
-        if 0.0 <= x < query.width_px and 0.0 <= y < query.height_px
+        if 0.0 <= x < photo.width_px and 0.0 <= y < photo.height_px
     ]
 
 
@@ -281,8 +281,8 @@ class Viewer(Releasable):
         """
         return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
 
-    def look(self, pose: Pose, query: PhotoSkyline) -> Sight:
-        """Return the skyline rendered at a pose, in pixels of the query's photo.
+    def look(self, pose: Pose, photo: PhotoSkyline) -> Sight:
+        """Return the skyline rendered at a pose, in pixels of the photo's picture.
 
         Raises
         ------
@@ -293,11 +293,11 @@ class Viewer(Releasable):
         ContextError
             No OpenGL context can be created.
         """
-        query.projection.check_fov_deg(pose.fov_deg)
-        return sight_of(pose, query, self._views(self._standing(pose), pose))
+        photo.projection.check_fov_deg(pose.fov_deg)
+        return sight_of(pose, photo, self._views(self._standing(pose), pose))
 
     def places(
-        self, pose: Pose, query: PhotoSkyline, step: int = 1, progress: Progress | None = None
+        self, pose: Pose, photo: PhotoSkyline, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
         """Return the places on the terrain that are seen in the pixels of a photo.
 
@@ -306,7 +306,7 @@ class Viewer(Releasable):
 
         Parameters
         ----------
-        query : PhotoSkyline
+        photo : PhotoSkyline
             Its size and projection count; a skyline is not needed.
         step : int
             Every ``step``-th row and column is computed, beginning with the first.
@@ -321,14 +321,14 @@ class Viewer(Releasable):
         OffMapError
             The pose is off the map or on a hole.
         """
-        query.projection.check_fov_deg(pose.fov_deg)
+        photo.projection.check_fov_deg(pose.fov_deg)
         if step < 1:
             raise InputError(f"the step is {step} pixels; expected 1 or more")
         eye = self._standing(pose)
-        row_px, column_px = np.mgrid[: query.height_px : step, : query.width_px : step]
-        azimuth_deg, elevation_tan = pose.camera(query).directions(column_px, row_px)
+        row_px, column_px = np.mgrid[: photo.height_px : step, : photo.width_px : step]
+        azimuth_deg, elevation_tan = pose.camera(photo).directions(column_px, row_px)
         azimuth_rad = np.radians(azimuth_deg)
-        narrowest_deg = query.projection.column_deg(query.width_px, pose.fov_deg).min()
+        narrowest_deg = photo.projection.column_deg(photo.width_px, pose.fov_deg).min()
         distance_m = first_hits_m(
             self.terrain,
             eye,
@@ -353,15 +353,15 @@ class Viewer(Releasable):
             step=step,
         )
 
-    def summits(self, pose: Pose, query: PhotoSkyline) -> list[SeenPeak]:
+    def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:
         """Return the summits visible in the photo of a pose, the most prominent first.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
         """
-        query.projection.check_fov_deg(pose.fov_deg)
+        photo.projection.check_fov_deg(pose.fov_deg)
         # Ranking takes long, so only the peaks in the photo are ranked.
         return most_prominent_first(
-            self.terrain, peaks_in_picture(pose, query, self._visible(pose))
+            self.terrain, peaks_in_picture(pose, photo, self._visible(pose))
         )
 
     def sightings(self, pose: Pose) -> list[Sighting]:

@@ -1,6 +1,4 @@
-"""Refinement of one query, or of several of one eye, by repeated rendering.
-
-Poses move to where the rendering fits the query.
+"""Refinement of poses by repeated rendering: they move to where the rendering fits the photo.
 
 Each round renders all remaining poses in one call. A rendering holds the distance of every
 skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
@@ -17,7 +15,6 @@ following. Where terrain is near, even the right place may look wrong until the 
 the likeliest poses by their costs move before they are compared with others.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,45 +52,47 @@ from skyline.terrain.heightfield import ground_slope
 
 VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""
-_SEPARATION_M = 12.0
-"""Poses nearer to each other, that look within `SAME_VIEW_DEG` of each other, are one."""
-_RIVALS = 3
-"""Best poses of other answers, and best distant poses, that are kept to the end beside the best
-pose: their fits show how sure an answer is."""
-_LIKELIEST_ROUNDS = 4
-"""Moves of the likeliest poses before they are compared with others."""
-_RESTART_ROUNDS, _RESTARTS_M = 3, (10.0, 30.0)
-"""Renderings of each place on the rings from which the search restarts, and the rings' radii: a
-near slope is found from 10 to 20 m away, and a far one from farther."""
-_FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
-"""Deviations that damp steps."""
-_LONGER, _SHORTER = 1.5, 0.4
-"""Factors on the next step after a step was kept, and after one was not."""
-_SETTLING = 3
-"""Fits without a step after which the chosen errors no longer change."""
-_SECTOR_MARGIN_DEG = 3.0
-"""A view is rendered if the query comes this near to it."""
-_GREATEST_LOG_ODDS = 50.0
+GREATEST_LOG_ODDS = 50.0
 """Log odds beyond this count as this, so that their exponential exists."""
 _LEAST_NEARNESS = 1e-6
 """Least mean inverse distance of a skyline, 1 / m."""
-_STRANGER = 10.0
-"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
-about 10."""
-_JOINT_SHARE, _JOINT_LEAST = 0.5, 8
-"""Share of places kept from one joint round to the next, and their least number: several queries
-separate right places from wrong ones at once."""
-_HEADING_STEP_DEG = 6.0
-"""Step of the headings that are tried for a query of unknown heading."""
-_EYE = slice(EYE_HEIGHT + 1)
-"""Columns of a state that all queries of one eye share."""
-_LEAST_SHARE = 1e-6
-"""Least weight of a query, so that the mean of the steps exists where no query fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """How poses move from one rendering to the next."""
+
+    separation_m: float = 12.0
+    """Poses nearer to each other, that look within `SAME_VIEW_DEG` of each other, are one."""
+    rivals: int = 3
+    """Best poses of other answers, and best distant poses, that are kept to the end beside the best
+    pose: their fits show how sure an answer is."""
+    likeliest_rounds: int = 4
+    """Moves of the likeliest poses before they are compared with others."""
+    restart_rounds: int = 3
+    """Renderings of each place on the rings from which the search restarts."""
+    restarts_m: tuple[float, ...] = (10.0, 30.0)
+    """Radii of these rings: a near slope is found from 10 to 20 m away, a far one from farther."""
+    first_step_m: float = 40.0
+    """Deviation that damps the first step."""
+    longest_step_m: float = 120.0
+    """Greatest deviation that damps a step."""
+    longer: float = 1.5
+    """Factor on the next step after a step was kept."""
+    shorter: float = 0.4
+    """Factor on the next step after a step was not kept."""
+    settling: int = 3
+    """Fits without a step after which the chosen errors no longer change."""
+    sector_margin_deg: float = 3.0
+    """A view is rendered if the photo comes this near to it."""
+
+
+MOVES = Moves()
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """The number of poses that a refinement follows, and of the rounds for which it does."""
+    """How many poses a refinement follows, and for how many rounds."""
 
     shortlist: int
     """Poses taken, the best by their costs."""
@@ -104,9 +103,9 @@ class Effort:
     rounds: int
     """Renderings of a pose that is kept, before the last rounds."""
     keep_share: float
+    """Share of the poses kept from one round to the next."""
     keep_least: int
-    """``keep_share``, ``keep_least``: share of the poses kept from one round to the next, and
-    their least number."""
+    """Least number of poses kept."""
     restarts: int
     """Best places around which the search restarts."""
     weighed: int
@@ -131,7 +130,7 @@ WHOLE = Effort(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles(Rows):
-    """M moving poses: their skylines, how these fit the query, and the next step."""
+    """M moving poses: their skylines, how these fit the photo, and the next step."""
 
     curves: Curves
     fit: Fit
@@ -148,12 +147,12 @@ class Particles(Rows):
 
         The next step of the former is longer, that of the latter shorter.
         """
-        step_m = self.step_m * np.where(better, _LONGER, _SHORTER)
-        return replace(self.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
+        step_m = self.step_m * np.where(better, MOVES.longer, MOVES.shorter)
+        return replace(self.replaced(better, new), step_m=np.minimum(step_m, MOVES.longest_step_m))
 
 
 class Refinement:
-    """The refinement of one query.
+    """The refinement of one photo's poses.
 
     The height of the eye above the ground is solved for, about the usual one of ``eye``, by default
     that of a person, unless the prior's narrowing gives it. It starts at ``first_eye_height_m``, by
@@ -162,7 +161,7 @@ class Refinement:
 
     def __init__(
         self,
-        query: Rays,
+        rays: Rays,
         scene: RenderedScene,
         effort: Effort,
         prior: Prior = NOTHING_KNOWN,
@@ -170,19 +169,21 @@ class Refinement:
         first_eye_height_m: float | None = None,
         report: ReportProgress = silent,
     ) -> None:
-        self._scene, self.effort, self._report = scene, effort, report
+        self._scene = scene
+        self.effort = effort
+        self._report = report
         self._first_eye_height_m = first_eye_height_m
         eye = eye or EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.fine = (
-            Solver(query, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
+            Solver(rays, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
             for mode in (SCOUT, ROUGH, FINE)
         )
         self._rendered = 0
-        self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
+        self._expected = effort.rounds + MOVES.restart_rounds + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
-        self._expected += (1 + _LIKELIEST_ROUNDS) * (effort.likeliest > 0)
+        self._expected += (1 + MOVES.likeliest_rounds) * (effort.likeliest > 0)
 
     def run(self, poses: Poses) -> Poses:
         """Return distinct poses that fit, best first; none where none fits.
@@ -200,7 +201,7 @@ class Refinement:
         if len(poses) > effort.particles:
             if effort.likeliest:
                 likeliest = self.started(self.rough, poses[: effort.likeliest])
-                for _ in range(_LIKELIEST_ROUNDS):
+                for _ in range(MOVES.likeliest_rounds):
                     likeliest = self.moved(self.rough, likeliest)
             seen = self.started(self.scout, poses).best(effort.particles)
             poses = self.poses(seen)
@@ -228,9 +229,9 @@ class Refinement:
     def reweighted(self, particles: Particles) -> Particles:
         """Return particles fitted with correlated errors, until the chosen errors have settled."""
         fit = particles.fit
-        for _ in range(_SETTLING):
+        for _ in range(MOVES.settling):
             fit = self.fine.improve(particles.curves, fit, np.zeros(len(particles)))
-        return replace(particles, fit=fit, step_m=np.full(len(particles), _FIRST_STEP_M))
+        return replace(particles, fit=fit, step_m=np.full(len(particles), MOVES.first_step_m))
 
     def moved(self, solver: Solver, particles: Particles) -> Particles:
         """Return particles after one step, where the rendering from the new place fits better."""
@@ -253,7 +254,7 @@ class Refinement:
         rings = np.concatenate(
             [
                 radius_m * turns * np.exp(0.125j * np.pi * number)
-                for number, radius_m in enumerate(_RESTARTS_M)
+                for number, radius_m in enumerate(MOVES.restarts_m)
             ]
         )
         near = particles[np.repeat(np.arange(len(particles)), len(rings))]
@@ -263,9 +264,9 @@ class Refinement:
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
         standing = self.poses(particles)
-        best = standing.suppress_non_maxima(self.effort.restarts, _SEPARATION_M, SAME_VIEW_DEG)
+        best = standing.suppress_non_maxima(self.effort.restarts, MOVES.separation_m, SAME_VIEW_DEG)
         around = self.around(particles[best])
-        for _ in range(_RESTART_ROUNDS - 1):
+        for _ in range(MOVES.restart_rounds - 1):
             around = self.moved(self.rough, around.best(len(around)))
         return around
 
@@ -278,10 +279,10 @@ class Refinement:
         is_new = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if is_new else solver.improve(curves, fit, still)
-        return Particles(curves, fit, np.full(len(state), _FIRST_STEP_M))
+        return Particles(curves, fit, np.full(len(state), MOVES.first_step_m))
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
-        """Render the directions of the query from M eyes, at the heights of their states."""
+        """Render the directions of the photo from M eyes, at the heights of their states."""
         self._report("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
@@ -289,7 +290,7 @@ class Refinement:
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs(in_turn(turn))
         half_deg = 0.5 * solver.rays.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
-        wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
+        wanted = off < 45.0 + half_deg + MOVES.sector_margin_deg
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
             easting_m=easting_m[row],
@@ -313,13 +314,13 @@ class Refinement:
         place = ordered.curves.place_m
         for least_m in DISTANCES_M:
             rivals = np.flatnonzero(np.abs(place - place[:1]) > least_m)
-            chosen = np.union1d(chosen, rivals[:_RIVALS])
+            chosen = np.union1d(chosen, rivals[: MOVES.rivals])
         return ordered[chosen]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best distinct particles, and rivals of the very best, best first."""
         standing = self.poses(particles)
-        return particles[_best_and_rivals(standing, count, SAME_VIEW_DEG)]
+        return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
     def poses(self, particles: Particles) -> Poses:
         """Return the poses of particles."""
@@ -338,7 +339,7 @@ class Refinement:
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         poses = self.poses(particles)
         fits = FitFigures(
-            covariance_m2=_spread(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+            covariance_m2=spread_m2(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             residual_deg=np.degrees(np.sqrt(squares / shown)),
             terrain_share=shown / trust.sum(),
             skyline_m=1.0 / np.maximum(nearness, _LEAST_NEARNESS),
@@ -355,192 +356,35 @@ class Refinement:
         """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
         sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
-        query = self.fine.rays
-        fov_deg = np.abs(query.fov_at(scale + off) - query.fov_at(scale - off)) / 2.0
+        rays = self.fine.rays
+        fov_deg = np.abs(rays.fov_at(scale + off) - rays.fov_at(scale - off)) / 2.0
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
 
-class JointRefinement:
-    r"""The joint refinement of N queries of one eye, each with its own `Refinement`.
+def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
+    """Return each place's covariance (M, 2, 2) over all poses of the same answer.
 
-    Each query has its own attitude and field of view, and all share the eye. A round renders the
-    view of each query from each place, lets each query solve its own step, and moves the eye by the
-    mean of these steps, weighted by their precisions. That is the Gauss-Newton step of all unknowns
-    together. The cost of a place is
-
-    .. math::
-
-        -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
-
-    with c_q the cost of query q there, b_q the least cost of q anywhere, and T the factor between
-    costs and log odds. The second term is the possibility that q was taken somewhere else: a query
-    that does not belong to the others costs at most T L at any place.
-    """
-
-    def __init__(self, refinements: Sequence[Refinement]) -> None:
-        self._solos, self._effort = refinements, refinements[0].effort
-        self._solvers = [solo.rough for solo in refinements]
-        self._least = np.full(len(refinements), np.inf)
-
-    def run(
-        self, found: Sequence[Poses], alone: Sequence[Poses]
-    ) -> tuple[tuple[Poses, ...], BoolArray]:
-        """Return the M places where the N queries fit together, best first, and which agree there.
-
-        ``found`` holds each query's poses; all queries have the same places in the same order, best
-        first. ``alone`` holds the best pose from each query's own refinement, if there is one. The
-        returned poses of each query are at the same places; their costs are those of the
-        places. Margins and covariances are joint ones, with the information of one average query,
-        not the sum: queries of one place share the terrain model's errors. A query agrees, (N, M)
-        bool, where it was more likely taken than somewhere else.
-        """
-        effort = self._effort
-        particles = [
-            solo.started(solo.rough, places[: effort.particles])
-            for solo, places in zip(self._solos, found, strict=True)
-        ]
-        for _ in range(effort.rounds - 1):
-            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(particles[0])))
-            particles = self._moved(self._kept(particles, kept))
-        around = self._kept(particles, effort.restarts)
-        around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
-        for _ in range(_RESTART_ROUNDS - 1):
-            around = self._moved(around)
-        particles = self._kept(_joined(particles, around), effort.finalists)
-        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
-        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
-        particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
-        self._solvers = [solo.fine for solo in self._solos]
-        self._least = np.array([poses.cost.min(initial=np.inf) for poses in alone])
-        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
-        for _ in range(effort.final_rounds):
-            particles = self._moved(particles)
-        return self._poses(self._kept(particles, effort.finalists))
-
-    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
-        """Return particles after one common step, where the renderings from there fit better."""
-        solved = [
-            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
-            for solver, own in zip(self._solvers, particles, strict=True)
-        ]
-        precision = self._precision(solved, _share(self._off(particles)))
-        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
-        step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
-        new = [
-            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
-            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
-        ]
-        before, after = np.split(_cost(self._off(_joined(particles, new))), 2)
-        return [old.kept(own, after < before) for old, own in zip(particles, new, strict=True)]
-
-    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
-        """Return the best distinct places, and rivals of the very best, best first."""
-        standing = self._solos[0].poses(particles[0])
-        standing = replace(standing, cost=_cost(self._off(particles)))
-        chosen = _best_and_rivals(standing, count)
-        return [own[chosen] for own in particles]
-
-    def _off(self, particles: Sequence[Particles]) -> Float64Array:
-        """Return the costs of queries (N, M) above the least cost of each anywhere."""
-        cost = np.stack([own.fit.cost for own in particles])
-        least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
-        return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
-
-    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
-        """Return the precisions (N, M, 3, 3) of the eye by each query, times its ``share``."""
-        covariance = np.stack(
-            [
-                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
-                for solver, own in zip(self._solvers, particles, strict=True)
-            ]
-        )
-        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
-        return np.asarray(np.linalg.inv(covariance) * share)
-
-    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
-        """Return the poses of each query at the places, and which queries agree; see `run`."""
-        off = self._off(particles)
-        cost, share = _cost(off), _share(off)
-        agrees = share >= 0.5
-        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
-        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
-        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
-        poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
-        standing = replace(poses[0], cost=cost)
-        # Margins and covariances are those of one query in the mean, and so are these odds.
-        covariance_m2 = _spread(replace(standing, cost=cost / len(poses)), covariance_m2)
-        margin, far_margin = (
-            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
-            for least_m in DISTANCES_M
-        )
-        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        together = tuple(
-            replace(own, cost=cost, fits=replace(own.figures(), **joint)) for own in poses
-        )
-        return together, agrees
-
-
-def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
-    """Return the best particle of a query at each place, of all headings."""
-    turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
-    at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
-    none = np.zeros(len(at_m))
-    heading_deg = np.tile(turn_deg, len(place_m))
-    every = Poses(
-        easting_m=at_m.real,
-        northing_m=at_m.imag,
-        eye_elevation_m=none,
-        grid_heading_deg=heading_deg,
-        pitch_deg=none,
-        roll_deg=none,
-        fov_deg=none + solo.scout.rays.fov_deg,
-        cost=none,
-    )
-    seen = solo.started(solo.scout, every)
-    cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
-    best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
-    return solo.started(solo.rough, solo.poses(best))
-
-
-def _joined(*parts: Sequence[Particles]) -> list[Particles]:
-    """Return the particles of each query in all parts."""
-    return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
-
-
-def _cost(off: Float64Array) -> Float64Array:
-    """Return the costs of places (M,) by `JointRefinement._off`; infinite where no query fits."""
-    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
-    return np.where(np.isinf(off).all(axis=0), np.inf, cost)
-
-
-def _share(off: Float64Array) -> Float64Array:
-    """Return the probability (N, M) that each query was taken at each place."""
-    odds = _STRANGER - off / TEMPERATURE
-    return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
-
-
-def _spread(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
-    """Return the place's covariance (M, 2, 2) about each pose, over all poses of the same answer.
-
-    ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
+    ``covariance_m2`` (M, 2, 2) is the covariance of each pose by itself.
     """
     place = np.stack([poses.easting_m, poses.northing_m], axis=1)
     apart = place[:, np.newaxis] - place
     near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
     better = poses.cost[:, np.newaxis] - poses.cost
-    odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
+    odds = near * np.exp(np.minimum(better / TEMPERATURE, GREATEST_LOG_ODDS))
     share = odds / odds.sum(axis=1, keepdims=True)
     squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
     return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def _best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
+def best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
     """Return the indices of the best distinct poses and of the best one's rivals, best first."""
-    chosen = standing.suppress_non_maxima(count, _SEPARATION_M, turn_deg)
+    chosen = standing.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]
     for least_m in DISTANCES_M:
         others = np.flatnonzero((apart_m > least_m).any(axis=0))
         if len(others):
-            rivals = standing[others].suppress_non_maxima(_RIVALS, _SEPARATION_M, turn_deg)
+            rivals = standing[others].suppress_non_maxima(
+                MOVES.rivals, MOVES.separation_m, turn_deg
+            )
             chosen = np.union1d(chosen, others[rivals])
     return chosen[np.argsort(standing.cost[chosen], kind="stable")]

@@ -1,7 +1,7 @@
-r"""Screening: a query against every heading of every place, by matrix products.
+r"""Screening: a photo against every heading of every place, by matrix products.
 
 Skylines are compared by their rises over 2 degrees, coded as phases (`skyline.store.places`). With
-the query's weighted phases w_q and a place's phases p_b, the score of a turn t is
+the photo's weighted phases w_q and a place's phases p_b, the score of a turn t is
 
 .. math::
 
@@ -13,7 +13,7 @@ the roll that suits the turn best, to second order, with all rolls equally likel
 degrees adds as much to every rise as a smooth skyline has.
 
 A photo sees part of the full turn. The sums of twenty neighbouring turns are therefore one product
-of a strip of phases, a little wider than the photo, with a matrix that holds the query twenty
+of a strip of phases, a little wider than the photo, with a matrix that holds the photo twenty
 times, each time one bin farther.
 
 Places come in blocks that may be mapped from a file, and only the best so far are kept, so memory
@@ -66,7 +66,7 @@ def silent(step: str, share: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alike(Rows):
-    """The K places whose skylines are most like a query's, best first.
+    """The K places whose skylines are most like a photo's, best first.
 
     Attributes
     ----------
@@ -92,25 +92,25 @@ class Alike(Rows):
 
 
 class Screen:
-    """A query at F assumed fields of view, prepared to be compared with any number of places.
+    """A photo at F assumed fields of view, prepared to be compared with any number of places.
 
     Scores of fields of view are made comparable by their mean and deviation over all turns of a
     sample of places.
 
     Parameters
     ----------
-    query : Rays
+    rays : Rays
     fovs_deg : (F,) float64
     sample : Places
     open_turns : (B,) bool, optional
-        The turns that are searched, as of `turns_within`; by default all.
+        The turns that are searched; by default all.
     penalty : (F,) float64, optional
         Loss of the scores at each field of view, in deviations; by default none.
     """
 
     def __init__(
         self,
-        query: Rays,
+        rays: Rays,
         fovs_deg: Float64Array,
         sample: Places,
         open_turns: BoolArray | None = None,
@@ -118,12 +118,15 @@ class Screen:
     ) -> None:
         every = np.ones(PHASE_BINS, dtype=bool)
         self.open_turns = every if open_turns is None else open_turns
-        level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
+        level = np.stack([waves_of(rays.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
-        first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
-        # The first bin counts from half a turn left of straight ahead; the span is in bins.
-        self._first, self._span, self._fovs = first, last - first + 1, len(fovs_deg)
-        # (2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and its
+        # Bins from half a turn left of straight ahead.
+        first = int(seen[0]) if len(seen) else 0
+        last = int(seen[-1]) if len(seen) else 0
+        self._first = first
+        self._span = last - first + 1
+        self._fovs = len(fovs_deg)
+        # (2, 2 (span + T - 1), F T) float32. The photo at F fields of view and T turns, and its
         # derivative by roll, scaled so that the square of the second product is the gain of a roll.
         self._matrices = _at_turns(np.stack([level, _rolled(level)])[:, :, first : last + 1])
         sums = self._every_turn(sample.phase)
@@ -157,12 +160,13 @@ class Screen:
         """Return headings, indices of fields of view and scores of the best turns, each (N, C).
 
         The best comes first, and others are at least `_APART_TURNS` from better ones; where no open
-        turn is left, it is the best again. Headings are grid azimuths of the query's optical axis,
+        turn is left, it is the best again. Headings are grid azimuths of the optical axis,
         degrees.
         """
         sums = self._every_turn(phase)
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        fov, best = score.argmax(axis=1), score.max(axis=1)
+        fov = score.argmax(axis=1)
+        best = score.max(axis=1)
         best[:, ~self.open_turns] = -np.inf
         turn = np.zeros((len(phase), count), dtype=np.intp)
         peak = np.zeros(turn.shape, dtype=np.float32)
@@ -192,9 +196,9 @@ class Screen:
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
-    """Return the scaled derivative by roll of a query's waves (F, B); see `Screen`."""
+    """Return the scaled derivative by roll of a photo's waves (F, B); see `Screen`."""
     azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
-    # Derivatives (B,) of the phases of a level query's rises by roll, radians per radian.
+    # Derivatives (B,) of the phases of level rays' rises by roll, radians per radian.
     growth = RISE_TO_TURN * np.diff(np.sin(azimuth))
     stiff = np.abs(level) @ np.square(growth)
     scale = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
@@ -212,12 +216,12 @@ def _at_turns(waves: Complex128Array) -> Float32Array:
     return matrices.reshape(kinds, 2 * bins, -1)
 
 
-def query_waves(query: Rays) -> Complex128Array:
-    """Return weight * exp(i phase) (B,) of a level query's rises; 0 where it sees nothing.
+def waves_of(rays: Rays) -> Complex128Array:
+    """Return weight * exp(i phase) (B,) of level rays' rises; 0 where the photo sees nothing.
 
     Bin B / 2 is straight ahead.
     """
-    y, weight = on_bins(query, 0.0, PHASE_BINS)
+    y, weight = on_bins(rays, 0.0, PHASE_BINS)
     rise = np.roll(y, -1) - y
     # The neighbour of the last bin is the first one, behind the camera.
     rise[-1] = np.nan
@@ -260,7 +264,9 @@ def screen_places(
                 parts.append(Alike(start + chosen, scores(phase)))
         return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
-    batches, kept, seen = _batches(source), Alike.joined([]), 0
+    batches = _batches(source)
+    kept = Alike.joined([])
+    seen = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # A few batches are in work at a time, so that memory does not grow with the store.
         ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
@@ -277,7 +283,8 @@ def screen_places(
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
     """Yield the blocks of places, each with its first row, in lists for one thread."""
-    batch, first = [], 0
+    batch = []
+    first = 0
     for places in source.blocks():
         batch.append((first, places))
         first += len(places)

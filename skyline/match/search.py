@@ -1,7 +1,4 @@
-"""The full matcher, of one rays or of several of one eye.
-
-Retrieval among places comes first, then refinement by rendering, then a confidence.
-"""
+"""The full matcher: retrieval among places, refinement by rendering, and a confidence."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,9 +15,10 @@ from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
+from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.together import JointRefinement
 from skyline.pose import (
     Pose,
     Poses,
@@ -31,14 +29,16 @@ from skyline.store.read import PlaceSource, Store
 from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField, ground_of
 
-_SHORTLIST_SHARE, _SHORTLIST_LEAST, _SHORTLIST_MOST = 1 / 1500, 400, WHOLE.shortlist
-"""Poses that retrieval returns for each place of the store, and their least and greatest number:
-the more places there are, the more are alike."""
+_SHORTLIST_SHARE = 1 / 1500
+"""Poses that retrieval returns for each place of the store: the more places there are, the more are
+alike."""
+_SHORTLIST_LEAST = 400
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
 _SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all other answers by this margin."""
 _SHOWN_EYES = 20_000
+"""Most eyes that are shown on a map."""
 
 
 @contextmanager
@@ -76,7 +76,7 @@ class FullMatcher(SearchMethod):
         self.retriever = Retriever(places, ground)
         self.models = confidence.models()
         share = round(_SHORTLIST_SHARE * len(places))
-        self._shortlist = min(max(share, _SHORTLIST_LEAST), _SHORTLIST_MOST)
+        self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
     def open(
@@ -117,7 +117,7 @@ class FullMatcher(SearchMethod):
     def found(
         self, rays: Rays, prior: Prior, report: ReportProgress = silent
     ) -> tuple[Poses, Poses | None]:
-        """Return the poses retrieved for a rays, and the refined ones; None without a scene.
+        """Return the poses retrieved for a photo, and the refined ones; None without a scene.
 
         A quick refinement comes first, and is enough where one place fits far better than any
         other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
@@ -143,24 +143,26 @@ class FullMatcher(SearchMethod):
         if scene is None or not best.refined or sure < projections.LEAST_CONFIDENCE:
             return None
         return projections.other_projection(
-            rays, Poses.of(best), lambda rays: Refinement(rays, scene, QUICK, prior)
+            rays, Poses.of(best), lambda bent: Refinement(bent, scene, QUICK, prior)
         )
 
     @one_blas_thread()
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
         """Return a pose refined by rendering, or none where nothing near it fits.
 
-        A start farther off is fitted with ``about_start``, the rays's rays about the start's field
+        A start farther off is fitted with ``about_start``, the photo's rays about the start's field
         of view, while the eye keeps its height above the ground, if a camera can be held so low.
         The pose is then fitted as in a search, so its cost compares with those of a search with
-        the same rays and prior. The confidence is that of `confidence.FITTED`. Raises `InputError`
+        the same rays and prior. The confidence is learned from such fits (`confidence.FITTED`). Raises `InputError`
         without a scene, and for a pose off the map or on a hole.
         """
-        scene, pose = self._needed_scene(), Poses.of(start)
+        scene = self._needed_scene()
+        pose = Poses.of(start)
         off_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(off_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
-        above_m, effort = max(LEAST_EYE_HEIGHT_M, float(off_m[0])), replace(WHOLE, restarts=1)
+        above_m = max(LEAST_EYE_HEIGHT_M, float(off_m[0]))
+        effort = replace(WHOLE, restarts=1)
         held = Prior(Narrowing(eye_height_m=above_m))
         poses = Refinement(about_start, scene, effort, held).run(pose)
         poses = Refinement(rays, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])
@@ -199,7 +201,7 @@ class FullMatcher(SearchMethod):
         standing = replace(joint[0], cost=cost)
         chosen = standing.suppress_non_maxima(top, _SEPARATION_M)
         agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
-        # Margins are those of one photo in the mean, and so are these odds.
+        # Margins are means over the photos, and so are these odds.
         cost_of_one = cost / max(agrees.sum(), 1)
         figures = [
             confidence.refined_figures(replace(poses, cost=cost_of_one), retrieved, rays)

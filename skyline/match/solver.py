@@ -47,38 +47,52 @@ the most likely is chosen."""
 TEMPERATURE = 8.0
 """Differences of costs, divided by this, are log odds. Neighbouring columns share errors that are
 not modelled."""
-_WIDEST = len(ANGLES_DEG) - 1, len(HEIGHT_SHARES) - 1
+_WIDEST_ANGLE = len(ANGLES_DEG) - 1
+_WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
-_LOG_HEIGHT_SD = 0.7
-"""Standard deviation of the logarithm of the height shares."""
-_PITCH_SD_RAD, _ROLL_SD_RAD = np.radians((6.0, 3.0))
-"""Prior deviations from a level camera."""
-_POSITION_SD_M = 300.0
-"""Prior deviation of a place: it bounds the covariance for a skyline without information."""
-_TERRAIN_WEIGHT = 4.0
-"""Factor on the log priors of the eye's height and of the height errors. Neighbouring columns share
-errors that the likelihood takes for independent, so costs are too large by about this factor."""
-_LEAST_COLUMNS = 16
-"""A fit needs this many columns with a known skyline on both sides."""
-_BLUR_STEPS = 0.3
-"""Standard deviation of the skyline's azimuth, in steps of the panorama."""
 _MOVES = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
-_DAMPING_RAD = 0.05
-"""Deviation that damps a step of the attitude, and of the field of view's logarithm."""
-_UPWARD = 0.25
-"""Damping of the eye's height, as a share of that of its place."""
+_AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
+"""Shifts of the whole curve that are tried."""
+_AGREEMENT_SD_RAD = np.radians(0.3)
+"""Standard deviation of columns about a shift on which they agree."""
 _NO_STEP_M = 1e-6
-_LEAST_ROUGH_DISTORTION = 0.03
-"""Rough rounds fit no distortion of which less is expected: it moves rays by less than the largest
-errors that these rounds assume, and it would bend the skylines of wrong slopes to fit."""
 _HELD = 1e14
 """Precision that holds an unknown: at a bound, or a distortion at 0."""
-_AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
-_AGREEMENT_RAD_SD = np.radians(0.3)
-"""Shifts of the whole curve that are tried, and the standard deviation of columns about a shift on
-which they agree."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolverPriors:
+    """What the solver expects of cameras and of the terrain model, and how it damps steps."""
+
+    pitch_sd_rad: float = np.radians(6.0)
+    """Standard deviation from a level camera."""
+    roll_sd_rad: float = np.radians(3.0)
+    """Standard deviation from a level camera."""
+    position_sd_m: float = 300.0
+    """Standard deviation of a place: it bounds the covariance for a skyline without information."""
+    log_height_sd: float = 0.7
+    """Standard deviation of the logarithm of `HEIGHT_SHARES`."""
+    terrain_weight: float = 4.0
+    """Factor on the log priors of the eye's height and of the height errors. Neighbouring columns
+    share errors that the likelihood takes for independent, so costs are too large by about this
+    factor."""
+    blur_steps: float = 0.3
+    """Standard deviation of the skyline's azimuth, in steps of the panorama."""
+    least_columns: int = 16
+    """A fit needs this many columns with a known skyline on both sides."""
+    least_rough_distortion: float = 0.03
+    """Rough rounds fit no distortion of which less is expected: it moves rays by less than the
+    largest errors that these rounds assume, and it would bend the skylines of wrong slopes to
+    fit."""
+    damping_rad: float = 0.05
+    """Deviation that damps a step of the attitude, and of the field of view's logarithm."""
+    upward: float = 0.25
+    """Deviation that damps a step of the eye's height, as a share of its place's deviation."""
+
+
+_PRIORS = SolverPriors()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +106,7 @@ class SolverMode:
     nodes: int
     """Height errors along a skyline; see `HeightErrors.of`."""
     bins: int = 1440
-    """Steps of azimuth of the rays and of the curves; by default about as fine as renderings."""
+    """Steps of azimuth of rays and curves; by default about as fine as renderings."""
 
 
 SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
@@ -130,7 +144,7 @@ class Curves(Rows):
         eye_height_m: Float64Array,
         surface_y: Float64Array | None = None,
     ) -> "Curves":
-        """Return the curves of skylines all the way round, as of `joined_views`.
+        """Return the curves of skylines all the way round, as `joined_views` returns them.
 
         ``ground_slope`` (M, 2) is the rise of the ground a metre to the east and to the north,
         ``surface_y`` (M, B) the elevation tangents of the surface model, seen by the same eyes.
@@ -159,19 +173,19 @@ class Curves(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(Rows):
-    """M states of the camera, and how well they fit the rays."""
+    """M states of the camera, and how well they fit a photo."""
 
     state: Float64Array
     """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
     angle: IntArray
+    """(M,) intp. Chosen deviation of the photo's error, as an index into `ANGLES_DEG`."""
     height: IntArray
-    """``angle``, ``height``: (M,) intp. Chosen deviations of the errors, as indices into
-    `ANGLES_DEG` and `HEIGHT_SHARES`."""
+    """(M,) intp. Chosen deviation of the heights, as an index into `HEIGHT_SHARES`."""
     cost: Float64Array
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
     infinite for a state that does not fit."""
     odds: Float64Array
-    """(M, R) float64. Probability that a column of the rays shows terrain."""
+    """(M, R) float64. Probability that a ray shows terrain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,12 +193,13 @@ class Linearization:
     """Residuals of M states and their derivatives."""
 
     residual_rad: Float64Array
-    """(M, R) float64. Query minus terrain; NaN where the terrain is unknown."""
+    """(M, R) float64. Photo minus terrain; NaN where the terrain is unknown."""
     jacobian: Float64Array
     """(M, R, P) float64. 0 where the terrain is unknown."""
     azimuth_rad: Float64Array
+    """(M, R) float64. Azimuth of the terrain's skyline in each column."""
     distance_m: Float64Array
-    """``azimuth_rad``, ``distance_m``: (M, R) float64. Of the terrain's skyline in each column."""
+    """(M, R) float64. Distance of the terrain's skyline in each column."""
     rise_rad: Float64Array | None
     """(M, R) float64. How far things may rise above it; None without a surface model."""
     place_m: Complex128Array
@@ -212,32 +227,41 @@ class Solver:
         noted: PlacePrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
-        self.rays, self.mode, self._eye = thinned(rays, mode.bins), mode, eye
-        self._noted, self._edge = noted, edge
+        self.rays = thinned(rays, mode.bins)
+        self.mode = mode
+        self._eye = eye
+        self._noted = noted
+        self._edge = edge
         self.heights_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
         low, high = rays.log_scale_bounds
         self.size = size = WARP + len(rays.warp_sd)
         """Unknowns P of a state."""
-        self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
-        self._low[LOG_SCALE], self._high[LOG_SCALE] = low, high
+        self._low = np.full(size, -np.inf)
+        self._high = np.full(size, np.inf)
+        self._low[LOG_SCALE] = low
+        self._high[LOG_SCALE] = high
         self._low[EYE_HEIGHT], self._high[EYE_HEIGHT] = eye.range_m
         # The uniform distribution over the range of fields of view has this deviation.
         range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
         self._prior = np.zeros(size)
-        self._prior[[PITCH, ROLL]] = _PITCH_SD_RAD**-2, _ROLL_SD_RAD**-2
+        self._prior[PITCH] = _PRIORS.pitch_sd_rad**-2
+        self._prior[ROLL] = _PRIORS.roll_sd_rad**-2
         self._prior[LOG_SCALE] = rays.log_scale_sd**-2.0
         free = np.full(size, np.inf)
-        free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
+        free[[EAST, NORTH]] = _PRIORS.position_sd_m
+        free[EYE_HEIGHT] = max(eye.sd_m, _NO_STEP_M)
+        free[HEADING] = np.pi
         free[LOG_SCALE] = range_sd
         self._prior[WARP:] = rays.warp_sd**-2.0
         if not rays.is_panorama:
-            self._low[WARP:], self._high[WARP:] = -MOST_DISTORTION, MOST_DISTORTION
-            if not mode.nodes and rays.distortion_sd < _LEAST_ROUGH_DISTORTION:
+            self._low[WARP:] = -MOST_DISTORTION
+            self._high[WARP:] = MOST_DISTORTION
+            if not mode.nodes and rays.distortion_sd < _PRIORS.least_rough_distortion:
                 self._prior[WARP:] = _HELD
         self._information = self._prior + free**-2.0
-        off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
-        self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
+        off = np.log(HEIGHT_SHARES) / _PRIORS.log_height_sd
+        self._height_cost = _PRIORS.terrain_weight * 0.5 * off**2
 
     def start(self, poses: Poses) -> Fit:
         """Return poses as states without a cost, with the largest errors."""
@@ -251,7 +275,8 @@ class Solver:
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         if not self.rays.is_panorama and poses.distortion is not None:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
-        angle, height = (np.full(count, index) for index in _WIDEST)
+        angle = np.full(count, _WIDEST_ANGLE)
+        height = np.full(count, _WIDEST_HEIGHT)
         odds = np.ones((count, len(self.rays.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
@@ -313,17 +338,17 @@ class Solver:
         """Return the fit with the pitch on which most columns agree within small errors."""
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
-        density = np.exp(-0.5 * (off / _AGREEMENT_RAD_SD) ** 2) / _AGREEMENT_RAD_SD
+        density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
         other = np.where(off >= 0.0, ABOVE_SHARE, BELOW_SHARE)
         odds = np.log(density + other / RANGE_RAD)
         agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
-        angle = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_RAD_SD))
+        angle = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
         return replace(
             fit,
             state=state,
-            angle=np.full_like(fit.angle, min(angle, _WIDEST[0])),
+            angle=np.full_like(fit.angle, min(angle, _WIDEST_ANGLE)),
             height=np.full_like(fit.height, len(HEIGHT_SHARES) // 2),
             odds=np.ones_like(fit.odds),
         )
@@ -384,7 +409,7 @@ class Solver:
 
     def _errors(self, linear: Linearization, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
-        blur_rad = _BLUR_STEPS * step_rad * np.abs(linear.jacobian[..., HEADING])
+        blur_rad = _PRIORS.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
         return HeightErrors.of(
             linear.azimuth_rad,
             linear.distance_m,
@@ -411,7 +436,7 @@ class Solver:
         normal = found.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
         _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
         prior = 0.5 * fit.state**2 @ self._prior
-        prior += _TERRAIN_WEIGHT * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
         if self._noted is not None:
             prior += TEMPERATURE * self._noted.cost(
                 linear.place_m, linear.eye_m, fit.state[:, HEADING]
@@ -433,15 +458,15 @@ class Solver:
         for step in steps:
             other = replace(
                 fit,
-                angle=np.clip(fit.angle + step[0], 0, _WIDEST[0]),
-                height=np.clip(fit.height + step[1], 0, _WIDEST[1]),
+                angle=np.clip(fit.angle + step[0], 0, _WIDEST_ANGLE),
+                height=np.clip(fit.height + step[1], 0, _WIDEST_HEIGHT),
             )
             found = self._likelihood(other, linear, errors)
             better = found.cost < best.cost
             best = best.replaced(better, found)
             angle = np.where(better, other.angle, angle)
             height = np.where(better, other.height, height)
-        known = np.isfinite(linear.residual_rad).sum(axis=1) >= _LEAST_COLUMNS
+        known = np.isfinite(linear.residual_rad).sum(axis=1) >= _PRIORS.least_columns
         cost = np.where(known, best.cost, np.inf)
         return Fit(fit.state, angle, height, cost, best.odds), best
 
@@ -454,13 +479,13 @@ class Solver:
         height_m, step_m = fit.state[:, EYE_HEIGHT], np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
         prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
-        prior[:, EYE_HEIGHT] = _TERRAIN_WEIGHT * self._eye.precision(height_m)
+        prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(height_m)
         off = fit.state.copy()
         off[:, EYE_HEIGHT] -= self._eye.usual_m
         # Damping shortens a step, whichever way it leads.
         damping = np.zeros_like(prior)
-        damping[:, EYE_HEIGHT] = (_UPWARD * step_m) ** -2
-        damping[:, HEADING:] = _DAMPING_RAD**-2
+        damping[:, EYE_HEIGHT] = (_PRIORS.upward * step_m) ** -2
+        damping[:, HEADING:] = _PRIORS.damping_rad**-2
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off

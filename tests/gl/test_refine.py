@@ -9,8 +9,9 @@ from scenes import field_of, fractal
 
 from skyline.camera import distorted
 from skyline.match.prior import Narrowing, Prior
-from skyline.match.refine import WHOLE, JointRefinement, Refinement
+from skyline.match.refine import WHOLE, Refinement
 from skyline.match.solver import Curves
+from skyline.match.together import JointRefinement
 from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views

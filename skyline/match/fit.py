@@ -1,0 +1,248 @@
+r"""Fits of a photo's pose to the stored skylines of places, without rendering.
+
+With the distance D, tangent y and slope y' of a place's skyline at azimuth a, and the ground rising
+by g, an eye moved by t (east, north) sees to first order
+
+.. math::
+
+    y(a; t) \approx y(a) + \frac{y' t_\perp + y t_\parallel - g \cdot t}{D}, \quad
+    t_\parallel = t_e \sin a + t_n \cos a, \quad t_\perp = t_e \cos a - t_n \sin a
+
+so heading, pitch, roll, field of view and a small move are fitted together, by damped Gauss-Newton
+with Cauchy weights whose scale shrinks from round to round. The first order neglects an error that
+grows with (t / D)^2, so near terrain is trusted less.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
+from skyline.camera import near_level_changes
+from skyline.match.rays import REFERENCE_FOV_DEG, Rays
+from skyline.pose import Poses
+from skyline.store.places import Places
+
+_HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)
+"""Columns of a fitted state: heading from grid north, pitch and roll, radians; `Rays.log_scale`;
+metres east and north of the stored place. A panorama has the factors of its `Rays.wander` from
+`_WANDER` on; a lens has no such columns."""
+_MOVE = slice(_EAST, _WANDER)
+_LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
+"""Longest step of a round; moves in standard deviations of the place. The wander of a panorama's
+rows steps at most as far as the pitch."""
+_DAMPING = np.float32(1e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class FitErrors:
+    """What a fit expects of photos, places and cameras."""
+
+    photo_deg: float = 0.06
+    """Error of a mean of rays, at a field of view of 60 degrees."""
+    curvature: float = 0.05
+    """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
+    pitch_sd_deg: float = 5.0
+    roll_sd_deg: float = 4.0
+    most: float = 8.0
+    """Largest miss of a ray that counts, in expected errors: in coarse elevation models rays of the
+    right pose miss by several."""
+    unknown: float = 4.0
+    """Miss of a ray where no skyline is stored, in expected errors."""
+
+
+_ERRORS = FitErrors()
+
+
+@dataclass(frozen=True, slots=True)
+class FitEffort:
+    """How finely and how often a pose is fitted."""
+
+    runs: int
+    """Runs of the photo's columns within 60 degrees; their means are fitted."""
+    scales_deg: tuple[float, ...]
+    """Scales of the Cauchy weights from round to round, beside the expected error."""
+
+
+ROUGH_FIT = FitEffort(40, (0.5, 0.35, 0.25))
+GOOD_FIT = FitEffort(100, (0.5, 0.35, 0.25, 0.2, 0.2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misses:
+    """How far the rays of M states miss the skylines of their places, in R rays."""
+
+    tangent: Float32Array
+    """(M, R) float32. Tangents of rays minus those of the skyline; 0 where it is unknown."""
+    change: Float32Array
+    """(M, P, R) float32. Derivatives of the misses by the columns of a state."""
+    nearness: Float32Array
+    """(M, R) float32. Inverse distance of the skyline, 1 / m."""
+    known: BoolArray
+    """(M, R) bool. Whether a skyline is stored there."""
+
+
+class CurveFit:
+    """Fits one pose of a photo to each of M places.
+
+    Eyes lie evenly within a place's tolerance, so their standard deviation from it is the tolerance
+    over the root of 3; no fit moves farther than twice that.
+
+    Parameters
+    ----------
+    places : Places
+    ground_slope : (M, 2) float32
+        Rise of the ground to the east and to the north.
+    rays : Rays
+        R means of runs of the photo's rays; see `skyline.match.rays.in_runs`.
+    effort : FitEffort
+    """
+
+    def __init__(
+        self, places: Places, ground_slope: Float32Array, rays: Rays, effort: FitEffort
+    ) -> None:
+        self._places = places
+        self._ground_slope = ground_slope
+        self._rays = rays
+        self._effort = effort
+        self._y = places.elevation_tan()
+        nearness = 1.0 / places.distance_m()
+        self._nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
+        self._deviation_m = (places.tolerance_m / np.float32(np.sqrt(3.0)))[:, np.newaxis]
+        self._wander = rays.wander.astype(np.float32)
+        self._prior = self._inverse_variances()
+
+    def fit(self, heading_rad: Float64Array, log_scale: Float64Array) -> Poses:
+        """Return the poses fitted from headings and logarithms of scales (M,).
+
+        A cost is the mean over rays of the misses, in expected errors, and what the priors add.
+        """
+        state = np.zeros(self._prior.shape, dtype=np.float32)
+        state[:, _HEADING] = heading_rad
+        state[:, _LOG_SCALE] = log_scale
+        state[:, _PITCH] = -np.median(self._misses(state).tangent, axis=1)
+        for scale_deg in self._effort.scales_deg:
+            misses = self._misses(state)
+            weight = self._weight(state, misses, scale_deg)
+            state = self._bounded(state, self._step(state, misses, weight))
+        cost = self._cost(state, self._misses(state))
+        return self._poses(state.astype(np.float64), cost.astype(np.float64))
+
+    def _poses(self, state: Float64Array, cost: Float64Array) -> Poses:
+        move = state[:, _MOVE]
+        return Poses(
+            easting_m=self._places.easting_m + move[:, 0],
+            northing_m=self._places.northing_m + move[:, 1],
+            eye_elevation_m=self._places.eye_elevation_m + (self._ground_slope * move).sum(axis=1),
+            grid_heading_deg=np.degrees(state[:, _HEADING]) % 360.0,
+            pitch_deg=np.degrees(state[:, _PITCH]),
+            roll_deg=np.degrees(state[:, _ROLL]),
+            fov_deg=self._rays.searched_fov_deg(state[:, _LOG_SCALE]),
+            cost=cost,
+        )
+
+    def _misses(self, state: Float32Array) -> _Misses:
+        lift = state[:, _WANDER:] @ self._wander.T if self._rays.is_panorama else np.float32(0.0)
+        pitch, roll, log_scale = (state[:, k, np.newaxis] for k in (_PITCH, _ROLL, _LOG_SCALE))
+        azimuth, tangent = self._rays.levelled(pitch, roll, log_scale, lift)
+        toward = azimuth + state[:, :1]
+        profile, slope, near = self._skyline_at(toward)
+        known = np.isfinite(slope)
+        slope = np.where(known, slope, np.float32(0.0))
+        sine, cosine = np.sin(toward), np.cos(toward)
+        ground = self._ground_slope[:, :, np.newaxis]
+        east = (slope * cosine + profile * sine - ground[:, 0]) * near
+        north = (profile * cosine - slope * sine - ground[:, 1]) * near
+        miss = tangent - profile - east * state[:, _EAST, np.newaxis]
+        miss -= north * state[:, _NORTH, np.newaxis]
+        turned = near_level_changes(azimuth, tangent, slope, is_panorama=self._rays.is_panorama)
+        change = np.stack([-slope, *turned, -east, -north], axis=1)
+        if self._rays.is_panorama:
+            wander = np.tile(self._wander.T, (len(state), 1, 1))
+            change = np.concatenate([change, wander], axis=1)
+        return _Misses(np.where(known, miss, np.float32(0.0)), change, near, known)
+
+    def _skyline_at(self, azimuth: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """Return tangents, slopes and inverse distances of the places' skylines at azimuths (M, R).
+
+        Tangents are linear between bins, and slopes NaN where no skyline is stored.
+        """
+        count, bins = self._y.shape
+        position = azimuth * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
+        left = np.floor(position)
+        share = position - left
+        row = (np.arange(count) * bins)[:, np.newaxis]
+        begin = row + left.astype(np.intp) % bins
+        end = row + (left.astype(np.intp) + 1) % bins
+        profile = self._y.ravel()[begin]
+        rise = self._y.ravel()[end] - profile
+        slope = rise * np.float32(bins / (2.0 * np.pi))
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, np.float32(0.0))
+        profile = np.where(known, profile, np.float32(0.0)) + share * rise
+        coarse = self._nearness.shape[1]
+        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
+        near = self._nearness.ravel()[(np.arange(count) * coarse)[:, np.newaxis] + run % coarse]
+        return profile, slope, near
+
+    def _weight(self, state: Float32Array, misses: _Misses, scale_deg: float) -> Float32Array:
+        """Return the weights (M, R) of rays in a round."""
+        bent = _ERRORS.curvature * np.square(self._deviation_m * misses.nearness)
+        variance = np.square(self._photo_error(state))[:, np.newaxis] + np.square(bent)
+        weight = self._rays.weight.astype(np.float32) * misses.known
+        variance = variance.astype(np.float32)
+        weight = weight / (variance + np.square(misses.tangent) + np.radians(scale_deg) ** 2)
+        return np.asarray(weight, dtype=np.float32)
+
+    def _photo_error(self, state: Float32Array) -> FloatArray:
+        """Return the expected error (M,) of a photo's tangents, as large as a pixel.
+
+        A camera measures pixels. If the error did not grow with the field of view, a small enough
+        one would make every miss small.
+        """
+        usual = float(self._rays.projection.half_width(REFERENCE_FOV_DEG))
+        size = 1.0 if self._rays.is_panorama else self._rays.half_width / usual
+        scale = np.asarray(np.exp(state[:, _LOG_SCALE]) * size, dtype=np.float32)
+        return np.asarray(np.radians(_ERRORS.photo_deg) * scale)
+
+    def _inverse_variances(self) -> Float32Array:
+        """Return the prior inverse variances (M, P) of the columns of a state."""
+        columns = _WANDER + self._wander.shape[1]
+        prior = np.zeros((len(self._places), columns), dtype=np.float32)
+        prior[:, _PITCH] = np.radians(_ERRORS.pitch_sd_deg) ** -2.0
+        prior[:, _ROLL] = np.radians(_ERRORS.roll_sd_deg) ** -2.0
+        prior[:, _LOG_SCALE] = self._rays.log_scale_sd**-2.0
+        prior[:, _MOVE] = self._deviation_m**-2.0
+        if self._rays.is_panorama:
+            prior[:, _WANDER:] = self._rays.warp_sd**-2.0
+        return prior
+
+    def _step(self, state: Float32Array, misses: _Misses, weight: Float32Array) -> Float32Array:
+        """Return the damped Gauss-Newton step (M, P) that is subtracted from states."""
+        weighted = misses.change * weight[:, np.newaxis]
+        normal = weighted @ misses.change.transpose(0, 2, 1)
+        gradient = (weighted @ misses.tangent[:, :, np.newaxis])[:, :, 0] + self._prior * state
+        diagonal = np.einsum("mkk->mk", normal)
+        diagonal += self._prior
+        diagonal += _DAMPING * (diagonal + 1.0)
+        return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
+
+    def _bounded(self, state: Float32Array, step: Float32Array) -> Float32Array:
+        """Return states less a step, within the bounds of a step and of a state."""
+        limit = np.tile(_LONGEST_STEP, (len(state), 1))
+        limit[:, _MOVE] *= self._deviation_m
+        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)
+        limit = np.concatenate([limit, wander], axis=1)
+        state = state - np.clip(step, -limit, limit)
+        state[:, _LOG_SCALE] = np.clip(state[:, _LOG_SCALE], *self._rays.log_scale_bounds)
+        farthest = 2.0 * self._deviation_m
+        state[:, _MOVE] = np.clip(state[:, _MOVE], -farthest, farthest)
+        return state
+
+    def _cost(self, state: Float32Array, misses: _Misses) -> Float32Array:
+        error = self._photo_error(state)
+        off = np.minimum(np.abs(misses.tangent) / error[:, np.newaxis], np.float32(_ERRORS.most))
+        off = np.where(misses.known, off, np.float32(_ERRORS.unknown))
+        unlikely = 0.5 * (np.square(state) * self._prior).sum(axis=1) / self._effort.runs
+        mean = (off * self._rays.weight.astype(np.float32)).mean(axis=1)
+        return np.asarray(mean + unlikely, dtype=np.float32)

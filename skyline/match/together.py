@@ -1,0 +1,192 @@
+"""Refinement of several photos of one eye, together."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Complex128Array, Float64Array
+from skyline.match.refine import (
+    GREATEST_LOG_ODDS,
+    MOVES,
+    Particles,
+    Refinement,
+    best_and_rivals,
+    spread_m2,
+)
+from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
+from skyline.pose import DISTANCES_M, Poses
+
+_STRANGER = 10.0
+"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
+about 10."""
+_KEPT_SHARE = 0.5
+"""Share of places kept from one round to the next: several photos separate right places from wrong
+ones at once."""
+_KEPT_LEAST = 8
+"""Least number of places kept."""
+_HEADING_STEP_DEG = 6.0
+"""Step of the headings that are tried for a photo of unknown heading."""
+_EYE = slice(EYE_HEIGHT + 1)
+"""Columns of a state that all photos of one eye share."""
+_LEAST_SHARE = 1e-6
+"""Least weight of a photo, so that the mean of the steps exists where no photo fits."""
+
+
+class JointRefinement:
+    r"""The joint refinement of N photos of one eye, each with its own `Refinement`.
+
+    Each photo has its own attitude and field of view, and all share the eye. A round renders the
+    view of each photo from each place, lets each photo solve its own step, and moves the eye by the
+    mean of these steps, weighted by their precisions. That is the Gauss-Newton step of all unknowns
+    together. The cost of a place is
+
+    .. math::
+
+        -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
+
+    with c_q the cost of photo q there, b_q its least cost anywhere, and T the factor between
+    costs and log odds. The second term is the possibility that q was taken somewhere else: a photo
+    that does not belong to the others costs at most T L at any place.
+    """
+
+    def __init__(self, refinements: Sequence[Refinement]) -> None:
+        self._solos, self._effort = refinements, refinements[0].effort
+        self._solvers = [solo.rough for solo in refinements]
+        self._least = np.full(len(refinements), np.inf)
+
+    def run(
+        self, found: Sequence[Poses], alone: Sequence[Poses]
+    ) -> tuple[tuple[Poses, ...], BoolArray]:
+        """Return the M places where the N photos fit together, best first, and which agree there.
+
+        ``found`` holds each photo's poses; all photos have the same places in the same order, best
+        first. ``alone`` holds the best pose from each photo's own refinement, if there is one. The
+        returned poses of each photo are at the same places; their costs are those of the
+        places. Margins and covariances are joint ones, with the information of one average photo,
+        not the sum: photos of one place share the terrain model's errors. A photo agrees, (N, M)
+        bool, where it was more likely taken than somewhere else.
+        """
+        effort = self._effort
+        particles = [
+            solo.started(solo.rough, places[: effort.particles])
+            for solo, places in zip(self._solos, found, strict=True)
+        ]
+        for _ in range(effort.rounds - 1):
+            kept = max(_KEPT_LEAST, int(_KEPT_SHARE * len(particles[0])))
+            particles = self._moved(self._kept(particles, kept))
+        around = self._kept(particles, effort.restarts)
+        around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
+        for _ in range(MOVES.restart_rounds - 1):
+            around = self._moved(around)
+        particles = self._kept(_joined(particles, around), effort.finalists)
+        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
+        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
+        particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
+        self._solvers = [solo.fine for solo in self._solos]
+        self._least = np.array([poses.cost.min(initial=np.inf) for poses in alone])
+        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
+        for _ in range(effort.final_rounds):
+            particles = self._moved(particles)
+        return self._poses(self._kept(particles, effort.finalists))
+
+    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
+        """Return particles after one common step, where the renderings from there fit better."""
+        solved = [
+            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
+            for solver, own in zip(self._solvers, particles, strict=True)
+        ]
+        precision = self._precision(solved, _share(self._off(particles)))
+        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
+        step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
+        new = [
+            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
+            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
+        ]
+        before, after = np.split(_cost(self._off(_joined(particles, new))), 2)
+        return [old.kept(own, after < before) for old, own in zip(particles, new, strict=True)]
+
+    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
+        """Return the best distinct places, and rivals of the very best, best first."""
+        standing = self._solos[0].poses(particles[0])
+        standing = replace(standing, cost=_cost(self._off(particles)))
+        chosen = best_and_rivals(standing, count)
+        return [own[chosen] for own in particles]
+
+    def _off(self, particles: Sequence[Particles]) -> Float64Array:
+        """Return the costs of photos (N, M) above the least cost of each anywhere."""
+        cost = np.stack([own.fit.cost for own in particles])
+        least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
+        return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
+
+    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
+        """Return the precisions (N, M, 3, 3) of the eye by each photo, times its ``share``."""
+        covariance = np.stack(
+            [
+                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
+                for solver, own in zip(self._solvers, particles, strict=True)
+            ]
+        )
+        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
+        return np.asarray(np.linalg.inv(covariance) * share)
+
+    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
+        """Return the poses of each photo at the places, and which photos agree; see `run`."""
+        off = self._off(particles)
+        cost, share = _cost(off), _share(off)
+        agrees = share >= 0.5
+        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
+        covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
+        poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
+        standing = replace(poses[0], cost=cost)
+        # Margins and covariances are those of one photo in the mean, and so are these odds.
+        covariance_m2 = spread_m2(replace(standing, cost=cost / len(poses)), covariance_m2)
+        margin, far_margin = (
+            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
+            for least_m in DISTANCES_M
+        )
+        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
+        together = tuple(
+            replace(own, cost=cost, fits=replace(own.figures(), **joint)) for own in poses
+        )
+        return together, agrees
+
+
+def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
+    """Return the best particle of a photo at each place, of all headings."""
+    turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
+    at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
+    none = np.zeros(len(at_m))
+    heading_deg = np.tile(turn_deg, len(place_m))
+    every = Poses(
+        easting_m=at_m.real,
+        northing_m=at_m.imag,
+        eye_elevation_m=none,
+        grid_heading_deg=heading_deg,
+        pitch_deg=none,
+        roll_deg=none,
+        fov_deg=none + solo.scout.rays.fov_deg,
+        cost=none,
+    )
+    seen = solo.started(solo.scout, every)
+    cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
+    best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
+    return solo.started(solo.rough, solo.poses(best))
+
+
+def _joined(*parts: Sequence[Particles]) -> list[Particles]:
+    """Return the particles of each photo in all parts."""
+    return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
+
+
+def _cost(off: Float64Array) -> Float64Array:
+    """Return the costs of places (M,) by `JointRefinement._off`; infinite where no photo fits."""
+    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
+    return np.where(np.isinf(off).all(axis=0), np.inf, cost)
+
+
+def _share(off: Float64Array) -> Float64Array:
+    """Return the probability (N, M) that each photo was taken at each place."""
+    odds = _STRANGER - off / TEMPERATURE
+    return 1.0 / (1.0 + np.exp(-np.clip(odds, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))
