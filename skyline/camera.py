@@ -301,7 +301,8 @@ def _panorama_with_changes(
         by_pitch = 1.0 + np.square(above)
         by_v = by_pitch / (1.0 + np.square(v))
     else:
-        by_pitch, by_v = np.ones_like(v) / np.square(np.cos(pitch)), np.ones_like(v)
+        by_pitch = np.ones_like(v) / np.square(np.cos(pitch))
+        by_v = np.ones_like(v)
     # Pitch, scale and warps move a ray up the image; scale moves it across, too.
     lifts = [by_pitch, np.zeros_like(v), by_v * v_change]
     lifted = np.concatenate([np.stack(lifts, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
@@ -310,7 +311,8 @@ def _panorama_with_changes(
         lifted * turned[..., np.newaxis] for turned in (np.sin(roll), np.cos(roll))
     )
     forward_change = np.zeros_like(lifted)
-    right_change[..., 1], up_change[..., 1] = up, -right
+    right_change[..., 1] = up
+    up_change[..., 1] = -right
     right_change[..., 2] += u * forward * np.cos(roll)
     up_change[..., 2] -= u * forward * np.sin(roll)
     forward_change[..., 2] = -u * np.sin(u)

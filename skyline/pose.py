@@ -11,10 +11,10 @@ from skyline.camera import Camera
 from skyline.geodesy import Frame, in_turn
 from skyline.photo.skyline import PhotoSkyline
 
-RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
-"""Largest errors of an answer that is right, and of one that is roughly right. Poses farther apart
-than the first are different answers; farther apart than the second, they are not even roughly the
-same answer."""
+RIGHT_WITHIN_M = 200.0
+"""Largest error of an answer that is right. Poses farther apart are different answers."""
+ROUGHLY_WITHIN_M = 1000.0
+"""Largest error of an answer that is roughly right."""
 DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 SAME_VIEW_DEG = 30.0
 """Poses that look farther apart than this are different answers, wherever they are."""

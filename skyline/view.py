@@ -113,7 +113,8 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     is_sure = views.flags.ravel()[order] == 0
     column, row = pose.camera(photo).pixels(azimuth_deg, elevation_tan)
     near = np.abs(column - photo.width_px / 2.0) <= _AROUND * photo.width_px
-    gap_deg, known = np.full(photo.width_px, np.nan), np.isfinite(elevation_tan)
+    gap_deg = np.full(photo.width_px, np.nan)
+    known = np.isfinite(elevation_tan)
     if known.any():
         trusted = np.flatnonzero(photo.trusted)
         photo_deg, y = pose.camera(photo).directions(trusted, photo.row_px[trusted])
@@ -220,12 +221,14 @@ class Viewer(Releasable):
         curvature: Curvature | None = None,
         render_thread: RenderThread | None = None,
     ) -> None:
-        self.terrain, self.peaks = read_dem(terrain), peaks
+        self.terrain = read_dem(terrain)
+        self.peaks = peaks
         self.frame = self.terrain.frame
         if peaks is not None:
             check_on_map(peaks, self.terrain)
         self.curvature = curvature or Curvature()
-        self._thread, self._making = render_thread, Lock()
+        self._thread = render_thread
+        self._making = Lock()
         self._scene: RenderedScene | None = None
 
     def release(self) -> None:

@@ -22,17 +22,19 @@ FOV_RANGE_DEG = (25.0, 100.0)
 USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
-_DISTORTION_SD, _WIDE_DISTORTION_SD = 0.01, 0.05
-"""Standard deviations of a lens's distortion. Those of 3,500 lenses in lensfun's database are 2 to
-6 % of half the width, rms; phones and many cameras correct their photos. With a larger deviation,
-near slopes bend to fit."""
+_DISTORTION_SD = 0.01
+"""Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's database
+are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With a larger
+deviation, near slopes bend to fit."""
+_WIDE_DISTORTION_SD = 0.05
+"""The same for a wide lens."""
 _WIDE_DEG = 75.0
 """Lenses of a greater field of view are wide."""
 _WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
+"""Standard deviations of a panorama's row shifts, one for each polynomial degree: as in a random
+walk, they fall with the inverse of the degree."""
 _WANDER_FOV_DEG = 240.0
-"""Standard deviations of a panorama's row shifts, one for each polynomial degree, at this field of
-view. As in a random walk, they fall with the inverse of the degree. They grow with the square root
-of the field of view."""
+"""Field of view of these deviations, which grow with its square root."""
 _FOV_DEVIATIONS = 4.0
 """Standard deviations to either side of a given field of view that are searched."""
 
@@ -67,7 +69,8 @@ class Rays(ImagePoints):
         is_panorama = photo.projection.is_panorama
         weight = photo.confidence[photo.trusted]
         if photo.fov_deg is not None:
-            fov_deg, lens = photo.fov_deg, photo.lens or Lens(photo.fov_deg)
+            fov_deg = photo.fov_deg
+            lens = photo.lens or Lens(photo.fov_deg)
             distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
             u, v = photo.image_plane()
             rays = cls(
@@ -115,7 +118,8 @@ class Rays(ImagePoints):
     @property
     def log_scale_sd(self) -> float:
         """Standard deviation of `log_scale`."""
-        sd_rad, fov_rad = math.radians(self.fov_sd_deg), math.radians(self.fov_deg)
+        sd_rad = math.radians(self.fov_sd_deg)
+        fov_rad = math.radians(self.fov_deg)
         return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:

@@ -197,7 +197,8 @@ class Refinement:
         """
         effort = self.effort
         best = np.argsort(poses.cost, kind="stable")[: effort.shortlist]
-        poses, likeliest = poses[best], None
+        poses = poses[best]
+        likeliest = None
         if len(poses) > effort.particles:
             if effort.likeliest:
                 likeliest = self.started(self.rough, poses[: effort.likeliest])
@@ -286,7 +287,8 @@ class Refinement:
         self._report("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
-        ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
+        ground_m = self._scene.ground_m(easting_m, northing_m)
+        height_m = state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs(in_turn(turn))
         half_deg = 0.5 * solver.rays.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
@@ -355,7 +357,8 @@ class Refinement:
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
         """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
         sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        scale, off = particles.fit.state[:, LOG_SCALE], sd[:, LOG_SCALE]
+        scale = particles.fit.state[:, LOG_SCALE]
+        off = sd[:, LOG_SCALE]
         rays = self.fine.rays
         fov_deg = np.abs(rays.fov_at(scale + off) - rays.fov_at(scale - off)) / 2.0
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])

@@ -153,8 +153,8 @@ class FullMatcher(SearchMethod):
         A start farther off is fitted with ``about_start``, the photo's rays about the start's field
         of view, while the eye keeps its height above the ground, if a camera can be held so low.
         The pose is then fitted as in a search, so its cost compares with those of a search with
-        the same rays and prior. The confidence is learned from such fits (`confidence.FITTED`). Raises `InputError`
-        without a scene, and for a pose off the map or on a hole.
+        the same rays and prior. The confidence is learned from such fits (`confidence.FITTED`).
+        Raises `InputError` without a scene, and for a pose off the map or on a hole.
         """
         scene = self._needed_scene()
         pose = Poses.of(start)

@@ -373,7 +373,8 @@ class Solver:
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)
-        slope, change = skyline[..., 1:2], skyline[..., 2:5]
+        slope = skyline[..., 1:2]
+        change = skyline[..., 2:5]
         move = state[:, _MOVES].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
         y = skyline[..., 0] + (change @ move[..., np.newaxis])[..., 0]
@@ -452,7 +453,8 @@ class Solver:
         steps: Sequence[tuple[int, int]],
     ) -> tuple[Fit, Likelihood]:
         """Return the fit with the likeliest deviations: the current ones, or those after a step."""
-        angle, height = fit.angle, fit.height
+        angle = fit.angle
+        height = fit.height
         best = self._likelihood(fit, linear, errors)
         fit = replace(fit, odds=best.odds)
         for step in steps:
@@ -476,7 +478,8 @@ class Solver:
         """Return the fit after one step within the bounds of the state."""
         miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
         # The prior pulls the eye to that of the curve, and the other unknowns to usual values.
-        height_m, step_m = fit.state[:, EYE_HEIGHT], np.maximum(step_m, _NO_STEP_M)
+        height_m = fit.state[:, EYE_HEIGHT]
+        step_m = np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
         prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
         prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(height_m)

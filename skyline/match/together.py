@@ -51,7 +51,8 @@ class JointRefinement:
     """
 
     def __init__(self, refinements: Sequence[Refinement]) -> None:
-        self._solos, self._effort = refinements, refinements[0].effort
+        self._solos = refinements
+        self._effort = refinements[0].effort
         self._solvers = [solo.rough for solo in refinements]
         self._least = np.full(len(refinements), np.inf)
 
@@ -133,7 +134,8 @@ class JointRefinement:
     def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
         """Return the poses of each photo at the places, and which photos agree; see `run`."""
         off = self._off(particles)
-        cost, share = _cost(off), _share(off)
+        cost = _cost(off)
+        share = _share(off)
         agrees = share >= 0.5
         mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
         covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
