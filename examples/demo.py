@@ -27,8 +27,8 @@ from skyline.report.panorama import save_panorama
 from skyline.report.paper_pictures import save_depth_pictures
 from skyline.survey.build import build_places, build_uniform
 from skyline.terrain.dem import read_dem
-from skyline.terrain.eyes import stand_at, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_at, stand_on
 from skyline_bench.geotiff import write_sample_dem
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera

@@ -32,10 +32,11 @@ from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
 from skyline.store.header import PLACE_CODING, SCHEMA_VERSION
 from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
-from skyline.terrain.dem import SUFFIX, read_dem, save_field
-from skyline.terrain.folders import Paths, dem_names
+from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import Paths, dem_names
+from skyline.terrain.field_files import SUFFIX, save_field
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.rasters import files_of
+from skyline.terrain.raster_files import files_of
 
 _SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline

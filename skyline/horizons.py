@@ -25,9 +25,10 @@ from skyline.files import csv_lines, write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import MAX_WIDTH, Horizons
-from skyline.terrain.dem import Dem, read_dem, read_surface
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048

@@ -12,7 +12,7 @@ from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.read import Picture, name_of, read_noted_place
-from skyline.terrain.folders import Paths
+from skyline.terrain.dem_files import Paths
 
 NOTED_KM, _NEEDED_KM = 10.0, 5.0
 """Radius of the area that is built round a photo's own position, and of the area that a cached

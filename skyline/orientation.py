@@ -51,14 +51,14 @@ from skyline.render.context import Releasable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.eyes import (
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
     check_eye_elevation,
     stand_at_one,
     stand_where_possible,
 )
-from skyline.terrain.heightfield import HeightField
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard error in metres."""

@@ -25,10 +25,10 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, Row, read_bytes, read_table
 from skyline.geodesy import GROUND_M, Curvature, Frame
-from skyline.terrain.eyes import Viewpoints, is_inside
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.sightlines import edge_crossings_m
+from skyline.terrain.ray_casting import edge_crossings_m
 from skyline.terrain.summits import prominence_m
+from skyline.terrain.viewpoints import Viewpoints, is_inside
 
 SUMMIT_RADIUS_M = 150.0
 """Distance from a named place within which its summit is searched, and within which terrain does

@@ -28,7 +28,8 @@ from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.eyes import (
+from skyline.terrain.ray_casting import first_hits_m
+from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     LEAST_EYE_HEIGHT_M,
     Viewpoints,
@@ -36,7 +37,6 @@ from skyline.terrain.eyes import (
     stand_at_one,
     stand_on,
 )
-from skyline.terrain.sightlines import first_hits_m
 
 PIXEL_FILES = (".npz", ".tif")
 _BANDS = ("distance_m", "lon", "lat", "elevation_m")

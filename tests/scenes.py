@@ -11,8 +11,8 @@ from rasterio.transform import Affine, from_origin
 from skyline.geodesy import Frame
 from skyline.pose import Pose, Poses
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.truth import closed_forms

@@ -15,8 +15,8 @@ from skyline import Orientation, PhotoSkyline
 from skyline.geodesy import Rectangle, in_turn
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.exif import NotedPlace
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 
 MEASURED = "noted heights"

@@ -16,8 +16,8 @@ import numpy as np
 
 from skyline.geodesy import Rectangle
 from skyline.survey.plans import uniform_grid
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 Row = Mapping[str, Any]
 """One line of a benchmark's table: plain values by name."""

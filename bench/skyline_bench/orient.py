@@ -25,9 +25,9 @@ from skyline.geodesy import Rectangle, in_turn
 from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds
-from skyline.terrain.dem import DemOptions
-from skyline.terrain.eyes import at_elevation
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
 from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, height_rows
 from skyline_bench.measuring import Row, square_km

@@ -22,9 +22,10 @@ from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, 
 from skyline.paper.verify import true_errors_px
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import DEFAULT_WIDTH, columns_u
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.eyes import Viewpoints, stand_on
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 

@@ -33,9 +33,9 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, columns_u
-from skyline.terrain.eyes import Viewpoints, in_four_views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ray_mesh import Triangles
+from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 from skyline_bench.geotiff import write_geotiff
 from skyline_bench.measuring import core_count, over_cores
 from skyline_bench.truth.oracle import directions_at

@@ -34,7 +34,7 @@ from skyline.photo.read import read_picture
 from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import map_bounds
-from skyline.terrain.dem import DemOptions
+from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
 from skyline_bench.measuring import Row, shown, square_km
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest

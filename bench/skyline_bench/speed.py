@@ -27,9 +27,10 @@ from skyline.render.horizon import (
 )
 from skyline.skylines import DEFAULT_WIDTH, Horizons, Views, elevation_deg
 from skyline.store.places import BINS
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.eyes import Viewpoints, stand_on
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options, peers
 from skyline_bench.measuring import (
     Row,

@@ -24,12 +24,13 @@ from skyline.geodesy import Curvature
 from skyline.horizons import horizon, horizons_of
 from skyline.render.horizon import PanoramaRenderer
 from skyline.store.places import BINS
-from skyline.terrain.cleaning import clean
-from skyline.terrain.dem import DemOptions, read_dem, read_files
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.dem import read_dem, read_files
+from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.tiles import Grid
-from skyline.terrain.warp import ground_spacing_m, local_frame
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.repair import repair
+from skyline.terrain.resampling import ground_spacing_m
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench import options
 from skyline_bench.measuring import Row, central_viewpoints, in_turns, square_km
 from skyline_bench.records import write_record
@@ -74,7 +75,7 @@ QUICK = SummitsConfig(summits=40, eyes=2, places=40, beside=2, anywhere=100)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _File:
-    """The cleaned samples of a DEM, and where they lie in the surface's frame."""
+    """The repaired samples of a DEM, and where they lie in the surface's frame."""
 
     heights_m: Float32Array
     grid: Grid
@@ -89,9 +90,9 @@ class _File:
         spacing_m = (
             (grid.step_east, grid.step_north)
             if field.provenance.resampling == "none"
-            else ground_spacing_m(grid, crs, local_frame(grid, crs))
+            else ground_spacing_m(grid, crs, field.frame)
         )
-        clean(heights_m, str(dem[0]), max(spacing_m))
+        repair(heights_m, str(dem[0]), max(spacing_m))
         return cls(
             heights_m,
             grid,

@@ -9,7 +9,8 @@ from typer import Argument, Option
 from skyline.cli.console import command_line, progress_bar, run_app
 from skyline.errors import InputError
 from skyline.match.confidence import ORIENTED
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
+from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
 from skyline_bench.repeat import repeat
 from skyline_training import confidence as learning

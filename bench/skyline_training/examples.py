@@ -31,8 +31,8 @@ from skyline.photo.lens import ALONE_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries

@@ -17,8 +17,8 @@ from skyline.errors import InputError
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.eyes import Viewpoints, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench.queries.made_photos import Scenery, distance_along, scene_rgb
 from skyline_bench.queries.manifest import LOCATE
 from skyline_training.landscapes import GROUND, SKY, Drawing, TrainingPhoto

@@ -17,8 +17,8 @@ from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.camera import undistorted
 from skyline.geodesy import Frame
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.made_photos import Scenery, distance_along, exposed, mixed, scene_rgb
 from skyline_bench.queries.synthetic import Occluder, QueryConfig, SyntheticQuery, make_queries
 from skyline_training.covers import dark, put_in_front

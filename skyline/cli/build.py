@@ -36,8 +36,8 @@ from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.lattices import expected_finds
 from skyline.survey.plans import PlacePlan, RenderingPlan
-from skyline.terrain.eyes import read_viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import read_viewpoints
 
 Output = Annotated[Path, output_option("The store to write.", "STORE.h5")]
 Bounds = Annotated[

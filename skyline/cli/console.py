@@ -263,7 +263,8 @@ def note_if_slow(doing: str) -> Iterator[None]:
 
 def read_terrain(dem: Sequence[str], crs: str | None) -> "HeightField":
     """Read a command's elevation model; a line names the step if it takes more than 5 seconds."""
-    from skyline.terrain.dem import DemOptions, read_dem  # noqa: PLC0415  (slow to load)
+    from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
+    from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
     with note_if_slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))

@@ -16,9 +16,9 @@ from skyline.render.horizon import RenderConfig, render_views
 from skyline.skylines import pixel_size
 from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.store.read import is_store, open_store
-from skyline.terrain.conventions import model_of
-from skyline.terrain.eyes import Viewpoints, place_on, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import model_of
+from skyline.terrain.viewpoints import Viewpoints, place_on, stand_on
 
 Facts = dict[str, object]
 

@@ -49,7 +49,7 @@ from skyline.plugins import names_of
 from skyline.report.files import EXPORTS, RESULTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.survey.cluster import runner_of
-from skyline.terrain.folders import dem_names
+from skyline.terrain.dem_files import dem_names
 
 _UNREFINED = "unrefined"
 """The full matcher without its last step."""

@@ -42,8 +42,8 @@ from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, check_eye_elevation
-from skyline.terrain.folders import dem_names
+from skyline.terrain.dem_files import dem_names
+from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.view import PIXEL_FILES, Viewer
 
 _LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}

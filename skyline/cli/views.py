@@ -40,9 +40,9 @@ from skyline.horizons import (
 from skyline.peaks import read_peaks
 from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.terrain.dem import read_surface
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at
 
 _PANORAMA = PanoramaConfig()
 _log = logging.getLogger(__name__)

@@ -29,7 +29,7 @@ from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, RefusedError, SpoiledError, with_remote
 from skyline.files import check_folder, for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
-from skyline.terrain.rasters import bands_of, without_secrets
+from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64
 """Greatest number of tiles of a fetch: 8 x 8 degrees."""

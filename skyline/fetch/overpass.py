@@ -14,7 +14,7 @@ from skyline.errors import FetchError, InputError, printable, suffix_of
 from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
 from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy import Bounds, check_bounds
-from skyline.terrain.rasters import without_secrets
+from skyline.terrain.raster_files import without_secrets
 
 
 def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:

@@ -10,7 +10,7 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from skyline.errors import FetchError
-from skyline.terrain.rasters import NOT_RECOGNIZED, without_secrets
+from skyline.terrain.raster_files import NOT_RECOGNIZED, without_secrets
 
 RETRIES = 4
 """Number of repetitions of a failed request."""

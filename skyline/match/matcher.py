@@ -39,9 +39,10 @@ from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.header import StoreHeader
 from skyline.store.read import Store
 from skyline.store.write import open_joined
-from skyline.terrain.dem import Dem, read_surface
-from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
 

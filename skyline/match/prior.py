@@ -24,7 +24,7 @@ from skyline.match.screen import turns_within
 from skyline.photo.exif import NotedPlace
 from skyline.pose import Poses
 from skyline.store.places import Places
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
 _WRONG_SHARE = 0.05
 """w. Of 20 photos examined, one had a position 6 km off."""

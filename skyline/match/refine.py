@@ -47,8 +47,8 @@ from skyline.pose import (
 )
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import ground_slope
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""

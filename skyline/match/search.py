@@ -26,8 +26,8 @@ from skyline.pose import (
 from skyline.render.horizon import RenderedScene
 from skyline.store.header import PLACES
 from skyline.store.read import PlaceSource, Store
-from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
 _SHORTLIST_SHARE = 1 / 1500
 """Poses that retrieval returns for each place of the store: the more places there are, the more are

@@ -50,8 +50,8 @@ from skyline.skylines import (
 )
 from skyline.store.header import RENDERINGS, KeypointColumns
 from skyline.store.read import Store
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _BINS = 2048
 """A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""

@@ -25,8 +25,8 @@ from skyline.store.header import StoreHeader
 from skyline.store.write import check_store_path, sorted_once, write_store
 from skyline.survey.build import BuildResult, finished_store
 from skyline.survey.plans import lattice_m, map_bounds, rendering_columns, rendering_header
-from skyline.terrain.eyes import Viewpoints, stand_on
 from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _log = logging.getLogger(__name__)
 

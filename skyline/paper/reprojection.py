@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.skylines import HEADINGS, Views, columns_u, pixel_size, rotation
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import Ground
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

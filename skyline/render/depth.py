@@ -26,8 +26,8 @@ from skyline.skylines import (
     raised_to_dip,
     rotation,
 )
-from skyline.terrain.eyes import Viewpoints, in_four_views
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""

@@ -26,9 +26,9 @@ from skyline.skylines import (
     pixel_size,
     quadrant_azimuths_rad,
 )
-from skyline.terrain.eyes import Viewpoints, in_four_views
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.sightlines import DataEdge
+from skyline.terrain.ray_casting import DataEdge
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 DEFAULT_TOLERANCE_DEG = 0.01
 

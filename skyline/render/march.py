@@ -19,8 +19,8 @@ from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 

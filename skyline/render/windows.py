@@ -19,7 +19,7 @@ from skyline.arrays import Float32Array
 from skyline.errors import ContextError
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ray_mesh import EMPTY, MAX_LEVELS, Triangles, level_count, slab_levels
+from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, Triangles, level_count, slab_levels
 
 MAX_FIELD_CELLS = 5120
 """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""

@@ -26,8 +26,8 @@ from skyline.peaks import (
     most_prominent_first,
     visible_peaks,
 )
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""

@@ -27,8 +27,8 @@ from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.peaks import Sighting
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _BEST_COLOUR, _OTHER_COLOUR = "#d1103d", "#1f5fbf"
 _LEAST_SIDE_M = 2000.0

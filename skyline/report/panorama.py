@@ -19,9 +19,10 @@ from skyline.geodesy import degrees_in_words
 from skyline.peaks import Peaks, Sighting
 from skyline.report.labels import Label, UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count
-from skyline.terrain.dem import Dem, read_surface
-from skyline.terrain.eyes import stand_at_one
+from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import stand_at_one
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 SUMMIT = "summit"

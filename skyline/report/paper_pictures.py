@@ -20,8 +20,8 @@ from skyline.render.horizon import RenderConfig
 from skyline.report.labels import encode_figure, is_figure
 from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import HEADINGS, Views
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     from skyline.paper.plan import Plan

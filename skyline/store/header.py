@@ -40,8 +40,9 @@ from skyline.store.places import (
     RISE_SIZE,
     Places,
 )
-from skyline.terrain.dem import Dem, DemOptions, read_dem
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
 
 SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4

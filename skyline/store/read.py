@@ -41,8 +41,8 @@ from skyline.store.header import (
 )
 from skyline.store.places import Places
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import facts_html
+from skyline.terrain.viewpoints import Viewpoints
 
 RowIndex = int | slice | NDArray[np.integer] | BoolArray
 

@@ -34,8 +34,8 @@ from skyline.survey.cluster import Runner
 from skyline.survey.parts import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
 from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.terrain.dem import Dem, read_dem
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _NAMED = 5
 """Failed jobs that an error names."""

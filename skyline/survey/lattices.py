@@ -25,8 +25,8 @@ from skyline.geodesy import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
 from skyline.store.read import PlaceSource
-from skyline.terrain.eyes import Viewpoints, stand_where_possible
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
 _COARSEST_M = 1280.0
 _FINEST_M = 10.0

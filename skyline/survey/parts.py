@@ -22,7 +22,7 @@ from skyline.store.header import RENDERINGS, Columns, StoreHeader, explained
 from skyline.store.read import open_store
 from skyline.store.write import is_whole, write_store
 from skyline.survey.plans import JobRenderer
-from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints
 
 A_PART_S = 2.5
 """Seconds of work after which a part is written, when the rendering in hand is done. A part takes

@@ -29,8 +29,8 @@ from skyline.survey.lattices import (
     blocks_of,
     planned_places,
 )
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
 """Default number of places, which two cores without a GPU render in half a minute, and bounds on

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,50 +19,17 @@ from numpy.typing import ArrayLike
 from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.errors import InputError, printable
 from skyline.geodesy import Bounds, Frame
-
-if TYPE_CHECKING:
-    from skyline.terrain.dem import DemOptions
+from skyline.terrain.metric_dem import MetricDem, metric_dem
+from skyline.terrain.mosaic import read_mosaic
+from skyline.terrain.provenance import DemOptions, Provenance
+from skyline.terrain.tiles import Tile, array_tile, dataset_tile
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
-"""Heights in metres at eastings and northings, NaN off the map and on holes."""
+"""Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
 
 _LEAST_SPACING_M = 0.01
 """Least spacing of samples. No model is finer; a grid in degrees read as metres would be (a second
 of arc is 0.0003 degrees)."""
-_HEIGHT_SD_PER_ROOT_M = 1.2
-"""Deviation of heights, metres, at a spacing of 1 m."""
-_SLOPE_REACH_M = 15.0
-"""Half the distance over which the ground's slope is taken."""
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """The files of a height field, and the treatment of their samples.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Absolute paths of the DEM files, empty for a field made in memory.
-    resampling : str
-        ``"none"`` where the file's own grid is used, else the method and the source CRS.
-    filled, hollow, despiked : int
-        Numbers of samples: voids filled by interpolation, voids left as holes, and spikes removed.
-    undeclared : int
-        Number of the voids that the files do not declare (`skyline.terrain.cleaning`).
-    options : mapping
-        The fields of `skyline.DemOptions`.
-    conventions : mapping
-        Units, datums, axes and the prime meridian of the files by name, in words.
-    """
-
-    files: tuple[str, ...] = ()
-    resampling: str = "none"
-    filled: int = 0
-    hollow: int = 0
-    despiked: int = 0
-    undeclared: int = 0
-    options: Mapping[str, object] = field(default_factory=dict)
-    conventions: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +41,18 @@ class HeightField:
     heights_m : (rows, cols) float32 or float64, read-only
         Metres above the DEM's datum at the samples; row 0 is the northernmost, column 0 the
         westernmost; NaN marks a hole, as do masked samples of an array that is given.
-    west_m, north_m : float
-        Easting of column 0 and northing of row 0, at the samples (pixel centres).
-    spacing_east_m, spacing_north_m : float
-        Distance between neighbouring samples.
+    west_m : float
+        Easting of the samples of column 0 (pixel centres).
+    north_m : float
+        Northing of the samples of row 0 (pixel centres).
+    spacing_east_m : float
+        Distance between neighbouring samples of a row.
+    spacing_north_m : float
+        Distance between neighbouring samples of a column.
     frame : Frame
-        One whose map is true here (`skyline.geodesy.Frame.untrue_deg`).
+        The map, which is true here (`skyline.geodesy.Frame.untrue_deg`).
+    provenance : Provenance
+        The files, and the treatment of their samples.
     """
 
     heights_m: FloatArray
@@ -150,7 +123,7 @@ class HeightField:
         }
 
     @classmethod
-    def from_rasterio(cls, dataset: Any, options: "DemOptions | None" = None) -> "HeightField":
+    def from_rasterio(cls, dataset: Any, options: DemOptions | None = None) -> "HeightField":
         """Read an open rasterio dataset, as `read_dem` reads a file.
 
         Parameters
@@ -170,16 +143,14 @@ class HeightField:
             It is no open dataset, or has not one band, no CRS that is understood, a rotated grid,
             or no height at all.
         """
-        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
-
-        options = options or dem.DemOptions()
-        return dem.dem_of(rasters.dataset_tile(dataset, options.default_crs), options)
+        options = options or DemOptions()
+        return _field_of_tile(dataset_tile(dataset, options.default_crs), options)
 
     @classmethod
-    def from_xarray(cls, data_array: Any, options: "DemOptions | None" = None) -> "HeightField":
+    def from_xarray(cls, data_array: Any, options: DemOptions | None = None) -> "HeightField":
         """Read an `xarray.DataArray`, as `read_dem` reads a file.
 
-        A file that rioxarray has opened gives the heights that `read_dem` gives of it.
+        A file that rioxarray has opened gives the same heights as with `read_dem`.
 
         Parameters
         ----------
@@ -202,10 +173,8 @@ class HeightField:
             It is no DataArray, the dimensions are others, there are several bands, coordinates are
             missing or not even, there is no CRS that is understood, or no height at all.
         """
-        from skyline.terrain import dem, rasters  # noqa: PLC0415  (they make height fields)
-
-        options = options or dem.DemOptions()
-        return dem.dem_of(rasters.array_tile(data_array, options.default_crs), options)
+        options = options or DemOptions()
+        return _field_of_tile(array_tile(data_array, options.default_crs), options)
 
     @property
     def rows(self) -> int:
@@ -219,11 +188,12 @@ class HeightField:
 
     @property
     def height_sd_m(self) -> float:
-        """Expected standard deviation of the heights from the true ones, from the spacing.
+        """Standard deviation of the heights from the true ones, expected from the spacing.
 
-        Measured against finer models it is 6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
+        It is 1.2 m times the root of the spacing in metres. Measured against finer models it is
+        6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
         """
-        return _HEIGHT_SD_PER_ROOT_M * math.sqrt(self.spacing_m)
+        return 1.2 * math.sqrt(self.spacing_m)
 
     @property
     def spacing_m(self) -> float:
@@ -247,7 +217,7 @@ class HeightField:
         return self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
 
     def reach_m(self, *, easting_m: float, northing_m: float) -> float:
-        """Return the distance of the farthest corner from a place, metres."""
+        """Return the distance from a position to the farthest corner, metres."""
         west, south, east, north = self.bounds_m
         return math.hypot(
             max(easting_m - west, east - easting_m), max(northing_m - south, north - northing_m)
@@ -255,7 +225,7 @@ class HeightField:
 
     @cached_property
     def has_holes(self) -> bool:
-        """True if any sample is a hole."""
+        """Whether any sample is a hole."""
         return bool(np.isnan(self.heights_m.min()))
 
     @cached_property
@@ -327,7 +297,7 @@ class HeightField:
             )
         row, col = np.broadcast_arrays(*self.to_grid(easting_m=easting_m, northing_m=northing_m))
         inside, corners, south, east = self.triangles(row, col)
-        weights = 1.0 - np.maximum(east, south), np.abs(east - south), np.minimum(east, south)
+        weights = [1.0 - np.maximum(east, south), np.abs(east - south), np.minimum(east, south)]
         # A corner of no weight may be a hole.
         first, third, last = (
             np.where(weight > 0.0, weight * corner, 0.0)
@@ -340,16 +310,19 @@ class HeightField:
     ) -> tuple[BoolArray, tuple[Float64Array, ...], Float64Array, Float64Array]:
         """Return the triangles at fractional rows and columns.
 
-        The result is a mask of the places on the map; the heights at each triangle's north-west
-        corner, the corner beside the diagonal, and the south-east corner; and each place's distance
-        south and east of the north-west corner, in samples.
+        The result has four parts: a mask of the positions on the map; the heights at each
+        triangle's north-west corner, at the corner beside the diagonal, and at the south-east
+        corner; and each position's distance south, then east, of the north-west corner, in samples.
         """
         inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
-        row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
+        row = np.where(inside, row, 0.0)
+        col = np.where(inside, col, 0.0)
         top = np.minimum(row.astype(np.int64), max(self.rows - 2, 0))
         left = np.minimum(col.astype(np.int64), max(self.cols - 2, 0))
-        bottom, right = np.minimum(top + 1, self.rows - 1), np.minimum(left + 1, self.cols - 1)
-        south, east = row - top, col - left
+        bottom = np.minimum(top + 1, self.rows - 1)
+        right = np.minimum(left + 1, self.cols - 1)
+        south = row - top
+        east = col - left
         is_north_east = east >= south
         beside = np.where(is_north_east, top, bottom), np.where(is_north_east, right, left)
         corners = tuple(
@@ -358,17 +331,39 @@ class HeightField:
         return inside, corners, south, east
 
 
+def field_of(dem: MetricDem) -> HeightField:
+    """Return the height field of metric samples, which are taken over and not copied."""
+    dem.heights_m.setflags(write=False)
+    return HeightField(
+        heights_m=dem.heights_m,
+        west_m=dem.grid.west,
+        north_m=dem.grid.north,
+        spacing_east_m=dem.grid.step_east,
+        spacing_north_m=dem.grid.step_north,
+        frame=dem.frame,
+        provenance=dem.provenance,
+    )
+
+
+def _field_of_tile(tile: Tile, options: DemOptions) -> HeightField:
+    return field_of(metric_dem(read_mosaic([tile]), options))
+
+
 def ground_of(field: HeightField) -> Ground:
     """Return the heights of a field as a function of eastings and northings."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)
 
 
 def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
-    """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground."""
-    place = easting_m + 1j * northing_m
-    around = np.concatenate([place + _SLOPE_REACH_M * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground.
+
+    The rise is the mean over 15 m on either side.
+    """
+    reach_m = 15.0
+    position = easting_m + 1j * northing_m
+    around = np.concatenate([position + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
     east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
-    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
 
 
 def facts_html(facts: Mapping[str, str]) -> str:

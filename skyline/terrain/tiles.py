@@ -1,81 +1,48 @@
-"""Tiles of one elevation model: their grids, whether they fit together, and their common mosaic.
+"""Tiles: rasters of heights in files, open datasets and arrays, described before they are read.
 
-`skyline.terrain.rasters` makes tiles of files, open datasets and arrays.
+To support a new kind of DEM, add a function here that returns a `Tile`; `open_tile` chooses it for
+a path. `skyline.terrain.mosaic` then reads it, and all commands take it.
 """
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import rasterio
+from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.enums import MaskFlags
+from rasterio.io import DatasetReaderBase
+from rasterio.transform import Affine
+from rasterio.windows import Window
 
-from skyline.arrays import BoolArray, Float32Array
-from skyline.errors import InputError
-from skyline.terrain.cleaning import ABSURD_M
-from skyline.terrain.conventions import ELLIPSOID, GEOID, Vertical, merged
+from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.errors import InputError, library
+from skyline.files import archive_of, is_file, on_disk
+from skyline.geodesy import without_vertical
+from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
+from skyline.terrain.grid import Grid, row_strips
+from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
 
-MAX_SAMPLES = 1 << 31
-"""The largest mosaic: 8 GiB of float32."""
+UNDECLARED_VOIDS = (-32768.0, -9999.0)
+"""Values that mark a void in DEMs that do not declare them as nodata."""
 
-GRID_TOLERANCE = 0.01
-"""Greatest distance of a tile's samples from the grid of the first tile, in samples."""
+EVEN = 0.05
+"""Greatest distance of an array's coordinate from even steps, in samples: coordinates in float32
+degrees are not exact."""
 
-AGREEMENT_M = 1.0
-"""Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
-
-OTHER_GROUND_M = 60.0
-"""Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
-Slopes, errors of heights, and heights in another unit or above another datum differ by more."""
-
-_BORDER_SAMPLES, _STANDARD_ERRORS = 64, 8.0
-"""Along shorter borders, ridges and valleys look like steps. A cut through a whole DEM must never
-be reported as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
+_LEAST_FILLED = 1.0 / 9.0
+"""Least share of a grid that a text of points fills: with less, a sample has no neighbour."""
+_DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """A north-up grid of samples in the units of its CRS; coordinates are of the samples."""
-
-    west: float
-    north: float
-    step_east: float
-    step_north: float
-    rows: int
-    cols: int
-
-    @property
-    def east(self) -> float:
-        """Abscissa of the easternmost samples."""
-        return self.west + (self.cols - 1) * self.step_east
-
-    @property
-    def south(self) -> float:
-        """Ordinate of the southernmost samples."""
-        return self.north - (self.rows - 1) * self.step_north
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Abscissa and ordinate of the middle of the grid."""
-        return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)
-
-    @property
-    def box(self) -> tuple[float, float, float, float]:
-        """West, south, east and north of the samples."""
-        return self.west, self.south, self.east, self.north
-
-    def part(self, rows: slice, cols: slice) -> "Grid":
-        """Return the grid of some of the rows and columns."""
-        return replace(
-            self,
-            west=self.west + cols.start * self.step_east,
-            north=self.north - rows.start * self.step_north,
-            rows=rows.stop - rows.start,
-            cols=cols.stop - cols.start,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +58,9 @@ class Tile:
     north_up: tuple[slice, slice]
     """Index that turns an array in the raster's order into the grid's order, and back."""
     vertical: Vertical
+    """The unit and the datum of its heights."""
     conventions: Mapping[str, str]
-    """Conventions of the raster by name, in words."""
+    """Units, datums, axes and marks of voids by name, in words."""
     read: Callable[[], Iterator[tuple[slice, Float32Array]]]
     """Yields slices of the raster's rows, which together cover it, and their heights: float32
     metres, NaN for voids, -inf for voids that the raster does not declare."""
@@ -100,255 +68,319 @@ class Tile:
     """Names from which `skyline.read_dem` reads the same heights again."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mosaic:
-    """The heights of one or more tiles on one grid; other fields are as in `Tile`."""
+def open_tile(source: str, default_crs: CRS | None) -> Tile:
+    """Return the tile under a name that GDAL opens (`skyline.terrain.dem_files.absolute_name`).
 
-    heights_m: Float32Array
-    """(rows, cols) float32. NaN marks voids, -inf voids that no file declares, +inf samples that no
-    tile covers."""
-    source: str
-    crs: CRS
-    grid: Grid
-    conventions: Mapping[str, str]
-    files: tuple[str, ...]
-
-
-def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
-    """Read tiles onto their common grid.
-
-    Where tiles overlap, the first tile that has a height gives it. If tiles differ by more than
-    `AGREEMENT_M` there, or where they meet, a warning gives the difference. Tiles in degrees that
-    agree in their spacing of latitude alone, as Copernicus' do north and south of 50 degrees, are
-    resampled to the finest spacing of longitude.
-
-    Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
-    far apart, where one has heights above the geoid and another above the ellipsoid, or where a
-    tile lies over others and has other heights.
+    Raises `InputError` or `FetchError` where it is not a usable DEM.
     """
-    _check_vertical(tiles)
-    groups = _by_spacing(tiles)
-    if len(groups) > 1:
-        finest = min((group[0].grid for group in groups), key=lambda grid: grid.step_east)
-        tiles = [_with_columns_of(finest, _read(group), group[0]) for group in groups]
-    return _read(tiles)
+    if archive_of(source):
+        check_whole(source)
+    return _tile_of(source, partial(opened_raster, source), default_crs, (source,))
 
 
-def _read(tiles: Sequence[Tile]) -> Mosaic:
-    grid, offsets = _common_grid(tiles)
-    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
-    for tile, (row, col) in zip(tiles, offsets, strict=True):
-        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
-        borders = _free_borders(heights, row, col, tile.grid)
-        disagreement_m, shared, other = 0.0, 0, 0
-        for rows, fresh in tile.read():
-            old = place[rows]
-            # A height beyond all ground is an undeclared void.
-            known = np.isfinite(old) & (np.abs(old) <= ABSURD_M)
-            both = known & np.isfinite(fresh)
-            apart_m = np.abs(old[both] - fresh[both])
-            disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))
-            shared += apart_m.size
-            other += int(np.count_nonzero(apart_m > OTHER_GROUND_M))
-            np.copyto(old, fresh, where=~known)
-        if 2 * other > shared > tile.grid.rows * tile.grid.cols / 2:
+def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
+    """Return the tile in an open rasterio dataset; `InputError` where it is not a usable DEM."""
+    if not isinstance(dataset, DatasetReaderBase) or dataset.closed:
+        raise no_dem(dataset)
+    source = str(dataset.name)
+    # A warped or virtual dataset does not hold the heights of a file of its name.
+    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    files = (str(Path(source).absolute()),) if on_disk else ()
+    return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
+
+
+def array_tile(array: Any, default_crs: CRS | None) -> Tile:
+    """Return the tile in an xarray.DataArray.
+
+    The geotransform and the CRS that rioxarray notes are used, so that a file that it opened gives
+    the same heights as the file itself. Raises `InputError` as `skyline.HeightField.from_xarray`.
+    """
+    if not isinstance(array, library("xarray", "a DataArray").DataArray):
+        raise no_dem(array)
+    source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
+    y, x = _dims_of(source, array)
+    # This coordinate holds the CRS.
+    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
+    mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
+    attrs = array.attrs
+    crs = _crs_of(source, _wkt_of_mapping(source, mapping), default_crs)
+    for dim in (y, x):
+        if dim in array.coords:
+            _check_unit(source, dim, str(array.coords[dim].attrs.get("units", "")), crs)
+    transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"))
+    grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
+    vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
+    on_map = _on_map(source, crs)
+    band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
+    # Once xarray has applied attributes, they are in the encoding instead.
+    scale = float(attrs.get("scale_factor", 1.0))
+    offset = float(attrs.get("add_offset", 0.0))
+    metres = vertical.metres_per_unit
+    named = (np.ravel(attrs[name]) for name in ("_FillValue", "missing_value") if name in attrs)
+    void_values = [value for values in named for value in values.tolist()]
+
+    def read() -> Iterator[tuple[slice, Float32Array]]:
+        for rows in row_strips(band):
+            voids = np.zeros(band[rows].shape, dtype=np.bool_)
+            for value in void_values:
+                voids |= band[rows] == value
+            yield rows, _heights_of(source, band[rows], voids, scale, offset, metres)
+
+    conventions = {**map_conventions(on_map), **vertical.conventions}
+    return Tile(source, on_map, grid, north_up, vertical, conventions, read)
+
+
+def _tile_of(
+    source: str,
+    opened: Callable[[], AbstractContextManager[Any]],
+    default_crs: CRS | None,
+    files: tuple[str, ...],
+) -> Tile:
+    """Return the tile in a rasterio dataset, opened now and once more when the tile is read."""
+    with opened() as dataset:
+        if dataset.count == 0 and dataset.subdatasets:
             raise InputError(
-                f"{tile.source} covers the same ground as the tiles before it, and differs from "
-                f"them by more than {OTHER_GROUND_M:g} m at most samples; one of them holds no "
-                "heights, or heights in another unit or datum: name the files of one model"
+                f"{source} holds several rasters; name one of them: "
+                f"{', '.join(dataset.subdatasets)}"
             )
-        if disagreement_m > AGREEMENT_M:
-            _log.warning(
-                "%s differs by up to %.2f m from the tiles before it, whose heights are kept",
-                tile.source,
-                disagreement_m,
+        bands, alpha = bands_of(dataset)
+        if len(bands) != 1:
+            raise InputError(
+                f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+                "(gdal_translate -b N), and decode heights kept as colours"
             )
-        step_m = max(map(_step_m, borders), key=abs, default=0.0)
-        if step_m:
-            _log.warning(
-                "%s stands %.1f m %s the tiles beside it, and the border is a wall; check that all "
-                "have the same datum and unit, and are of one survey",
-                tile.source,
-                abs(step_m),
-                "above" if step_m > 0.0 else "below",
+        band = bands[0]
+        is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
+        if is_text and filled_share(source, dataset) < _LEAST_FILLED:
+            raise InputError(
+                f"{source} lists points that lie apart on a grid of {dataset.height} x "
+                f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
+                "raster (gdal_grid)"
             )
-    return Mosaic(
-        heights,
-        ", ".join(tile.source for tile in tiles),
-        tiles[0].crs,
-        grid,
-        merged([tile.conventions for tile in tiles]),
-        tuple(file for tile in tiles for file in tile.files),
+        crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
+        transform = dataset.transform
+        if dataset.driver == "AAIGrid" and transform.c == transform.f == 0.0:
+            raise InputError(
+                f"{source} has its upper left corner at 0, 0, where GDAL also places a grid whose "
+                "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
+                "yllcenter, or convert a grid that is there to GeoTIFF"
+            )
+        grid, north_up = _grid_of(source, transform, dataset.shape)
+        for name, unit in dataset.tags().items():
+            if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
+                _check_unit(source, name.removesuffix("#units"), unit, crs)
+        positive = dataset.tags(band).get("positive", "up")
+        vertical = vertical_of(source, crs, dataset.units[band - 1] or "", positive)
+        nodata_value = dataset.nodatavals[band - 1]
+        nodata = "none declared" if nodata_value is None else f"{nodata_value:g}"
+        if alpha is not None or MaskFlags.per_dataset in dataset.mask_flag_enums[band - 1]:
+            nodata = "by a mask"
+        on_map = _on_map(source, crs)
+        conventions = {
+            **map_conventions(on_map),
+            **vertical.conventions,
+            "pixel_is": dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower(),
+            "nodata": nodata,
+        }
+
+    def read() -> Iterator[tuple[slice, Float32Array]]:
+        with opened() as dataset:
+            scale = dataset.scales[band - 1]
+            offset = dataset.offsets[band - 1]
+            metres = vertical.metres_per_unit
+            for rows in row_strips(dataset):
+                window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
+                values = dataset.read(band, window=window, masked=True)
+                # Where a file has a mask, GDAL leaves its nodata value aside.
+                voids = np.ma.getmaskarray(values) | (values.data == nodata_value)
+                if alpha is not None:
+                    # GDAL itself takes alpha for a mask in some types of numbers only.
+                    voids |= dataset.read(alpha, window=window) == 0
+                yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
+
+    return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def no_dem(given: object) -> InputError:
+    """Return the error for a value whose type is not read as a DEM."""
+    return InputError(
+        f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
+        "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
+        "HeightField itself an array of heights"
     )
 
 
-def _free_borders(
-    heights: Float32Array, row: int, col: int, grid: Grid
-) -> list[tuple[Float32Array, BoolArray]]:
-    """Return the four borders of a tile that is yet to be read, as far as ``heights`` reach.
+def _heights_of(
+    source: str, band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
+) -> Float32Array:
+    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared."""
+    if not (np.isfinite([scale, offset]).all() and scale):
+        raise InputError(
+            f"{source} has the scale {scale:g} and the offset {offset:g}, which leave no heights; "
+            "correct them (gdal_edit.py -scale 1 -offset 0)"
+        )
+    if band.dtype.kind not in "iuf":
+        raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
+    with np.errstate(over="ignore"):  # The nodata value of ArcGIS is -1.8e308.
+        heights: Float32Array = band.astype(np.float32)
+    heights[voids | ~np.isfinite(heights)] = np.nan
+    undeclared = np.isin(heights, UNDECLARED_VOIDS)
+    if (scale, offset, metres) != (1.0, 0.0, 1.0):
+        heights = ((heights * scale + offset) * metres).astype(np.float32)
+    heights[undeclared] = -np.inf
+    return heights
 
-    ``row`` and ``col`` are of the tile's north-west sample. A border is a view of four lines of
-    samples (4, n), two inside the tile and two outside, and a mask (n,) of those whose sample at
-    the edge no other tile has given.
+
+def _on_map(source: str, crs: CRS) -> CRS:
+    """Return a CRS without its vertical part; `InputError` unless geographic or projected."""
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
+        )
+    return without_vertical(crs)
+
+
+def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
+    """Return the CRS that a raster names, else the default.
+
+    The vertical part of a default with the same map is taken where the raster names none.
     """
-    borders = []
-    for across, first, along, count in (
-        (heights, row, slice(col, col + grid.cols), grid.rows),
-        (heights.T, col, slice(row, row + grid.rows), grid.cols),
-    ):
-        for inner, outward in ((first, -1), (first + count - 1, 1)):
-            begin, end = sorted((inner - outward, inner + 2 * outward))
-            if begin >= 0 and end < len(across) and count > 1:
-                lines = across[begin : end + 1, along][::outward]
-                borders.append((lines, ~np.isfinite(lines[1])))
-    return borders
+    if wkt is None:
+        if default_crs is None:
+            raise InputError(
+                f"{source} has no coordinate reference system; name it with --crs, for example "
+                "--crs EPSG:32632, or EPSG:4326 for degrees (in Python "
+                "read_dem(files, DemOptions(crs=...)))"
+            )
+        return default_crs
+    try:
+        crs = CRS.from_wkt(wkt)
+    except CRSError as error:
+        raise InputError(
+            f"the coordinate reference system of {source} is not understood ({error}); "
+            "set a valid one in the file (gdal_edit.py -a_srs)"
+        ) from error
+    if default_crs is None:
+        return crs
+    same_map = without_vertical(crs).equals(without_vertical(default_crs), ignore_axis_order=True)
+    if same_map and len(crs.axis_info) < len(default_crs.axis_info):
+        return default_crs
+    if not crs.equals(default_crs, ignore_axis_order=True):
+        _log.warning(
+            "%s names its own coordinate reference system, %s, which is used; --crs %s is only for "
+            "files that name none",
+            source,
+            crs.name,
+            default_crs.name,
+        )
+    return crs
 
 
-def _step_m(border: tuple[Float32Array, BoolArray]) -> float:
-    """Return how far a tile stands above the heights beyond a border of it; 0 if it joins them.
-
-    The slopes on both sides explain their share of a step.
-    """
-    lines, is_free = border
-    inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
-    with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
-        step_m = edge - beside - 0.5 * ((inside - edge) + (beside - beyond))
-    is_known = np.isfinite(step_m)
-    if np.count_nonzero(is_known) < _BORDER_SAMPLES:
-        return 0.0
-    step_m, sides = step_m[is_known], (edge[is_known], beside[is_known])
-    if any(np.mean(side == np.median(side)) > 0.5 for side in sides):
-        return 0.0  # A sea, or a void that is not declared
-    median_m = float(np.median(step_m))
-    error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
-    return median_m if abs(median_m) > AGREEMENT_M + _STANDARD_ERRORS * error_m else 0.0
-
-
-def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
-    """Group tiles by spacing of longitude; in one group unless in degrees and alike in latitude."""
-    first = tiles[0]
-    groups: dict[float, list[Tile]] = {}
-    for tile in tiles:
-        step = round(tile.grid.step_east / first.grid.step_east, 3)
-        groups.setdefault(step, []).append(tile)
-    alike = all(
-        abs(tile.grid.step_north / first.grid.step_north - 1.0) * tile.grid.rows <= GRID_TOLERANCE
-        for tile in tiles
-    )
-    return list(groups.values()) if alike and first.crs.is_geographic else [list(tiles)]
+def _grid_of(
+    source: str, transform: Affine, shape: tuple[int, int]
+) -> tuple[Grid, tuple[slice, slice]]:
+    """Return the north-up grid of a raster, and `Tile.north_up`."""
+    if transform.is_identity or not np.isfinite(transform).all():
+        raise InputError(
+            f"{source} has no georeference, so its place on the map is unknown; give a "
+            "georeferenced DEM"
+        )
+    if abs(transform.b) > 1e-9 * abs(transform.a) or abs(transform.d) > 1e-9 * abs(transform.e):
+        raise InputError(
+            f"{source} has a rotated or sheared grid (geotransform {transform.to_gdal()}); "
+            "expected rows along the easting and columns along the northing: straighten it first "
+            "(gdalwarp)"
+        )
+    rows, cols = shape
+    west = transform.c + 0.5 * transform.a
+    north = transform.f + 0.5 * transform.e
+    row_way = 1
+    if transform.e > 0.0:
+        row_way = -1
+        north += (rows - 1) * transform.e
+    col_way = 1
+    if transform.a < 0.0:
+        col_way = -1
+        west += (cols - 1) * transform.a
+    grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
+    return grid, (slice(None, None, row_way), slice(None, None, col_way))
 
 
-def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
-    """Return a mosaic as a tile on the columns of a finer grid.
-
-    Heights are interpolated linearly between two samples, and are the nearest one's where either
-    is a void. A sample higher than its neighbours passes its height to the nearest column, so
-    that no crest sinks. ``first`` is one of the tiles of the mosaic.
-    """
-    grid, step = mosaic.grid, finest.step_east
-    # Samples stand for their pixels, which reach half a sample beyond the outermost.
-    half = 0.5 * grid.step_east
-    left = math.ceil((grid.west - half - finest.west) / step - GRID_TOLERANCE)
-    right = math.floor((grid.east + half - finest.west) / step + GRID_TOLERANCE)
-    west, cols = finest.west + left * step, right - left + 1
-    at = np.clip((west + step * np.arange(cols) - grid.west) / grid.step_east, 0, grid.cols - 1)
-    before = np.minimum(at.astype(np.intp), max(grid.cols - 2, 0))
-    after, share = np.minimum(before + 1, grid.cols - 1), (at - before).astype(np.float32)
-    own = mosaic.heights_m
-    heights = np.where(share < 0.5, own[:, before], own[:, after])
-    known = np.isfinite(own[:, before]) & np.isfinite(own[:, after])
-    between = np.multiply(own[:, after] - own[:, before], share, where=known, out=heights.copy())
-    np.add(own[:, before], between, where=known, out=heights)
-    row, col = np.nonzero(
-        (own[:, 1:-1] > own[:, :-2]) & (own[:, 1:-1] >= own[:, 2:]) & np.isfinite(own[:, 1:-1])
-    )
-    nearest = np.rint((grid.west + (col + 1) * grid.step_east - west) / step).astype(np.intp)
-    heights[row, nearest] = np.maximum(heights[row, nearest], own[row, col + 1])
-    return replace(
-        first,
-        source=mosaic.source,
-        grid=replace(grid, west=west, step_east=step, cols=cols),
-        north_up=(slice(None), slice(None)),
-        conventions=mosaic.conventions,
-        read=lambda: iter([(slice(None), heights)]),
-        files=mosaic.files,
+def _dims_of(source: str, array: Any) -> tuple[str, str]:
+    """Return the names of the dimensions of rows and columns."""
+    for y, x in _DIMS:
+        if y in array.dims and x in array.dims:
+            bands = array.size // max(array.sizes[y] * array.sizes[x], 1)
+            if bands != 1:
+                raise InputError(
+                    f"{source} has {bands} bands; a DEM has one band of heights: select it"
+                )
+            return y, x
+    raise InputError(
+        f"{source} has dimensions {', '.join(map(str, array.dims)) or 'none'}; expected "
+        f"{' or '.join(f'{y}, {x}' for y, x in _DIMS)}: rename them"
     )
 
 
-def full_turn(crs: CRS) -> float | None:
-    """Return a full turn of longitude in the units of a geographic CRS; None for any other CRS."""
-    if not crs.is_geographic:
+def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
+    """Return the CRS of a grid mapping, as rioxarray or CF write it."""
+    for name in ("crs_wkt", "spatial_ref"):
+        if name in mapping:
+            return str(mapping[name])
+    if "grid_mapping_name" not in mapping:
         return None
-    return round(2.0 * math.pi / crs.axis_info[0].unit_conversion_factor, 9)
-
-
-def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
-    """Return the common grid, and the row and column on it of each tile's first sample."""
-    first, base, turn = tiles[0], tiles[0].grid, full_turn(tiles[0].crs)
-    places = []
-    for tile in tiles:
-        grid = tile.grid
-        if not tile.crs.equals(first.crs, ignore_axis_order=True):
-            raise InputError(
-                f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; "
-                "tiles must share one coordinate reference system: warp them beforehand (gdalwarp)"
-            )
-        drift_east = abs(grid.step_east / base.step_east - 1.0) * grid.cols
-        drift_north = abs(grid.step_north / base.step_north - 1.0) * grid.rows
-        if max(drift_east, drift_north) > GRID_TOLERANCE:
-            raise InputError(
-                f"{tile.source} has a sample spacing of {grid.step_east:.9g} x "
-                f"{grid.step_north:.9g} and {first.source} of {base.step_east:.9g} x "
-                f"{base.step_north:.9g}; tiles must share one grid: resample them beforehand "
-                "(gdalwarp -tr)"
-            )
-        west = grid.west
-        if turn is not None:
-            # Whole turns bring W180 east of E179.
-            west += turn * round((base.centre[0] - grid.centre[0]) / turn)
-        row = (base.north - grid.north) / base.step_north
-        col = (west - base.west) / base.step_east
-        if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
-            raise InputError(
-                f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
-                f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
-                "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
-            )
-        places.append((round(row), round(col)))
-    top, left = (min(firsts) for firsts in zip(*places, strict=True))
-    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(places, tiles, strict=True)]
-    bottom, right = (max(lasts) for lasts in zip(*ends, strict=True))
-    common = base.part(slice(top, bottom), slice(left, right))
-    if common.rows * common.cols > MAX_SAMPLES:
+    try:
+        return str(CRS.from_cf(dict(mapping)).to_wkt())
+    except (CRSError, KeyError) as error:
         raise InputError(
-            f"the DEM spans {common.rows} x {common.cols} samples, more than {MAX_SAMPLES}; give "
-            "fewer or adjacent tiles, or a coarser DEM"
-        )
-    return common, [(row - top, col - left) for row, col in places]
+            f"the coordinate reference system of {source} is not understood "
+            f"({' '.join(str(error).split())}); give one by DemOptions(crs=...)"
+        ) from error
 
 
-def _check_vertical(tiles: Sequence[Tile]) -> None:
-    """Warn once of each assumption about heights, and of different vertical datums.
+def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: object) -> Affine:
+    """Return the geotransform of an array's coordinates.
 
-    Raises `InputError` where one tile has heights above the geoid and another above the ellipsoid.
+    Where they agree with the one that rioxarray ``noted``, it is returned: it is more exact.
     """
-    sources: dict[str, list[str]] = {}
-    datums: dict[str, str] = {}
-    surfaces: dict[str, str] = {}
-    for tile in tiles:
-        for note in tile.vertical.notes:
-            sources.setdefault(note, []).append(tile.source)
-        datums.setdefault(tile.vertical.datum or "a datum that is not named", tile.source)
-        surfaces.setdefault(tile.vertical.surface, tile.source)
-    for note, named in sources.items():
-        others = f" and {len(named) - 1} more" if len(named) > 1 else ""
-        _log.warning("%s%s: %s", named[0], others, note)
-    if {GEOID, ELLIPSOID} <= surfaces.keys():
+    for dim in dims:
+        if dim not in array.coords:
+            raise InputError(
+                f"{source} has no coordinates along {dim}, so its place on the map is unknown; "
+                "assign them"
+            )
+    y, x = (np.asarray(array.coords[dim].values, dtype=np.float64) for dim in dims)
+    with suppress(TypeError, ValueError):
+        exact = Affine.from_gdal(*(float(number) for number in str(noted).split()))
+        if all(
+            np.abs(at - (start + (np.arange(at.size) + 0.5) * step)).max() < EVEN * abs(step)
+            for at, start, step in ((x, exact.c, exact.a), (y, exact.f, exact.e))
+        ):
+            return exact
+    step_y = _step(source, dims[0], y)
+    step_x = _step(source, dims[1], x)
+    return Affine(step_x, 0.0, x[0] - 0.5 * step_x, 0.0, step_y, y[0] - 0.5 * step_y)
+
+
+def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
+    """Raise `InputError` where the unit of coordinates is a length, but not the unit of the CRS."""
+    metres = metres_per(unit) if crs.is_projected else None
+    axis = crs.axis_info[0]
+    if metres and not math.isclose(metres, axis.unit_conversion_factor, rel_tol=SAME_UNIT):
         raise InputError(
-            f"{surfaces[GEOID]} has heights above the geoid and {surfaces[ELLIPSOID]} above the "
-            "ellipsoid, tens of metres apart; tiles must share one vertical datum: convert them "
-            "beforehand (gdalwarp)"
+            f"{source} has coordinates along {dim} in {unit!r}, and its coordinate reference "
+            f"system is in {axis.unit_name}; convert the coordinates"
         )
-    if len(datums) > 1:
-        listed = " and ".join(f"{datum} ({source})" for datum, source in datums.items())
-        _log.warning("tiles have heights of %s; steps between the tiles are kept", listed)
+
+
+def _step(source: str, dim: str, at: Float64Array) -> float:
+    """Return the distance between neighbouring coordinates; `InputError` unless it is even."""
+    if at.size < 2:
+        raise InputError(f"{source} has {at.size} samples along {dim}; expected 2 or more")
+    step = float(at[-1] - at[0]) / (at.size - 1)
+    if not np.abs(at - (at[0] + step * np.arange(at.size))).max() < EVEN * abs(step):
+        raise InputError(
+            f"{source} has coordinates along {dim} that are not even; resample it to a regular grid"
+        )
+    return step

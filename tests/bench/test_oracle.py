@@ -7,8 +7,8 @@ from scenes import FRAME
 
 from skyline.geodesy import Curvature
 from skyline.skylines import columns_u, rotation
-from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 

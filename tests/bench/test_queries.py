@@ -13,7 +13,7 @@ from skyline.camera import level, undistorted
 from skyline.photo.lens import ALONE_SD
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.eyes import at_elevation
+from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries

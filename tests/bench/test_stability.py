@@ -7,7 +7,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import agreement, oracle
 from skyline_bench.truth.closed_forms import SceneCase
 from skyline_bench.truth.stability import HARD_CASES, measure

@@ -7,7 +7,7 @@ from scenes import field_from, field_of, fractal, scattered
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)

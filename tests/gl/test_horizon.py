@@ -12,7 +12,7 @@ from skyline.geodesy import Curvature
 from skyline.render import march
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views, columns_u
-from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scenes import at_m, field_of
 
 from skyline.geodesy import Curvature
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth.agreement import HORIZON, SkylineScene, oracle_truth
 
 

@@ -8,7 +8,7 @@ from skyline.geodesy import Curvature
 from skyline.render import march, windows
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 BINS = 240

@@ -7,8 +7,8 @@ from scenes import at_m, scattered
 from skyline.geodesy import Curvature, Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
-from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 SEED = 20

@@ -15,8 +15,8 @@ from skyline.match.together import JointRefinement
 from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views
-from skyline.terrain.eyes import at_elevation, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import at_elevation, stand_on
 
 TRUTH = {"heading_deg": 160.0, "pitch_deg": 1.5, "roll_deg": -1.0}
 PLACE = np.array([4000.0, -6000.0])

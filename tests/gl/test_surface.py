@@ -11,8 +11,8 @@ from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
 from skyline.match.refine import WHOLE, Refinement
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.terrain.dem import UNKNOWN_M, read_surface
-from skyline.terrain.heightfield import Provenance
+from skyline.terrain.provenance import Provenance
+from skyline.terrain.surface_model import SurfaceRules, read_surface
 
 SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
 TREES_M = 20.0
@@ -61,14 +61,14 @@ def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(b
     fine = field_of(trees, 5.0, west_m=3000.0, north_m=-3000.0)
     rise_m = read_surface(fine, bare).heights_m - bare.heights_m
     at_row, at_col = (3000.0 + 5.0 * 151) / 30.0, (3000.0 + 5.0 * 149) / 30.0
-    row, col = np.nonzero((rise_m > 1.0) & (rise_m < UNKNOWN_M - 1.0))
+    row, col = np.nonzero((rise_m > 1.0) & (rise_m < SurfaceRules().unknown_m - 1.0))
     # All corners of the cell that it stands in, and none beyond the next.
     assert {(int(at_row) + i, int(at_col) + j) for i in (0, 1) for j in (0, 1)} <= set(
         zip(row.tolist(), col.tolist(), strict=True)
     )
     assert np.abs(row - at_row).max() <= 1.5
     np.testing.assert_allclose(rise_m[row, col], 30.0, atol=1e-3)
-    assert rise_m[0, 0] == pytest.approx(UNKNOWN_M, abs=1e-3)
+    assert rise_m[0, 0] == pytest.approx(SurfaceRules().unknown_m, abs=1e-3)
 
 
 def test_a_surface_of_another_area_or_datum_is_refused(bare, forest):

@@ -11,7 +11,7 @@ from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_quer
 from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline.view import sight_of
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0

@@ -10,10 +10,12 @@ from scenes import UTM, at_deg, write_dem
 
 from skyline.errors import InputError
 from skyline.geodesy import TRUE_DEG, Frame
-from skyline.terrain.dem import DemOptions, read_dem, read_files, save_field
+from skyline.terrain.dem import read_dem, read_files
+from skyline.terrain.field_files import save_field
+from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.tiles import Grid
-from skyline.terrain.warp import local_maxima, warp
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.resampling import local_maxima, warp
 
 
 def plane(x, y):

@@ -11,8 +11,9 @@ from rasterio.transform import Affine
 from scenes import fractal, write_dem
 
 from skyline.errors import InputError
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
 
 rioxarray = pytest.importorskip("rioxarray")
 

@@ -13,9 +13,11 @@ from scenes import UTM, write_dem
 
 from skyline.errors import InputError
 from skyline.geodesy import TRUE_DEG
-from skyline.terrain.conventions import GROUND, SURFACE, UNKNOWN, metres_per, model_of
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.datums import metres_per
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
+from skyline.terrain.provenance import DemOptions
 
 WGS84 = Geod(ellps="WGS84")
 STEP_DEG = 2e-4

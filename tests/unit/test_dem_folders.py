@@ -16,8 +16,9 @@ from scenes import UTM, write_dem
 from skyline import Matcher, build_places
 from skyline.errors import InputError, MissingFileError
 from skyline.files import version_of
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.folders import dem_names
+from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import dem_names
+from skyline.terrain.provenance import DemOptions
 
 SIZE = 20
 WHOLE = (1000.0 + np.random.default_rng(0).uniform(0.0, 20.0, (SIZE, 2 * SIZE))).astype(np.int16)

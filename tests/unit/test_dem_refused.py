@@ -11,7 +11,8 @@ from rasterio.transform import Affine, from_origin
 from scenes import write_dem
 
 from skyline.errors import InputError, MissingFileError
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
+from skyline.terrain.provenance import DemOptions
 
 
 def refused(paths, options=DemOptions()):  # noqa: B008

@@ -8,8 +8,9 @@ from rasterio.transform import from_origin
 from scenes import UTM, at_m, write_dem
 
 from skyline.errors import InputError
-from skyline.terrain import tiles
-from skyline.terrain.dem import DemOptions, read_dem, read_files
+from skyline.terrain.dem import read_dem, read_files
+from skyline.terrain.mosaic import border_step_m
+from skyline.terrain.provenance import DemOptions
 
 CALIFORNIA = [f"N{lat}W{lon}" for lat in (37, 36) for lon in (120, 119)]
 
@@ -96,7 +97,7 @@ def test_no_cut_through_real_terrain_is_a_wall(shared_data, name):
         whole = heights.T if turn % 2 else heights
         row, col = rng.integers(0, np.array(whole.shape) - (128, 4))
         lines = whole[row : row + 128, col : col + 4].T
-        assert tiles._step_m((lines, np.ones(128, dtype=bool))) == 0.0
+        assert border_step_m(lines, np.ones(128, dtype=bool)) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from scenes import write_dem
 from scipy.ndimage import gaussian_filter
 
 from skyline.errors import InputError
-from skyline.terrain.cleaning import void_undeclared
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.repair import void_undeclared
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from scenes import at_m, field_of, fractal
 from skyline.cli.info import curvature_bound_px, sight_range_m
 from skyline.geodesy import Curvature
 from skyline.skylines import pixel_size
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 

@@ -12,8 +12,8 @@ from scenes import FRAME, at_m, field_of
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.terrain.eyes import stand_at
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_at
 
 
 def on_triangle(heights, row, col):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyline.terrain.ray_mesh import LEAF_STRIPS, SLABS, level_count, slab_levels
+from skyline.terrain.slab_tree import LEAF_STRIPS, SLABS, level_count, slab_levels
 
 
 @pytest.mark.parametrize("slope", [-1.0, 1.0])

@@ -13,7 +13,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.photo.skyline import PhotoSkyline
-from skyline.terrain.eyes import at_elevation
+from skyline.terrain.viewpoints import at_elevation
 from skyline.view import Viewer, sight_of
 from skyline_bench.truth import oracle
 

@@ -26,7 +26,7 @@ from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.match_page import report_matches
 from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import uniform_grid
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline.view import Viewer, sight_of
 from skyline_bench.truth import oracle
 

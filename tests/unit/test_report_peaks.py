@@ -12,7 +12,7 @@ from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature
 from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline.view import Viewer
 
 FLAT = Curvature(enabled=False)

@@ -9,7 +9,7 @@ from scenes import field_from
 from skyline.paper import reprojection
 from skyline.paper.verify import true_errors_px
 from skyline.skylines import Views, columns_u
-from skyline.terrain.eyes import stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 WIDTH = 320

@@ -8,12 +8,11 @@ from rasterio.transform import from_origin
 from scenes import FRAME, at_m, field_from, write_dem
 from scipy.ndimage import gaussian_filter
 
-from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
-from skyline.terrain.eyes import stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.resampling import local_maxima
 from skyline.terrain.summits import highest_within, prominence_m, summit_heights_m
-from skyline.terrain.warp import local_maxima
+from skyline.terrain.viewpoints import stand_on
 
 STEP_DEG = 1.0 / 1200.0
 
@@ -50,7 +49,7 @@ def test_every_local_maximum_is_as_high_within_a_cell(tmp_path, north, seed):
     assert np.abs(off[cones]).max() <= 1.0
 
 
-def test_maxima_are_those_of_a_plain_search(monkeypatch):
+def test_maxima_are_those_of_a_plain_search():
     rng = np.random.default_rng(3)
     heights = rng.integers(0, 12, (60, 50)).astype(np.float32)
     heights[rng.uniform(size=heights.shape) < 0.02] = np.nan
@@ -61,8 +60,7 @@ def test_maxima_are_those_of_a_plain_search(monkeypatch):
         if np.isfinite(around).all() and own == around.max() and own > around.min():
             expected.append((row + 1, col + 1))
     assert list(zip(*local_maxima(heights), strict=True)) == expected
-    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 100)
-    assert list(zip(*local_maxima(heights), strict=True)) == expected
+    assert list(zip(*local_maxima(heights, strip_samples=100), strict=True)) == expected
 
 
 def surface_of(seed):

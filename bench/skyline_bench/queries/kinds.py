@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.terrain.heightfield import HeightField, Provenance
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import Provenance
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES
 from skyline_bench.queries.synthetic import (
     QueryConfig,

@@ -14,8 +14,8 @@ from scipy import ndimage
 from skyline.arrays import Float32Array, Float64Array
 from skyline.render.depth import DepthRenderer
 from skyline.skylines import HEADINGS, rotation
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.pinhole import Camera
 
 _SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])

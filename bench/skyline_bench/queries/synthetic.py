@@ -22,8 +22,8 @@ from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import Horizons, bin_azimuths_rad
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline_bench.queries.pinhole import PIN_HOLE, Camera
 
 _MAX_DRAWS = 10_000

@@ -21,8 +21,9 @@ from skyline.paper.plan import PlanConfig
 from skyline.paper.strategies import STRATEGIES
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.survey.plans import map_bounds
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 from skyline_bench.options import Floats, Names

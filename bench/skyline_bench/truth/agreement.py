@@ -28,9 +28,9 @@ from skyline.skylines import (
     pixel_size,
     rotation,
 )
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ray_mesh import Triangles
+from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring import Row
 from skyline_bench.truth import oracle
 

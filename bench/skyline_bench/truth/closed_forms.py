@@ -18,8 +18,8 @@ from skyline.arrays import Float64Array
 from skyline.geodesy import Curvature, Frame, in_turn
 from skyline.skylines import HEADINGS, columns_u, pixel_size
 from skyline.terrain.dem import read_dem
-from skyline.terrain.eyes import Viewpoints, at_elevation, stand_on
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, at_elevation, stand_on
 from skyline_bench.geotiff import write_geotiff
 from skyline_bench.truth.agreement import (
     Agreement,

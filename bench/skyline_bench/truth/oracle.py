@@ -29,9 +29,9 @@ from skyline.skylines import (
     raised_to_dip,
     rotation,
 )
-from skyline.terrain.eyes import Viewpoints, in_four_views
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ray_mesh import Triangles
+from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""

@@ -8,7 +8,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.geodesy import Curvature
 from skyline.skylines import HEADINGS, columns_u
-from skyline.terrain.eyes import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import SkylineScene

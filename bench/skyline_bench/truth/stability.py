@@ -10,8 +10,8 @@ import numpy as np
 from skyline.cli.console import progress_bar
 from skyline.errors import OffMapError, SkylineError
 from skyline.skylines import Views
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench import options
 from skyline_bench.measuring import Row
 from skyline_bench.records import write_record

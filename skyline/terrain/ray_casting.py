@@ -12,8 +12,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Progress
 from skyline.geodesy import Curvature, Rectangle
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""

@@ -1,4 +1,4 @@
-"""Voids, fill and spikes: repair of a DEM's samples before anything is rendered from them.
+"""Repair of a DEM's samples: voids are filled, spikes and fill removed, before it is rendered.
 
 A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place on
 heights (rows, cols), float32 and C-contiguous, and strip by strip, so that a field of hundreds of
@@ -10,78 +10,85 @@ declare, and +inf a sample that no file covers, which is never a neighbour and n
 
 Fill is an undeclared constant in place of heights that were never measured, such as the zeros round
 a footprint that was turned. It would be a plain over which an eye sees far. It differs from water
-by its rim: terrain does not rise by `STEEPEST` along half of a shore.
+by its rim: no terrain rises as steeply as a spike along half of a shore.
 """
 
 import logging
 from collections import Counter
-from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import GROUND_M
+from skyline.terrain.grid import STRIP_SAMPLES, row_strips
 
 ABSURD_M = 30_000.0
 """No known solid body has a height beyond this above or below its datum (Mars: +21.2, -8.2 km)."""
 
-STEEPEST = 2.5
-"""Rise over run that no terrain has on every side of a few samples: 68 degrees all round."""
-
-LEAST_SPIKE_M = 100.0
-"""The least height of a spike, and of a wall around fill, however fine the DEM."""
-
-MAX_SPIKE_SAMPLES = 4
-"""The largest spike: a clump of 2 x 2 samples."""
-
-STANDS_OUT = 3.0
-"""Least distance of a spike from the median of its neighbours, in distances between their
-quartiles."""
-
-MAX_VOID_SAMPLES = 100
-"""The largest void that is filled. Voids of the Everest tile, cut into the High Sierra at 90 m and
-filled again, were off by 14 m rms up to 10 samples, 31 m at 50 to 100, 51 m at 200 to 500 and 295 m
-above 10,000."""
-
-MIN_FILL_SAMPLES = 100
-"""The smallest fill."""
-
-WALLED = 0.5
-"""The least share of the rim of fill that is walls."""
-
-_MIN_RIM = 20
-"""Least length of the rim of fill, and least number of walls of a value that is examined, in
-samples."""
-_REACH = 3
-"""Greatest distance of a wall from the rim, in samples: a cubic resampling spreads a wall over
-them."""
-
-_LEAST_SURROUNDINGS = 3
-_STRIP_SAMPLES = 1 << 22
 _AROUND = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)])
 _BESIDE = np.array([(-1, 0), (0, -1), (0, 1), (1, 0)])
 
 _log = logging.getLogger(__name__)
 
 
-def strips(grid: Any) -> Iterator[slice]:
-    """Yield slices of rows, a few million samples each, that cover an array or open dataset."""
-    rows, cols = grid.shape
-    step = max(_STRIP_SAMPLES // cols, 1)
-    for top in range(0, rows, step):
-        yield slice(top, min(top + step, rows))
+@dataclass(frozen=True, slots=True)
+class RepairRules:
+    """Which samples are spikes and fill, and which voids are filled."""
+
+    steepest: float = 2.5
+    """Rise over run that no terrain has on every side of a few samples: 68 degrees all round."""
+    least_spike_m: float = 100.0
+    """The least height of a spike, and of a wall around fill, however fine the DEM."""
+    max_spike_samples: int = 4
+    """The largest spike: a clump of 2 x 2 samples."""
+    stands_out: float = 3.0
+    """Least distance of a spike from the median of its neighbours, in distances between their
+    quartiles."""
+    least_neighbours: int = 3
+    """Least number of known neighbours that have a median and quartiles."""
+    max_void_samples: int = 100
+    """The largest void that is filled. Voids of the Everest tile, cut into the High Sierra at 90 m
+    and filled again, were off by 14 m rms up to 10 samples, 31 m at 50 to 100, 51 m at 200 to 500
+    and 295 m above 10,000."""
+    min_fill_samples: int = 100
+    """The smallest fill."""
+    walled_share: float = 0.5
+    """The least share of the rim of fill that is walls."""
+    min_rim_samples: int = 20
+    """Least length of the rim of fill, and least number of walls beside a value that is examined,
+    in samples."""
+    wall_reach_samples: int = 3
+    """Greatest distance of a wall from the rim, in samples: a cubic resampling spreads a wall over
+    them."""
+    strip_samples: int = STRIP_SAMPLES
+    """Samples of a strip of rows; more cost memory, and change nothing else."""
+
+    def least_step_m(self, spacing_m: float) -> float:
+        """Return the least step, up or down, at a spike or a wall."""
+        return max(self.least_spike_m, self.steepest * spacing_m)
 
 
-def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, int, int, int]:
+class RepairCounts(NamedTuple):
+    """The numbers of samples that were changed, as `skyline.Provenance` has them."""
+
+    filled: int
+    hollow: int
+    despiked: int
+    undeclared: int
+
+
+def repair(
+    heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules = RepairRules()
+) -> RepairCounts:
     """Turn fill into voids, remove spikes, and close small voids; afterwards NaN marks every hole.
 
-    ``source`` is the name of the DEM in errors and warnings. Returns the numbers of filled, hollow,
-    despiked and undeclared samples, as `skyline.Provenance` has them. Raises `InputError` where
-    there is no height at all.
+    ``source`` is the name of the DEM in errors and warnings. Raises `InputError` where there is no
+    height at all.
     """
-    undeclared, values_m = void_undeclared(heights_m, spacing_m)
+    undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
         _log.warning(
             "%s: samples of exactly %s m with walls round them are taken as voids, since no shore "
@@ -89,9 +96,22 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
             source,
             " and ".join(f"{value:g}" for value in values_m),
         )
-    despiked = remove_spikes(heights_m, spacing_m)
-    lowest_m, highest_m = np.inf, -np.inf
-    for rows in strips(heights_m):
+    despiked = remove_spikes(heights_m, spacing_m, rules)
+    _check_range(heights_m, source, rules)
+    filled = fill_voids(heights_m, rules)
+    hollow = 0
+    for rows in row_strips(heights_m, rules.strip_samples):
+        strip = heights_m[rows]
+        hollow += int(np.count_nonzero(np.isnan(strip)))
+        strip[np.isinf(strip)] = np.nan
+    return RepairCounts(filled, hollow, despiked, undeclared)
+
+
+def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
+    """Raise `InputError` where no height is known; warn of heights that no ground has."""
+    lowest_m = np.inf
+    highest_m = -np.inf
+    for rows in row_strips(heights_m, rules.strip_samples):
         known_m = heights_m[rows][np.isfinite(heights_m[rows])]
         lowest_m = min(lowest_m, float(known_m.min(initial=np.inf)))
         highest_m = max(highest_m, float(known_m.max(initial=-np.inf)))
@@ -114,79 +134,77 @@ def clean(heights_m: Float32Array, source: str, spacing_m: float) -> tuple[int, 
             source,
             lowest_m,
         )
-    filled = fill_voids(heights_m)
-    hollow = 0
-    for rows in strips(heights_m):
-        strip = heights_m[rows]
-        hollow += int(np.count_nonzero(np.isnan(strip)))
-        strip[np.isinf(strip)] = np.nan
-    return filled, hollow, despiked, undeclared
 
 
-def void_undeclared(heights_m: Float32Array, spacing_m: float) -> tuple[int, list[float]]:
+def void_undeclared(
+    heights_m: Float32Array, spacing_m: float, rules: RepairRules = RepairRules()
+) -> tuple[int, list[float]]:
     """Turn voids that a file does not declare into declared ones.
 
-    These are all samples marked -inf (a customary void value that the file does not name), and
-    every connected place of one value, `MIN_FILL_SAMPLES` or more of them, with walls on `WALLED`
-    of its rim. A wall is a step up between neighbouring samples that is as high as a spike
-    (`remove_spikes`), at most three samples from the rim. Samples between the rim and the highest
-    wall are voids as well.
+    These are all samples marked -inf (a customary void value that the file does not name), and all
+    fill: connected samples of one value, at least ``rules.min_fill_samples`` of them, with walls on
+    ``rules.walled_share`` of their rim. A wall is a step up between neighbouring samples that is as
+    high as a spike (`remove_spikes`), at most ``rules.wall_reach_samples`` from the rim. Samples
+    between the rim and the highest wall are voids as well.
 
     Returns the number of samples that became voids, and the constants found.
     """
     count = 0
-    for rows in strips(heights_m):
+    for rows in row_strips(heights_m, rules.strip_samples):
         named = np.isneginf(heights_m[rows])
         heights_m[rows][named] = np.nan
         count += int(np.count_nonzero(named))
     found = []
-    threshold_m = _least_step_m(spacing_m)
-    for value in _walled_values(heights_m, threshold_m):
-        voids = _remove_fill(heights_m, value, threshold_m)
+    step_m = rules.least_step_m(spacing_m)
+    for value in _walled_values(heights_m, step_m, rules):
+        voids = _remove_fill(heights_m, value, step_m, rules)
         if voids:
             count += voids
             found.append(value)
     return count, found
 
 
-def remove_spikes(heights_m: Float32Array, spacing_m: float) -> int:
-    """Turn spikes, upward and downward, into voids; return their number of samples.
+def remove_spikes(
+    heights_m: Float32Array, spacing_m: float, rules: RepairRules = RepairRules()
+) -> int:
+    """Turn spikes, upward and downward, into voids; return the number of their samples.
 
     A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
-    at most `MAX_SPIKE_SAMPLES` samples that
+    at most ``rules.max_spike_samples`` samples that
 
     - no gentle step joins to the rest: every step to a neighbour outside the clump is higher than
-      ``max(LEAST_SPIKE_M, STEEPEST * spacing_m)``. A summit, the rim of a cliff of any height and
-      the crest of an arete each have a neighbour that is nearer than that;
-    - stands out: each of its samples is `STANDS_OUT` times farther from the median of its
+      ``rules.least_step_m(spacing_m)``. A summit, the rim of a cliff of any height and the crest of
+      an arete each have a neighbour that is nearer than that;
+    - stands out: each of its samples is ``rules.stands_out`` times farther from the median of its
       neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
       ground keeps its ruggedness.
 
     NaN and +inf samples are no neighbours.
     """
     count = 0
-    for rows in strips(heights_m):
+    for rows in row_strips(heights_m, rules.strip_samples):
         strip = heights_m[rows]
         absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
         strip[absurd] = np.nan
         count += int(np.count_nonzero(absurd))
-    threshold_m = _least_step_m(spacing_m)
-    candidates = _beside_jumps(heights_m, threshold_m)
-    if candidates.size == 0:
+    step_m = rules.least_step_m(spacing_m)
+    suspects = _beside_jumps(heights_m, step_m, rules)
+    if suspects.size == 0:
         return count
-    spikes = candidates[_are_spikes(heights_m, candidates, threshold_m)]
+    spikes = suspects[_are_spikes(heights_m, suspects, step_m, rules)]
     heights_m.reshape(-1)[spikes] = np.nan
     return count + spikes.size
 
 
-def fill_voids(heights_m: Float32Array) -> int:
-    """Fill voids of up to `MAX_VOID_SAMPLES` connected samples; return the count.
+def fill_voids(heights_m: Float32Array, rules: RepairRules = RepairRules()) -> int:
+    """Fill small voids; return the number of their samples.
 
-    The filling solves Laplace's equation with the rim as its boundary (the shape of a soap film):
-    smooth, and never higher or lower than the rim, so that no skyline is invented. Samples are
-    connected by their sides, not by corners. At the border of the data the film ends level.
+    A void is small if it has at most ``rules.max_void_samples`` samples, connected by their sides,
+    not by corners. The filling solves Laplace's equation with the rim as its boundary (the shape of
+    a soap film): smooth, and never higher or lower than the rim, so that no skyline is invented. At
+    the border of the data the film ends level.
     """
-    voids = _small_voids(heights_m)
+    voids = _small_voids(heights_m, rules)
     if voids.size == 0:
         return 0
     beside = _neighbours(voids, _BESIDE, heights_m.shape)
@@ -211,21 +229,19 @@ def fill_voids(heights_m: Float32Array) -> int:
     return int(count)
 
 
-def _least_step_m(spacing_m: float) -> float:
-    """Return the least step, up or down, at a spike or a wall."""
-    return max(LEAST_SPIKE_M, STEEPEST * spacing_m)
+def _beside_jumps(heights_m: Float32Array, step_m: float, rules: RepairRules) -> Int64Array:
+    """Return flat indices, ascending, of heights with a jump to one beside them.
 
-
-def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
-    """Return flat indices, ascending, of heights that differ by a jump from one beside them."""
+    A jump is more than ``step_m`` up or down.
+    """
     found = []
-    for rows in strips(heights_m):
+    for rows in row_strips(heights_m, rules.strip_samples):
         top = max(rows.start - 1, 0)
         block = heights_m[top : rows.stop + 1]
         beside = np.zeros(block.shape, dtype=np.bool_)
         for lines_m, marks in ((block, beside), (block.T, beside.T)):
             with np.errstate(invalid="ignore"):
-                jump = np.abs(np.diff(lines_m, axis=0)) > threshold_m
+                jump = np.abs(np.diff(lines_m, axis=0)) > step_m
             marks[1:] |= jump
             marks[:-1] |= jump
         beside &= np.isfinite(block)
@@ -234,31 +250,34 @@ def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
     return np.concatenate(found)
 
 
-def _are_spikes(heights_m: Float32Array, candidates: Int64Array, threshold_m: float) -> BoolArray:
-    """Return which candidates are spikes; see `remove_spikes`."""
-    around = _neighbours(candidates, _AROUND, heights_m.shape)
+def _are_spikes(
+    heights_m: Float32Array, suspects: Int64Array, step_m: float, rules: RepairRules
+) -> BoolArray:
+    """Return which of the suspected samples are spikes; see `remove_spikes`."""
+    around = _neighbours(suspects, _AROUND, heights_m.shape)
     around_m = _heights(heights_m, around)
-    own_m = heights_m.reshape(-1)[candidates].astype(np.float64)
-    joined = np.abs(around_m - own_m[:, np.newaxis]) <= threshold_m
-    slot, is_candidate = _find(candidates, around)
-    row, side = np.nonzero(joined & is_candidate)
+    own_m = heights_m.reshape(-1)[suspects].astype(np.float64)
+    joined = np.abs(around_m - own_m[:, np.newaxis]) <= step_m
+    slot, is_suspect = _find(suspects, around)
+    row, side = np.nonzero(joined & is_suspect)
     from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
-    shape = candidates.size, candidates.size
+    shape = suspects.size, suspects.size
     graph = coo_array((np.ones(row.size, dtype=np.int8), (row, slot[row, side])), shape=shape)
     clump = connected_components(graph, directed=False)[1]
-    # A gentle step to a sample that is no candidate anchors the whole clump.
-    anchored = np.bincount(clump, weights=(joined & ~is_candidate).any(axis=1)) > 0.0
-    suspect = ((np.bincount(clump) <= MAX_SPIKE_SAMPLES) & ~anchored)[clump]
-    firm_m = np.where(is_candidate & suspect[slot], np.nan, around_m)[suspect]
-    stands_out = np.zeros(candidates.size, dtype=np.bool_)
-    stands_out[suspect] = _stand_out(own_m[suspect], firm_m)
+    # A gentle step to a sample that is not suspected anchors the whole clump.
+    anchored = np.bincount(clump, weights=(joined & ~is_suspect).any(axis=1)) > 0.0
+    is_loose = ((np.bincount(clump) <= rules.max_spike_samples) & ~anchored)[clump]
+    firm_m = np.where(is_suspect & is_loose[slot], np.nan, around_m)[is_loose]
+    stands_out = np.zeros(suspects.size, dtype=np.bool_)
+    stands_out[is_loose] = _stand_out(own_m[is_loose], firm_m, rules)
     whole_clump_stands_out = np.bincount(clump, weights=~stands_out) == 0.0
     return np.asarray(whole_clump_stands_out[clump], dtype=np.bool_)
 
 
-def _stand_out(own_m: Float64Array, firm_m: Float64Array) -> BoolArray:
+def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) -> BoolArray:
+    """Return which heights (N,) lie far from the median of their neighbours (N, 8)."""
     ranked = np.sort(firm_m, axis=1)  # NaN last
     known = np.count_nonzero(np.isfinite(ranked), axis=1)
     last = np.maximum(known - 1, 0)
@@ -268,19 +287,20 @@ def _stand_out(own_m: Float64Array, firm_m: Float64Array) -> BoolArray:
 
     median_m = 0.5 * (at(last // 2) + at((last + 1) // 2))
     quartiles_apart_m = at(last - last // 4) - at(last // 4)
-    far_off = np.abs(own_m - median_m) > STANDS_OUT * quartiles_apart_m
-    return np.asarray(far_off & (known >= _LEAST_SURROUNDINGS), dtype=np.bool_)
+    far_off = np.abs(own_m - median_m) > rules.stands_out * quartiles_apart_m
+    return np.asarray(far_off & (known >= rules.least_neighbours), dtype=np.bool_)
 
 
-def _small_voids(heights_m: Float32Array) -> Int64Array:
+def _small_voids(heights_m: Float32Array, rules: RepairRules) -> Int64Array:
     """Return flat indices, ascending, of the samples of small voids that have a rim."""
     from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  (slow to load, seldom needed)
 
+    most = rules.max_void_samples
     found = [np.zeros(0, dtype=np.int64)]
-    for rows in strips(heights_m):
+    for rows in row_strips(heights_m, rules.strip_samples):
         # A void that reaches past these rows from the strip has too many samples to be filled.
-        top = max(rows.start - MAX_VOID_SAMPLES, 0)
-        block = heights_m[top : rows.stop + MAX_VOID_SAMPLES]
+        top = max(rows.start - most, 0)
+        block = heights_m[top : rows.stop + most]
         inner = slice(rows.start - top, rows.stop - top)
         voids = np.isnan(block)
         if not voids[inner].any():
@@ -288,7 +308,7 @@ def _small_voids(heights_m: Float32Array) -> Int64Array:
         void, count = label(voids)
         wanted = np.zeros(count + 1, dtype=np.bool_)
         wanted[void[binary_dilation(np.isfinite(block))]] = True
-        wanted &= np.bincount(void.ravel()) <= MAX_VOID_SAMPLES
+        wanted &= np.bincount(void.ravel()) <= most
         wanted[0] = False
         found.append(np.flatnonzero(wanted[void[inner]]) + rows.start * heights_m.shape[1])
     return np.concatenate(found)
@@ -303,7 +323,7 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
 
 
 def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
-    """Return heights in float64; NaN on voids, off the grid, and where no file covers it."""
+    """Return heights in float64; NaN on voids, off the grid, and where there is no file."""
     on_grid = samples >= 0
     heights = np.full(samples.shape, np.nan)
     heights[on_grid] = heights_m.reshape(-1)[samples[on_grid]]
@@ -311,39 +331,40 @@ def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
-    """Return the position of each wanted index among ascending samples, and if it is there."""
+    """Return the slot of each wanted index among ascending samples, and whether it is there."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
 
 
-def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
+def _walled_values(heights_m: Float32Array, step_m: float, rules: RepairRules) -> list[float]:
     """Return values that often stand twice in a row beside a jump: they may be fill."""
     counts: Counter[float] = Counter()
-    around = np.arange(-_REACH, _REACH + 2)
+    reach = rules.wall_reach_samples
+    around = np.arange(-reach, reach + 2)
     for view_m in (heights_m, heights_m.T):
-        for rows in strips(view_m):
+        for rows in row_strips(view_m, rules.strip_samples):
             with np.errstate(invalid="ignore"):
-                steep = (np.abs(np.diff(view_m[rows], axis=1)) > threshold_m).any(axis=1)
+                steep = (np.abs(np.diff(view_m[rows], axis=1)) > step_m).any(axis=1)
             strip = view_m[rows][steep]
-            strip = np.pad(strip, ((0, 0), (_REACH, _REACH)), constant_values=np.nan)
+            strip = np.pad(strip, ((0, 0), (reach, reach)), constant_values=np.nan)
             strip[np.isinf(strip)] = np.nan
-            row, col = np.nonzero(np.abs(np.diff(strip, axis=1)) > threshold_m)
+            row, col = np.nonzero(np.abs(np.diff(strip, axis=1)) > step_m)
             near = strip[row[:, np.newaxis], col[:, np.newaxis] + around]
             repeated = near[:, 1:][near[:, 1:] == near[:, :-1]]
             values, each = np.unique(repeated, return_counts=True)
             counts.update(dict(zip(values.tolist(), each.tolist(), strict=True)))
-    return sorted(value for value, number in counts.items() if number >= _MIN_RIM)
+    return sorted(value for value, number in counts.items() if number >= rules.min_rim_samples)
 
 
-def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> int:
+def _remove_fill(heights_m: Float32Array, value: float, step_m: float, rules: RepairRules) -> int:
     """Turn the fill of one value into voids; return the number of its samples."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     has_value = heights_m == np.float32(value)
     place, count = label(has_value)
-    # Turned and flipped are views of one array, so that the four sides of places are treated alike.
-    is_large = np.bincount(place.ravel()) >= MIN_FILL_SAMPLES
+    is_large = np.bincount(place.ravel()) >= rules.min_fill_samples
     removed = np.zeros(heights_m.shape, dtype=np.bool_)
+    # Turned and flipped views of one array let the four sides of a place be treated alike.
     for turned in (np.asarray, np.transpose):
         sides = []
         for flipped in (np.asarray, np.fliplr):
@@ -351,16 +372,16 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
                 flipped(turned(grid)) for grid in (heights_m, has_value, place, removed)
             )
             row, col = np.nonzero(inside[:, :-1] & ~inside[:, 1:])
-            wall = _walls(field_m, row, col, value, threshold_m)
+            wall = _walls(field_m, row, col, value, step_m, rules.wall_reach_samples)
             sides.append((view, places[row, col], row, col, wall))
         of_rim = np.concatenate([of for _, of, *_ in sides])
         has_wall = np.concatenate([wall > 0 for *_, wall in sides])
         rim = np.bincount(of_rim, minlength=count + 1)
         walls = np.bincount(of_rim[has_wall], minlength=count + 1)
-        is_fill = is_large & (rim >= _MIN_RIM) & (walls >= WALLED * rim)
+        is_fill = is_large & (rim >= rules.min_rim_samples) & (walls >= rules.walled_share * rim)
         removed |= is_fill[place]
         for view, of, row, col, wall in sides:
-            for step in range(1, _REACH):
+            for step in range(1, rules.wall_reach_samples):
                 ramp = is_fill[of] & (wall > step)
                 view[row[ramp], col[ramp] + step] = True
     removed &= np.isfinite(heights_m)
@@ -369,13 +390,19 @@ def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> i
 
 
 def _walls(
-    heights_m: Float32Array, row: Int64Array, col: Int64Array, value: float, threshold_m: float
+    heights_m: Float32Array,
+    row: Int64Array,
+    col: Int64Array,
+    value: float,
+    step_m: float,
+    reach: int,
 ) -> Int64Array:
-    """Return how many samples east of each sample of the rim its highest wall is; 0 for none."""
+    """Return how many samples east of each sample of a rim its highest wall stands; 0 for none."""
     wall = np.zeros(row.size, dtype=np.int64)
-    before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
+    before = np.full(row.size, value)
+    highest = np.full(row.size, step_m)
     cols = heights_m.shape[1]
-    for step in range(1, _REACH + 1):
+    for step in range(1, reach + 1):
         here = heights_m[row, np.minimum(col + step, cols - 1)].astype(np.float64)
         here[(col + step >= cols) | np.isinf(here)] = np.nan
         higher = here - before > highest

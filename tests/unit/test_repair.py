@@ -1,7 +1,5 @@
 """Spikes are removed, small voids are filled, and nothing else changes."""
 
-from unittest import mock
-
 import numpy as np
 import pytest
 import rasterio
@@ -10,15 +8,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from skyline.terrain import cleaning
-from skyline.terrain.cleaning import fill_voids, remove_spikes
+from skyline.terrain.repair import RepairRules, fill_voids, remove_spikes
 
 SPACING_M = 30.0
 
 
-@pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"], autouse=True)
-def strip_samples(request, monkeypatch):
-    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", request.param)
+@pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"])
+def rules(request):
+    return RepairRules(strip_samples=request.param)
 
 
 def rugged(rows=40, cols=50):
@@ -26,41 +23,41 @@ def rugged(rows=40, cols=50):
     return 1500.0 + 300.0 * np.sin(row / 5.0) * np.cos(col / 7.0) + 8.0 * row
 
 
-def despiked(heights, spacing_m=SPACING_M):
+def despiked(heights, rules, spacing_m=SPACING_M):
     cleaned = heights.copy()
-    count = remove_spikes(cleaned, spacing_m)
+    count = remove_spikes(cleaned, spacing_m, rules)
     assert count == np.count_nonzero(np.isnan(cleaned)) - np.count_nonzero(np.isnan(heights))
     return cleaned
 
 
 @pytest.mark.parametrize("height_m", [32767.0, -32767.0, 1e30, 700.0, -700.0])
 @pytest.mark.parametrize("place", [(20, 25), (0, 25), (39, 49), (0, 0), (1, 10)])
-def test_a_spike_is_removed_and_nothing_else(height_m, place):
+def test_a_spike_is_removed_and_nothing_else(height_m, place, rules):
     heights = rugged()
     heights[place] += height_m
-    assert np.argwhere(np.isnan(despiked(heights))).tolist() == [list(place)]
+    assert np.argwhere(np.isnan(despiked(heights, rules))).tolist() == [list(place)]
 
 
 @pytest.mark.parametrize(
     "clump", [[(0, 0), (0, 1)], [(0, 0), (1, 1)], [(0, 0), (0, 1), (1, 0), (1, 1)]]
 )
 @pytest.mark.parametrize("even", [True, False])
-def test_clumps_of_spikes_are_removed(clump, even):
+def test_clumps_of_spikes_are_removed(clump, even, rules):
     heights = rugged()
     places = [(17 + r, 22 + c) for r, c in clump]
     for number, place in enumerate(places):
         heights[place] += 900.0 if even else 900.0 + 400.0 * number
-    assert [tuple(p) for p in np.argwhere(np.isnan(despiked(heights)))] == places
+    assert [tuple(p) for p in np.argwhere(np.isnan(despiked(heights, rules)))] == places
 
 
-def test_a_pinnacle_among_ledges_is_ground():
+def test_a_pinnacle_among_ledges_is_ground(rules):
     """A pinnacle in a ring of ledges, each 50 m above the one before, high above the sea."""
     heights = np.full((9, 9), 3000.0, dtype=np.float32)
     ring = [(3, 3), (3, 4), (3, 5), (4, 5), (5, 5), (5, 4), (5, 3), (4, 3)]
     for number, place in enumerate(ring):
         heights[place] += 50.0 * number
     heights[4, 4] += 500.0
-    np.testing.assert_array_equal(despiked(heights), heights)
+    np.testing.assert_array_equal(despiked(heights, rules), heights)
 
 
 def cone(slope):
@@ -85,8 +82,8 @@ CLIFF, MESA = block(np.s_[:, 15:], 3000.0), block(np.s_[10:13, 10:13], 1000.0)
 @pytest.mark.parametrize(
     "terrain", [cone(1.0), cone(2.4), CLIFF, CLIFF.T.copy(), arete(), MESA, -arete()]
 )
-def test_real_shapes_stay(terrain):
-    np.testing.assert_array_equal(despiked(terrain), terrain)
+def test_real_shapes_stay(terrain, rules):
+    np.testing.assert_array_equal(despiked(terrain, rules), terrain)
 
 
 @pytest.mark.parametrize(
@@ -100,11 +97,11 @@ def test_real_shapes_stay(terrain):
         ("sierra/sierra_ansel_adams_30m_albers.tif", 30.0, []),
     ],
 )
-def test_real_terrain_stays(shared_data, path, spacing_m, expected, monkeypatch):
-    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 1 << 18)
+def test_real_terrain_stays(shared_data, path, spacing_m, expected):
+    rules = RepairRules(strip_samples=1 << 18)
     with rasterio.open(shared_data / path) as dataset:
         heights = dataset.read(1, masked=True).astype(np.float32).filled(np.nan)
-    cleaned = despiked(heights, spacing_m)
+    cleaned = despiked(heights, rules, spacing_m)
     changed = np.isnan(cleaned) & ~np.isnan(heights)
     assert [tuple(place) for place in np.argwhere(changed)] == expected
     # All planted spikes are found, and no others.
@@ -112,18 +109,18 @@ def test_real_terrain_stays(shared_data, path, spacing_m, expected, monkeypatch)
     planted[25:-25:60, 25:-25:60] = True
     planted &= ~ndimage.binary_dilation(np.isnan(cleaned), np.ones((3, 3)))
     heights[planted] += 2500.0
-    changed = np.isnan(despiked(heights, spacing_m)) & ~np.isnan(heights)
+    changed = np.isnan(despiked(heights, rules, spacing_m)) & ~np.isnan(heights)
     assert np.count_nonzero(planted) > 20
     np.testing.assert_array_equal(changed, planted | (np.isnan(cleaned) & ~np.isnan(heights)))
 
 
+@pytest.mark.parametrize("strip_samples", [1 << 22, 60])
 @given(void=hnp.arrays(np.bool_, st.tuples(*[st.integers(1, 12)] * 2)), limit=st.integers(0, 12))
-def test_voids_are_filled_by_size(void, limit):
+def test_voids_are_filled_by_size(void, limit, strip_samples):
     heights = np.random.default_rng(1).uniform(0, 100, void.shape).astype(np.float32)
     heights[void] = np.nan
     before = heights.copy()
-    with mock.patch.object(cleaning, "MAX_VOID_SAMPLES", limit):
-        filled = fill_voids(heights)
+    filled = fill_voids(heights, RepairRules(max_void_samples=limit, strip_samples=strip_samples))
     label, _ = ndimage.label(void)
     small = void & (np.bincount(label.ravel())[label] <= limit) & (not void.all())
     np.testing.assert_array_equal(np.isnan(heights), void & ~small)
@@ -134,24 +131,24 @@ def test_voids_are_filled_by_size(void, limit):
         assert heights[small].max() <= np.nanmax(before) + 1e-3
 
 
-def test_filling_is_the_mean_of_neighbours():
+def test_filling_is_the_mean_of_neighbours(rules):
     void = np.zeros((20, 20), dtype=bool)
     void[5:10, 4:12] = True
     void[9:14, 8:10] = True
     rough = np.random.default_rng(2).uniform(0, 900, void.shape).astype(np.float32)
     rough[void] = np.nan
-    fill_voids(rough)
+    fill_voids(rough, rules)
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4.0
     mean = ndimage.convolve(rough.astype(np.float64), cross)
     np.testing.assert_allclose(rough[void], mean[void], atol=1e-3)
 
 
-def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim():
+def test_samples_that_no_file_covers_are_neither_filled_nor_a_rim(rules):
     heights = np.full((9, 9), 10.0, dtype=np.float32)
     heights[:, 6:] = np.inf
     heights[4, 5] = np.nan
     heights[0, 7] = np.nan  # a void with nothing known beside it
-    assert fill_voids(heights) == 1
+    assert fill_voids(heights, rules) == 1
     assert heights[4, 5] == pytest.approx(10.0)
     assert np.isnan(heights[0, 7])
     assert np.count_nonzero(np.isposinf(heights)) == 26

@@ -29,14 +29,14 @@ from skyline.files import (
     member_name,
     names_in_words,
 )
-from skyline.terrain.rasters import (
+from skyline.terrain.raster_files import (
     NOT_RECOGNIZED,
     bands_of,
     filled_share,
-    no_dem,
     opened_raster,
     unpacked,
 )
+from skyline.terrain.tiles import no_dem
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Elevation files, folders or zip archives of them, addresses, or names of GDAL's: one or

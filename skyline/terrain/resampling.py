@@ -1,4 +1,4 @@
-"""Resampling from a grid in one CRS to a square metric grid in another, with all summits kept.
+"""Resampling of heights from a grid in one CRS to a square grid in metres; summits are kept.
 
 GDAL's ``WarpedVRT`` overshoots: 4 to 18 % of the summits of Davos, California and Everest came out
 more than 1 m too high. Here no sample is higher than the source's samples around it.
@@ -14,34 +14,28 @@ from pyproj import CRS, Transformer
 
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, in_turn, to_wgs84, transformer
-from skyline.terrain.cleaning import strips
-from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
+from skyline.geodesy import Frame, transformer
+from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn, row_strips
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""
 
-_NODE_STEP = 32
-_EDGE_POINTS = 127
-_ROWS, _COLS = 64, 1024
-"""Rows and columns of the target that a thread makes at a time."""
-_THREADS = 4
-# Positions this near to the outermost source samples lie on them, up to rounding.
-_SLACK = 1e-6
+_ROWS = 64
+"""Rows of the target that a thread makes at a time: with `_COLS` few enough for its cache."""
+_COLS = 1024
+"""Columns of the target that a thread makes at a time."""
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """Takes rows (n,) and columns (m,) of the target; returns rows and columns (n, m) in the source."""
 
 
-def local_frame(grid: Grid, crs: CRS) -> Frame:
-    """Return the local conformal frame centred on a grid."""
-    lon, lat, _ = to_wgs84(crs, *grid.centre)
-    return Frame.local(lon=float(in_turn(lon)), lat=lat)
-
-
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
-    """Return the spacing of a grid at its centre, the frame's origin, along rows and columns."""
+    """Return the metres between samples at a grid's centre, along rows and along columns.
+
+    ``frame`` is local, with its origin at the centre.
+    """
     x, y = grid.centre
-    half_east, half_north = 0.5 * grid.step_east, 0.5 * grid.step_north
+    half_east = 0.5 * grid.step_east
+    half_north = 0.5 * grid.step_north
     easting, northing = transformer(crs, frame.crs).transform(
         [x - half_east, x + half_east, x, x], [y, y, y - half_north, y + half_north]
     )
@@ -54,10 +48,10 @@ def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
 def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
     """Return the round spacing of a warped grid, in metres.
 
-    The finer of the source's two spacings, but no finer than half of the coarser, rounded down to
-    a multiple of 5 in its second digit (one per cent short of a multiple counts as that multiple).
-    A sample of 1 arc-second measures 21 x 31 m at 46.8 N, so it gives 20 m. One of 3 arc-seconds
-    gives 90 m at the equator, 70 m at 37.5 N, and 45 m from 60 degrees on.
+    It is the finer of the source's two spacings, but no finer than half of the coarser, rounded
+    down to a multiple of 5 in its second digit (one per cent short of a multiple counts as that
+    multiple). A sample of 1 arc-second measures 21 x 31 m at 46.8 N, so the spacing is 20 m. A
+    sample of 3 arc-seconds gives 90 m at the equator, 70 m at 37.5 N, and 45 m from 60 degrees on.
     """
     finer = max(min(ground_spacing), 0.5 * max(ground_spacing))
     step = 5.0 * 10.0 ** (math.floor(math.log10(finer)) - 1)
@@ -83,7 +77,7 @@ def warp(
     def fill(corner: tuple[int, int]) -> None:
         """Make the samples of a window, summits included."""
         top, left = corner
-        # The sample nearest to a summit may lie across the border: so one more is made there.
+        # The sample nearest to a summit may lie across the window's border, so one more is made.
         rows = slice(max(top - 1, 0), min(top + _ROWS + 1, target.rows))
         cols = slice(max(left - 1, 0), min(left + _COLS + 1, target.cols))
         row, col = positions(
@@ -97,14 +91,15 @@ def warp(
         inner = part[top - rows.start :, left - cols.start :][:_ROWS, :_COLS]
         warped[top : top + _ROWS, left : left + _COLS] = inner
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        tops, lefts = range(0, target.rows, _ROWS), range(0, target.cols, _COLS)
+    tops = range(0, target.rows, _ROWS)
+    lefts = range(0, target.cols, _COLS)
+    with ThreadPoolExecutor(max_workers=4) as pool:
         list(pool.map(fill, itertools.product(tops, lefts)))
     return warped, target
 
 
 def _span(at: Float64Array, count: int) -> slice:
-    """Return the samples around positions, as far as there are ``count``."""
+    """Return the slice of ``count`` samples that positions are computed from."""
     first, last = np.clip([at.min() - 2, at.max() + 4], 0, count).astype(np.int64).tolist()
     return slice(first, last)
 
@@ -112,7 +107,7 @@ def _span(at: Float64Array, count: int) -> slice:
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     """Return the grid of the target: whole multiples of the spacing around the source."""
     west, south, east, north = to_frame.transform_bounds(
-        grid.west, grid.south, grid.east, grid.north, densify_pts=_EDGE_POINTS
+        grid.west, grid.south, grid.east, grid.north, densify_pts=127
     )
     if not np.isfinite([west, south, east, north]).all():
         raise InputError(
@@ -120,9 +115,12 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
             f"{grid.north:.6g}, more than one local frame can map; give a smaller area"
         )
     # The frame's origin is the grid's centre, so there is always a sample to keep.
-    left, right = math.ceil(west / spacing_m), math.floor(east / spacing_m)
-    bottom, top = math.ceil(south / spacing_m), math.floor(north / spacing_m)
-    rows, cols = max(top - bottom + 1, 1), max(right - left + 1, 1)
+    left = math.ceil(west / spacing_m)
+    right = math.floor(east / spacing_m)
+    bottom = math.ceil(south / spacing_m)
+    top = math.floor(north / spacing_m)
+    rows = max(top - bottom + 1, 1)
+    cols = max(right - left + 1, 1)
     if rows * cols > MAX_SAMPLES:
         raise InputError(
             f"the warped DEM would have {rows} x {cols} samples, more than {MAX_SAMPLES}; give a "
@@ -132,7 +130,10 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
 
 
 def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
-    """Return positions in the source, interpolated between nodes where that is exact enough."""
+    """Return a function from samples of the target to positions in the source.
+
+    It interpolates between nodes where that is exact to `POSITION_TOLERANCE`.
+    """
     from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
 
     to_source = transformer(frame.crs, crs)
@@ -147,7 +148,8 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
             x = x + turn * np.rint((grid.centre[0] - x) / turn)
         return (grid.north - y) / grid.step_north, (x - grid.west) / grid.step_east
 
-    node_rows, node_cols = _nodes(target.rows), _nodes(target.cols)
+    node_rows = _nodes(target.rows)
+    node_cols = _nodes(target.cols)
     row_spline, col_spline = (
         RectBivariateSpline(node_rows, node_cols, nodes) for nodes in exact(node_rows, node_cols)
     )
@@ -155,35 +157,40 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
     def interpolated(rows: Float64Array, cols: Float64Array) -> tuple[Float64Array, Float64Array]:
         return row_spline(rows, cols), col_spline(rows, cols)
 
-    between = 0.5 * (node_rows[1:] + node_rows[:-1]), 0.5 * (node_cols[1:] + node_cols[:-1])
+    between = [0.5 * (nodes[1:] + nodes[:-1]) for nodes in (node_rows, node_cols)]
     error = np.subtract(interpolated(*between), exact(*between))
     # At a pole longitude jumps, and no spline follows.
     return interpolated if np.abs(error).max() < POSITION_TOLERANCE else exact
 
 
 def _nodes(count: int) -> Float64Array:
-    return np.linspace(-1.0, count, max(4, count // _NODE_STEP + 2))
+    """Return nodes at most 32 samples apart, from one sample before ``count`` samples to after."""
+    return np.linspace(-1.0, count, max(4, count // 32 + 2))
 
 
 def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float32Array:
     """Return heights at fractional rows and columns by cubic convolution (Keys 1981, a = -1/2).
 
     No height is above or below the four samples around its position. Where one of the 4 x 4
-    samples is a hole (NaN), the height is interpolated bilinearly; where the nearest sample is a
-    hole, and outside, it is NaN.
+    samples is a hole (NaN), the height is interpolated bilinearly. It is NaN outside, and where the
+    nearest sample is a hole.
     """
     rows, cols = heights_m.shape
-    # A source of a single row has no inside; its samples stand for their pixels.
-    row_margin, col_margin = (0.5 if n == 1 else _SLACK for n in (rows, cols))
+    # Positions within a margin of the outermost samples lie on them, up to rounding. A source of a
+    # single row has no inside; its samples stand for their pixels.
+    row_margin, col_margin = (0.5 if n == 1 else 1e-6 for n in (rows, cols))
     inside = (row >= -row_margin) & (row <= rows - 1 + row_margin)
     inside &= (col >= -col_margin) & (col <= cols - 1 + col_margin)
     row = np.clip(np.where(inside, row, 0.0), 0.0, rows - 1)
     col = np.clip(np.where(inside, col, 0.0), 0.0, cols - 1)
-    top, left = row.astype(np.int64), col.astype(np.int64)
-    row_weights, col_weights = _keys_weights(row - top), _keys_weights(col - left)
+    top = row.astype(np.int64)
+    left = col.astype(np.int64)
+    row_weights = _keys_weights(row - top)
+    col_weights = _keys_weights(col - left)
     flat = heights_m.reshape(-1)
     warped = np.zeros(row.shape, dtype=np.float32)
-    lowest, highest = np.full_like(warped, np.inf), np.full_like(warped, -np.inf)
+    lowest = np.full_like(warped, np.inf)
+    highest = np.full_like(warped, -np.inf)
     beside = [np.clip(left + (j - 1), 0, cols - 1) for j in range(4)]
     for i in range(4):
         line = np.clip(top + (i - 1), 0, rows - 1) * cols
@@ -216,8 +223,10 @@ def _keys_weights(t: Float64Array) -> list[Float32Array]:
 def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float64Array:
     """Interpolate between known samples; NaN where the nearest sample is a hole."""
     rows, cols = heights_m.shape
-    top, left = row.astype(np.int64), col.astype(np.int64)
-    south, east = row - top, col - left
+    top = row.astype(np.int64)
+    left = col.astype(np.int64)
+    south = row - top
+    east = col - left
     total = np.zeros(row.shape)
     known_weight = np.zeros(row.shape)
     for below, row_weight in ((0, 1.0 - south), (1, south)):
@@ -233,13 +242,16 @@ def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> 
     return np.where(known, total / np.where(known, known_weight, 1.0), np.nan)
 
 
-def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
+def local_maxima(
+    heights_m: Float32Array, strip_samples: int = STRIP_SAMPLES
+) -> tuple[Int64Array, Int64Array]:
     """Return row and column (n,), in order, of samples that none of eight neighbours overtops.
 
     Samples at the border, beside a hole (NaN) or within a level place are left out.
+    ``strip_samples`` limits the memory, and changes nothing else.
     """
     found = []
-    for strip in strips(heights_m):
+    for strip in row_strips(heights_m, strip_samples):
         top = max(strip.start - 1, 0)
         block = heights_m[top : strip.stop + 1]
         own = block[1:-1, 1:-1]
@@ -264,9 +276,10 @@ def keep_summits(
 ) -> None:
     """Lift, in place, the sample of a warped grid nearest to each local maximum to its height.
 
-    The nearest is looked for among the corners of the cell that the maximum lies in, and holes stay
+    The nearest sample is one of the corners of the cell in which the maximum lies; holes stay
     holes. So every summit is as high as it was, at most 0.71 of the target's spacing aside.
-    ``to_target`` leads from the CRS of ``grid``, the source's, to that of ``target``.
+    ``to_target`` leads from the CRS of ``grid``, on which ``heights_m`` are, to the CRS of
+    ``target``.
     """
     row, col = local_maxima(heights_m)
     easting, northing = to_target.transform(
@@ -281,9 +294,10 @@ def keep_summits(
 
 
 def _nearest_known(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Int64Array:
-    """Return flat indices of the nearest known corners of cells, -1 where there is none."""
+    """Return the flat index of each position's nearest known corner, -1 where there is none."""
     rows, cols = heights_m.shape
-    top, left = np.floor(row).astype(np.int64), np.floor(col).astype(np.int64)
+    top = np.floor(row).astype(np.int64)
+    left = np.floor(col).astype(np.int64)
     nearest = np.full(row.shape, -1, dtype=np.int64)
     least = np.full(row.shape, np.inf)
     for corner_row in (top, top + 1):

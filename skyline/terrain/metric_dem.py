@@ -1,0 +1,122 @@
+"""A DEM in metres: its samples repaired, and warped where its own map cannot be the frame."""
+
+import logging
+from dataclasses import asdict, dataclass
+
+from skyline.arrays import Float32Array
+from skyline.errors import InputError
+from skyline.geodesy import (
+    Frame,
+    degrees_in_words,
+    in_turn,
+    is_metric,
+    is_upright,
+    off_area_deg,
+    to_wgs84,
+)
+from skyline.terrain.grid import Grid
+from skyline.terrain.mosaic import Mosaic
+from skyline.terrain.provenance import DemOptions, Provenance
+from skyline.terrain.repair import repair
+from skyline.terrain.resampling import ground_spacing_m, square_spacing_m, warp
+
+FAR_DEG = 10.0
+"""A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricDem:
+    """Samples on a grid of a metric frame, of which a height field is made."""
+
+    heights_m: Float32Array
+    """(rows, cols) float32; NaN marks a hole."""
+    grid: Grid
+    frame: Frame
+    provenance: Provenance
+
+
+def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
+    """Repair heights on their files' own grid, and warp them if they need a metric frame.
+
+    Warns where the place is not a likely one for the CRS, and where a map is not used as the frame.
+    Raises `InputError` where the place is none, where there is no height at all, and as
+    `skyline.terrain.resampling.warp`.
+    """
+    crs, grid, heights_m = mosaic.crs, mosaic.grid, mosaic.heights_m
+    lon, lat, accuracy = _centre(mosaic)
+    frame = _map_frame(mosaic)
+    if frame is not None:
+        resampling = "none"
+        counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
+    else:
+        frame = Frame.local(lon=float(in_turn(lon)), lat=lat)
+        ground_spacing = ground_spacing_m(grid, crs, frame)
+        counts = repair(heights_m, mosaic.source, max(ground_spacing))
+        spacing_m = square_spacing_m(ground_spacing)
+        resampling = (
+            f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
+            f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal "
+            "frame"
+        )
+        heights_m, grid = warp(heights_m, grid, crs, frame, spacing_m)
+    provenance = Provenance(
+        files=mosaic.files,
+        resampling=resampling,
+        **counts._asdict(),
+        options=asdict(options),
+        conventions={**mosaic.conventions, "to_wgs84": accuracy},
+    )
+    return MetricDem(heights_m, grid, frame, provenance)
+
+
+def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
+    """Return a DEM's middle in degrees, and the accuracy of its place in words.
+
+    Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
+    place on the Earth.
+    """
+    crs = mosaic.crs
+    x, y = mosaic.grid.centre
+    lon, lat, accuracy = to_wgs84(crs, x, y)
+    if not (abs(lat) <= 90.0 and abs(lon) <= 540.0):
+        raise InputError(
+            f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is no place in {crs.name}; "
+            "check its georeference and its coordinate reference system"
+        )
+    if off_area_deg(crs, lon, lat) > FAR_DEG:
+        _log.warning(
+            "%s: its middle lies at %s, %s, far off the area for which %s is made; check its "
+            "coordinate reference system, and the signs and the order of its coordinates",
+            mosaic.source,
+            degrees_in_words(lat, "NS", 2),
+            degrees_in_words(lon, "EW", 2),
+            crs.name,
+        )
+    return lon, lat, accuracy
+
+
+def _map_frame(mosaic: Mosaic) -> Frame | None:
+    """Return the frame of a DEM's own map, None where the DEM must be warped.
+
+    A warning says why, unless the map is in degrees or in feet.
+    """
+    crs = mosaic.crs
+    if not crs.is_projected:
+        return None
+    if not is_upright(crs):
+        why = f"the axes of {crs.name} point {' and '.join(a.direction for a in crs.axis_info)}"
+    elif not is_metric(crs):
+        return None
+    else:
+        frame = Frame.from_crs(crs)
+        error_deg = frame.untrue_deg(mosaic.grid.box)
+        if not error_deg:
+            return frame
+        why = (
+            f"on the map of {crs.name} slopes and directions are wrong by up to {error_deg:.2f} "
+            "degrees in this DEM"
+        )
+    _log.warning("%s: %s; the DEM is warped to the local conformal frame", mosaic.source, why)
+    return None

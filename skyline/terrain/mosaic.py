@@ -1,0 +1,311 @@
+"""The mosaic of an elevation model's tiles: whether they fit together, and their heights."""
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from skyline.arrays import BoolArray, Float32Array
+from skyline.errors import InputError
+from skyline.terrain.datums import ELLIPSOID, GEOID, merged_conventions
+from skyline.terrain.grid import MAX_SAMPLES, Grid, full_turn
+from skyline.terrain.repair import ABSURD_M
+from skyline.terrain.tiles import Tile
+
+GRID_TOLERANCE = 0.01
+"""Greatest distance of a tile's samples from the grid of the first tile, in samples."""
+
+AGREEMENT_M = 1.0
+"""Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
+
+OTHER_GROUND_M = 60.0
+"""Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
+Slopes, errors of heights, and heights in another unit or above another datum differ by more."""
+
+BORDER_SAMPLES = 64
+"""Least length of a border at which a step is looked for; along shorter ones, ridges and valleys
+look like steps."""
+
+STANDARD_ERRORS = 8.0
+"""Least height of a step, in its standard errors. A cut through a whole DEM must never be reported
+as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mosaic:
+    """The heights of one or more tiles on one grid; its other fields are as in `Tile`."""
+
+    heights_m: Float32Array
+    """(rows, cols) float32. NaN marks voids, -inf voids that no file declares, +inf samples that no
+    tile covers."""
+    source: str
+    crs: CRS
+    grid: Grid
+    conventions: Mapping[str, str]
+    files: tuple[str, ...]
+
+
+def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
+    """Read tiles onto their common grid.
+
+    Where tiles overlap, the first tile that has a height gives it. If tiles differ by more than
+    `AGREEMENT_M` there, or where they meet, a warning gives the difference. Tiles in degrees that
+    agree in their spacing of latitude alone, as Copernicus tiles north and south of 50 degrees do,
+    are resampled to the finest spacing of longitude.
+
+    Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
+    far apart, where one has heights above the geoid and another above the ellipsoid, or where a
+    tile lies over others and has other heights.
+    """
+    _check_vertical(tiles)
+    groups = _by_spacing(tiles)
+    if len(groups) > 1:
+        finest = min((group[0].grid for group in groups), key=lambda grid: grid.step_east)
+        tiles = [_with_columns_of(finest, _read(group), group[0]) for group in groups]
+    return _read(tiles)
+
+
+def _read(tiles: Sequence[Tile]) -> Mosaic:
+    grid, offsets = _common_grid(tiles)
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    for tile, (row, col) in zip(tiles, offsets, strict=True):
+        borders = _free_borders(heights, row, col, tile.grid)
+        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
+        _lay_tile(place, tile)
+        _warn_of_step(borders, tile)
+    return Mosaic(
+        heights,
+        ", ".join(tile.source for tile in tiles),
+        tiles[0].crs,
+        grid,
+        merged_conventions([tile.conventions for tile in tiles]),
+        tuple(file for tile in tiles for file in tile.files),
+    )
+
+
+def _lay_tile(place: Float32Array, tile: Tile) -> None:
+    """Read a tile into its place, where earlier tiles may have given heights, which stay.
+
+    Warns where they differ, and raises `InputError` where they are of other ground.
+    """
+    disagreement_m = 0.0
+    shared = 0
+    other = 0
+    for rows, fresh in tile.read():
+        old = place[rows]
+        # A height beyond all ground is an undeclared void.
+        known = np.isfinite(old) & (np.abs(old) <= ABSURD_M)
+        both = known & np.isfinite(fresh)
+        apart_m = np.abs(old[both] - fresh[both])
+        disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))
+        shared += apart_m.size
+        other += int(np.count_nonzero(apart_m > OTHER_GROUND_M))
+        np.copyto(old, fresh, where=~known)
+    if 2 * other > shared > tile.grid.rows * tile.grid.cols / 2:
+        raise InputError(
+            f"{tile.source} covers the same ground as the tiles before it, and differs from "
+            f"them by more than {OTHER_GROUND_M:g} m at most samples; one of them holds no "
+            "heights, or heights in another unit or datum: name the files of one model"
+        )
+    if disagreement_m > AGREEMENT_M:
+        _log.warning(
+            "%s differs by up to %.2f m from the tiles before it, whose heights are kept",
+            tile.source,
+            disagreement_m,
+        )
+
+
+def _warn_of_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile) -> None:
+    """Warn where a tile that has been read stands above or below the tiles beside it."""
+    step_m = max((border_step_m(*border) for border in borders), key=abs, default=0.0)
+    if step_m:
+        _log.warning(
+            "%s stands %.1f m %s the tiles beside it, and the border is a wall; check that all "
+            "have the same datum and unit, and are of one survey",
+            tile.source,
+            abs(step_m),
+            "above" if step_m > 0.0 else "below",
+        )
+
+
+def _free_borders(
+    heights: Float32Array, row: int, col: int, grid: Grid
+) -> list[tuple[Float32Array, BoolArray]]:
+    """Return the borders of a tile that is yet to be read, with samples on both sides.
+
+    ``row`` and ``col`` are the place of the tile's north-west sample in ``heights``. A border is a
+    view of four lines of samples (4, n), two inside the tile and two outside, and a mask (n,) of
+    the columns whose sample at the tile's edge no other tile has given.
+    """
+    borders = []
+    for across, first, along, count in (
+        (heights, row, slice(col, col + grid.cols), grid.rows),
+        (heights.T, col, slice(row, row + grid.rows), grid.cols),
+    ):
+        for inner, outward in ((first, -1), (first + count - 1, 1)):
+            begin, end = sorted((inner - outward, inner + 2 * outward))
+            if begin >= 0 and end < len(across) and count > 1:
+                lines = across[begin : end + 1, along][::outward]
+                borders.append((lines, ~np.isfinite(lines[1])))
+    return borders
+
+
+def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
+    """Return how far a tile stands above its neighbours along a border; 0 if it joins them.
+
+    ``lines`` (4, n) are samples from within the tile outwards, two on either side of the border, of
+    which those marked in ``is_free`` (n,) count. The slopes on both sides explain their share of a
+    step.
+    """
+    inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
+        step_m = edge - beside - 0.5 * ((inside - edge) + (beside - beyond))
+    is_known = np.isfinite(step_m)
+    if np.count_nonzero(is_known) < BORDER_SAMPLES:
+        return 0.0
+    step_m = step_m[is_known]
+    for side in (edge[is_known], beside[is_known]):
+        if np.mean(side == np.median(side)) > 0.5:
+            return 0.0  # A sea, or a void that is not declared
+    median_m = float(np.median(step_m))
+    error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
+    return median_m if abs(median_m) > AGREEMENT_M + STANDARD_ERRORS * error_m else 0.0
+
+
+def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
+    """Return tiles in degrees in groups of one spacing of longitude.
+
+    All are in one group where they differ in their spacing of latitude, or are not in degrees.
+    """
+    first = tiles[0]
+    groups: dict[float, list[Tile]] = {}
+    for tile in tiles:
+        step = round(tile.grid.step_east / first.grid.step_east, 3)
+        groups.setdefault(step, []).append(tile)
+    alike = all(
+        abs(tile.grid.step_north / first.grid.step_north - 1.0) * tile.grid.rows <= GRID_TOLERANCE
+        for tile in tiles
+    )
+    return list(groups.values()) if alike and first.crs.is_geographic else [list(tiles)]
+
+
+def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
+    """Return a mosaic as a tile on the columns of a finer grid.
+
+    Heights are interpolated linearly between two samples; where either is a void, the nearest
+    sample gives the height. A sample higher than its neighbours passes its height to the nearest
+    column, so that no crest sinks. ``first`` is one of the tiles of the mosaic.
+    """
+    grid, step = mosaic.grid, finest.step_east
+    # Samples stand for their pixels, which reach half a sample beyond the outermost.
+    half = 0.5 * grid.step_east
+    left = math.ceil((grid.west - half - finest.west) / step - GRID_TOLERANCE)
+    right = math.floor((grid.east + half - finest.west) / step + GRID_TOLERANCE)
+    west = finest.west + left * step
+    cols = right - left + 1
+    at = np.clip((west + step * np.arange(cols) - grid.west) / grid.step_east, 0, grid.cols - 1)
+    before = np.minimum(at.astype(np.intp), max(grid.cols - 2, 0))
+    after = np.minimum(before + 1, grid.cols - 1)
+    share = (at - before).astype(np.float32)
+    own = mosaic.heights_m
+    heights = np.where(share < 0.5, own[:, before], own[:, after])
+    known = np.isfinite(own[:, before]) & np.isfinite(own[:, after])
+    between = np.multiply(own[:, after] - own[:, before], share, where=known, out=heights.copy())
+    np.add(own[:, before], between, where=known, out=heights)
+    row, col = np.nonzero(
+        (own[:, 1:-1] > own[:, :-2]) & (own[:, 1:-1] >= own[:, 2:]) & np.isfinite(own[:, 1:-1])
+    )
+    nearest = np.rint((grid.west + (col + 1) * grid.step_east - west) / step).astype(np.intp)
+    heights[row, nearest] = np.maximum(heights[row, nearest], own[row, col + 1])
+    return replace(
+        first,
+        source=mosaic.source,
+        grid=replace(grid, west=west, step_east=step, cols=cols),
+        north_up=(slice(None), slice(None)),
+        conventions=mosaic.conventions,
+        read=lambda: iter([(slice(None), heights)]),
+        files=mosaic.files,
+    )
+
+
+def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
+    """Return the common grid, and the row and column on it of each tile's first sample."""
+    base = tiles[0].grid
+    places = [_place_on_grid(tile, tiles[0]) for tile in tiles]
+    top, left = (min(firsts) for firsts in zip(*places, strict=True))
+    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(places, tiles, strict=True)]
+    bottom, right = (max(lasts) for lasts in zip(*ends, strict=True))
+    common = base.part(slice(top, bottom), slice(left, right))
+    if common.rows * common.cols > MAX_SAMPLES:
+        raise InputError(
+            f"the DEM spans {common.rows} x {common.cols} samples, more than {MAX_SAMPLES}; give "
+            "fewer or adjacent tiles, or a coarser DEM"
+        )
+    return common, [(row - top, col - left) for row, col in places]
+
+
+def _place_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
+    """Return the row and the column of a tile's first sample on the first tile's grid.
+
+    Raises `InputError` where the tile does not lie on that grid.
+    """
+    grid, base, turn = tile.grid, first.grid, full_turn(first.crs)
+    if not tile.crs.equals(first.crs, ignore_axis_order=True):
+        raise InputError(
+            f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; "
+            "tiles must share one coordinate reference system: warp them beforehand (gdalwarp)"
+        )
+    drift_east = abs(grid.step_east / base.step_east - 1.0) * grid.cols
+    drift_north = abs(grid.step_north / base.step_north - 1.0) * grid.rows
+    if max(drift_east, drift_north) > GRID_TOLERANCE:
+        raise InputError(
+            f"{tile.source} has a sample spacing of {grid.step_east:.9g} x "
+            f"{grid.step_north:.9g} and {first.source} of {base.step_east:.9g} x "
+            f"{base.step_north:.9g}; tiles must share one grid: resample them beforehand "
+            "(gdalwarp -tr)"
+        )
+    west = grid.west
+    if turn is not None:
+        # Whole turns bring W180 east of E179.
+        west += turn * round((base.centre[0] - grid.centre[0]) / turn)
+    row = (base.north - grid.north) / base.step_north
+    col = (west - base.west) / base.step_east
+    if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
+        raise InputError(
+            f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
+            f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
+            "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
+        )
+    return round(row), round(col)
+
+
+def _check_vertical(tiles: Sequence[Tile]) -> None:
+    """Warn of assumptions about heights, each once, and of different vertical datums.
+
+    Raises `InputError` where one tile has heights above the geoid and another above the ellipsoid.
+    """
+    sources: dict[str, list[str]] = {}
+    datums: dict[str, str] = {}
+    references: dict[str, str] = {}
+    for tile in tiles:
+        for note in tile.vertical.notes:
+            sources.setdefault(note, []).append(tile.source)
+        datums.setdefault(tile.vertical.datum or "a datum that is not named", tile.source)
+        references.setdefault(tile.vertical.reference, tile.source)
+    for note, named in sources.items():
+        others = f" and {len(named) - 1} more" if len(named) > 1 else ""
+        _log.warning("%s%s: %s", named[0], others, note)
+    if {GEOID, ELLIPSOID} <= references.keys():
+        raise InputError(
+            f"{references[GEOID]} has heights above the geoid and {references[ELLIPSOID]} above "
+            "the ellipsoid, tens of metres apart; tiles must share one vertical datum: convert "
+            "them beforehand (gdalwarp)"
+        )
+    if len(datums) > 1:
+        listed = " and ".join(f"{datum} ({source})" for datum, source in datums.items())
+        _log.warning("tiles have heights of %s; steps between the tiles are kept", listed)

@@ -1,0 +1,161 @@
+"""Rasters that GDAL opens: plain, packed or on a server; their bands, and their errors.
+
+What GDAL says of a file that it cannot read becomes one error of one line.
+"""
+
+import gzip
+import re
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, cast
+from zipfile import BadZipFile, ZipFile
+
+import rasterio
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from skyline.errors import FetchError, InputError
+from skyline.files import archive_of, is_file
+
+NOT_RECOGNIZED = "not recognized as being in"
+"""GDAL's words for a file of no format that it knows."""
+
+_BLOCK_BYTES = 1 << 20
+
+_SETTINGS = {
+    # Enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
+    "GDAL_CACHEMAX": 64 << 20,
+    # Otherwise GDAL leaves out the vertical part of a GeoTIFF's CRS.
+    "GTIFF_REPORT_COMPD_CS": "YES",
+    "GDAL_HTTP_CONNECTTIMEOUT": "30",
+    # Reading fails if less than 1 kB a second arrives for 30 seconds.
+    "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
+    "GDAL_HTTP_LOW_SPEED_TIME": "30",
+    "GDAL_HTTP_MAX_RETRY": "3",
+}
+_SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
+_NO_ANSWER = re.compile(
+    r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/|"
+    r"^'/vsicurl/\S*' does not exist"
+)
+
+
+@contextmanager
+def opened_raster(source: str, **settings: str) -> Iterator[Any]:
+    """Open a raster with further settings of GDAL's; yields the rasterio dataset.
+
+    A failure while the raster is open becomes an error of one line: `InputError`, or `FetchError`
+    where a server fails.
+    """
+    if "://" in source:
+        # Otherwise GDAL asks a server for a dozen other files in the DEM's folder.
+        settings = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", **settings}
+    try:
+        with rasterio.Env(**_SETTINGS, **settings), ExitStack() as held:
+            yield _dataset(source, held)
+    except RasterioError as error:
+        reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        if "://" in source:
+            source, reason = without_secrets(source), without_secrets(reason)
+        if _NO_ANSWER.search(reason):
+            raise FetchError(
+                f"{source} cannot be read from its server ({reason}); check the address and "
+                "whether the server is up"
+            ) from error
+        raise InputError(
+            f"{source} cannot be read as a raster ({reason}); expected a whole GeoTIFF, ESRI ASCII "
+            "grid, .hgt (named after its corner, like N46E009.hgt) or another format that GDAL "
+            "opens, plain or in a .gz or .zip"
+        ) from error
+
+
+def _dataset(source: str, held: ExitStack) -> Any:
+    """Return the rasterio dataset of a raster, which is open as long as ``held`` is."""
+    with warnings.catch_warnings():
+        # A raster without a georeference is refused later, with an error of its own.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        if not _is_gzip(source):
+            return held.enter_context(rasterio.open(source))
+        # GDAL opens it as well, but does not compare the checksum.
+        with unpacked(source) as packed:
+            content = packed.read()
+        if not content:
+            raise InputError(f"{source} is empty; fetch it again")
+        # The .hgt driver reads the corner from the file's name.
+        memory = rasterio.MemoryFile(content, filename=Path(source).stem)
+        return held.enter_context(held.enter_context(memory).open())
+
+
+def _is_gzip(source: str) -> bool:
+    return source.lower().endswith(".gz") and is_file(source)
+
+
+@contextmanager
+def unpacked(source: str) -> Iterator[IO[bytes]]:
+    """Open the content of a file, a ``.gz`` or an archive's member; checksums are compared.
+
+    Raises `InputError` where it cannot be read to the end.
+    """
+    member = archive_of(source)
+    try:
+        with ExitStack() as held:
+            if member is not None:
+                yield held.enter_context(held.enter_context(ZipFile(member[0])).open(member[1]))
+            elif _is_gzip(source):
+                yield cast("IO[bytes]", held.enter_context(gzip.open(source)))
+            else:
+                yield held.enter_context(Path(source).open("rb"))
+    # `zipfile` raises a `RuntimeError` for a password and for an unknown way of packing.
+    except (OSError, EOFError, KeyError, RuntimeError, zlib.error, BadZipFile) as error:
+        raise InputError(
+            f"{source} cannot be unpacked ({error}); the file is damaged or not what its ending "
+            "says: fetch it again"
+        ) from error
+
+
+def check_whole(source: str) -> None:
+    """Read an archive's member to its end, where its checksum is compared: GDAL does not do so."""
+    with unpacked(source) as content:
+        while content.read(_BLOCK_BYTES):
+            pass
+
+
+def filled_share(source: str, dataset: Any) -> float:
+    """Return the greatest share of a grid that a text of points can fill.
+
+    GDAL lays the grid through all points, and gives 0 where there is none.
+    """
+    with unpacked(source) as content:
+        lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))
+    return float(lines / (dataset.width * dataset.height))
+
+
+def bands_of(dataset: Any) -> tuple[list[int], int | None]:
+    """Return the numbers of a dataset's bands of values, and of its alpha band or None."""
+    roles = list(enumerate(dataset.colorinterp, start=1))
+    values = [number for number, role in roles if role is not ColorInterp.alpha]
+    alpha = (number for number, role in roles if role is ColorInterp.alpha)
+    return values, next(alpha, None)
+
+
+def files_of(name: str) -> list[str]:
+    """Return the files that GDAL reads for a local raster; none if it cannot open the raster.
+
+    These are the raster itself, files beside it with a georeference or a CRS, and the files that a
+    virtual raster names.
+    """
+    if "://" in name or name.startswith("/vsi"):
+        return []
+    with warnings.catch_warnings(), suppress(RasterioError):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(name) as dataset:
+            return list(dataset.files)
+    return []
+
+
+def without_secrets(text: str) -> str:
+    """Return text whose addresses have no user, password and query, which may be secret."""
+    return _SECRET.sub("", text)

@@ -1,0 +1,203 @@
+"""Surface models beside a DEM: how high trees and houses may rise above the ground."""
+
+import logging
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import Float64Array, FloatArray
+from skyline.errors import InputError
+from skyline.terrain.datums import ELLIPSOID, GEOID
+from skyline.terrain.dem import Dem, read_dem
+from skyline.terrain.grid import row_strips
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceRules:
+    """What a surface model may look like above a DEM."""
+
+    unknown_m: float = 40.0
+    """Height above ground where a surface model has no height: that of tall trees."""
+    most_canopy_m: float = 120.0
+    """The greatest height in a canopy model; a surface model of high ground has greater ones."""
+    least_follow_share: float = 0.5
+    """A model that rises by less than this share of the ground's rise is a canopy model."""
+    flat_sd_m: float = 20.0
+    """Standard deviation of ground that is too flat to tell by: it varies less than trees do."""
+    lowest_median_m: float = -10.0
+    """Lowest plausible median of a surface above the ground: errors of both models. A surface that
+    is as far above open ground has another datum."""
+    highest_median_m: float = 60.0
+    """Highest plausible median of a surface above the ground: a forest of the tallest trees."""
+    open_share: float = 0.1
+    """Share of an area that is taken for open ground, where a surface is as high as the ground."""
+    much_unknown_share: float = 0.2
+    """Share of a DEM over which a surface model may have no height without a warning."""
+
+
+def read_surface(
+    surface: Dem, terrain: HeightField, rules: SurfaceRules = SurfaceRules()
+) -> HeightField:
+    """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
+
+    The heights of a surface model have the terrain's datum, and the heights of a canopy model are
+    above the ground. A model that lies far below the ground, or does not rise and fall with it, is
+    taken for a canopy model. Its grid and CRS may differ from the terrain's; files that name no CRS
+    have the one that was given for the terrain.
+
+    The field returned is on the terrain's samples, nowhere lower: the ground, plus the model's
+    greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where the model
+    has no height.
+
+    Raises `InputError` where the model does not cover the terrain or its heights have another
+    datum, and as `read_dem`.
+    """
+    if isinstance(surface, HeightField):
+        model = surface
+    else:
+        crs = DemOptions.from_json(terrain.provenance.options).crs
+        model = read_dem(surface, DemOptions(crs=crs))
+    above_m = _highest_within(_above_ground_m(model, terrain, rules), model, terrain)
+    above_ground = replace(model, heights_m=above_m)
+    heights_m = np.empty_like(terrain.heights_m)
+    unknown = 0
+    for rows in row_strips(heights_m):
+        easting, northing = _positions(terrain, rows, model)
+        over_m = above_ground.height_at(easting_m=easting, northing_m=northing)
+        is_unknown = np.isnan(over_m)
+        unknown += int(np.count_nonzero(is_unknown))
+        over_m = np.where(is_unknown, rules.unknown_m, np.maximum(over_m, 0.0))
+        heights_m[rows] = terrain.heights_m[rows] + over_m
+    if unknown > rules.much_unknown_share * heights_m.size:
+        _log.warning(
+            "%s has no height over %.0f %% of the DEM, where trees of %.0f m are assumed; if "
+            "nothing stands there, set its voids to the height of the ground, in a canopy model "
+            "to 0",
+            _name_of(model),
+            100.0 * unknown / heights_m.size,
+            rules.unknown_m,
+        )
+    heights_m.setflags(write=False)
+    return replace(terrain, heights_m=heights_m, provenance=model.provenance)
+
+
+def _highest_within(
+    above_m: Float64Array, model: HeightField, terrain: HeightField
+) -> Float64Array:
+    """Return the greatest height above ground within a terrain's sample of each model's sample."""
+    wide = [
+        max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
+        for coarse, fine in (
+            (terrain.spacing_north_m, model.spacing_north_m),
+            (terrain.spacing_east_m, model.spacing_east_m),
+        )
+    ]
+    if max(wide) == 1:
+        return above_m
+    from scipy.ndimage import maximum_filter  # noqa: PLC0415  (slow to load, seldom needed)
+
+    highest_m = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
+    return np.where(np.isinf(highest_m), np.nan, highest_m)
+
+
+def _above_ground_m(model: HeightField, terrain: HeightField, rules: SurfaceRules) -> Float64Array:
+    """Return the heights of a model's samples above the ground, NaN where not known."""
+    above_m = _above_terrain_m(model, terrain)
+    known = np.isfinite(above_m)
+    if not known.any():
+        raise InputError(
+            f"{_name_of(model)} has no height over the DEM; give a surface model of the same area"
+        )
+    median_m = float(np.median(above_m[known]))
+    is_far_below = median_m < rules.lowest_median_m
+    if model.height_range_m[1] <= rules.most_canopy_m and (
+        is_far_below
+        or _follow_share(model.heights_m[known], above_m[known], rules) < rules.least_follow_share
+    ):
+        return np.where(known, model.heights_m, np.nan)
+    _check_datum(model, terrain, median_m, rules)
+    lowest_m = float(np.quantile(above_m[known], rules.open_share))
+    if lowest_m > -rules.lowest_median_m:
+        _log.warning(
+            "%s lies at least %.0f m above the DEM in %.0f %% of the area; unless that is forest, "
+            "its heights have another vertical datum",
+            _name_of(model),
+            lowest_m,
+            100.0 * (1.0 - rules.open_share),
+        )
+    return above_m
+
+
+def _above_terrain_m(model: HeightField, terrain: HeightField) -> Float64Array:
+    """Return a model's heights less the terrain's at its samples, NaN where not known."""
+    above_m = np.empty(model.heights_m.shape)
+    west, south, east, north = terrain.bounds_m
+    reach_m = max(model.spacing_east_m, model.spacing_north_m)
+    for rows in row_strips(model.heights_m):
+        easting, northing = _positions(model, rows, terrain)
+        # Samples just outside are needed for the heights between them and the border.
+        for at, least, most in ((easting, west, east), (northing, south, north)):
+            beside = np.clip(at, least, most)
+            np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)
+        above_m[rows] = model.heights_m[rows] - terrain.height_at(
+            easting_m=easting, northing_m=northing
+        )
+    return above_m
+
+
+def _check_datum(
+    model: HeightField, terrain: HeightField, median_m: float, rules: SurfaceRules
+) -> None:
+    """Raise `InputError` where a surface model's heights have another datum than the terrain's.
+
+    ``median_m`` is the median of the surface above the terrain.
+    """
+    reference, terrain_reference = _reference_of(model), _reference_of(terrain)
+    if {GEOID, ELLIPSOID} == {reference, terrain_reference}:
+        raise InputError(
+            f"{_name_of(model)} has heights above the {reference}, and the DEM above the "
+            f"{terrain_reference}, tens of metres apart; convert one of them (gdalwarp)"
+        )
+    if not rules.lowest_median_m <= median_m <= rules.highest_median_m:
+        raise InputError(
+            f"{_name_of(model)} is {median_m:+.0f} m above the DEM in the median; expected "
+            f"{rules.lowest_median_m:+g} to {rules.highest_median_m:+g}: give a surface model of "
+            "the DEM's vertical datum, or a canopy model in metres above ground"
+        )
+
+
+def _name_of(model: HeightField) -> str:
+    return ", ".join(model.provenance.files) or "the surface"
+
+
+def _reference_of(model: HeightField) -> str:
+    """Return `GEOID` or `ELLIPSOID` where a model names its datum, else an empty text."""
+    datum = model.provenance.conventions.get("vertical_datum", "")
+    return next((one for one in (GEOID, ELLIPSOID) if datum.endswith(f"({one})")), "")
+
+
+def _follow_share(heights_m: FloatArray, above_m: Float64Array, rules: SurfaceRules) -> float:
+    """Return by how much heights (N,) rise in the mean where the ground rises by a metre.
+
+    It is 1 for a surface model and 0 for a canopy model; 1 where the ground is flat.
+    """
+    ground_m = heights_m - above_m
+    rise_m = ground_m - ground_m.mean()
+    squared = float(rise_m @ rise_m)
+    if squared <= rules.flat_sd_m**2 * len(rise_m):
+        return 1.0
+    return float(rise_m @ heights_m) / squared
+
+
+def _positions(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
+    """Return easting and northing of the samples of some rows, in the frame of another field."""
+    row = np.arange(field.rows)[rows, np.newaxis]
+    position = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
+    if field.frame == other.frame:
+        return position
+    return other.frame.from_lonlat(*field.frame.to_lonlat(*position))
