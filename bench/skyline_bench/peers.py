@@ -34,7 +34,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy import Curvature
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, columns_u
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 from skyline_bench.geotiff import write_geotiff
 from skyline_bench.measuring import core_count, over_cores

@@ -32,7 +32,7 @@ from skyline.match.likelihood import (
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose import Poses
-from skyline.terrain.ray_casting import DataEdge
+from skyline.terrain.data_edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
 """Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,

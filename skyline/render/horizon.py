@@ -26,8 +26,8 @@ from skyline.skylines import (
     pixel_size,
     quadrant_azimuths_rad,
 )
+from skyline.terrain.data_edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
-from skyline.terrain.ray_casting import DataEdge
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 DEFAULT_TOLERANCE_DEG = 0.01

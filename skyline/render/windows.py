@@ -19,7 +19,8 @@ from skyline.arrays import Float32Array
 from skyline.errors import ContextError
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, Triangles, level_count, slab_levels
+from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, level_count, slab_levels
+from skyline.terrain.triangles import Triangles
 
 MAX_FIELD_CELLS = 5120
 """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
-from skyline.terrain.data_edge import DataEdge
 
 from skyline.camera import Projection, distorted, wander_of
 from skyline.geodesy import Curvature
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.rays import Rays
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
+from skyline.terrain.data_edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
 SWEPT = 200.0, 4.0, 230.0

@@ -29,7 +29,7 @@ from skyline.skylines import (
     rotation,
 )
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring import Row
 from skyline_bench.truth import oracle

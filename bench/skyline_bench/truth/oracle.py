@@ -30,7 +30,7 @@ from skyline.skylines import (
     rotation,
 )
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
 _CROSSINGS_AT_ONCE = 400_000

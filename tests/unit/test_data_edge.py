@@ -7,7 +7,7 @@ import pytest
 from scenes import field_of
 
 from skyline.geodesy import Curvature
-from skyline.terrain.ray_casting import DataEdge
+from skyline.terrain.data_edge import DataEdge
 
 BOUNDS_M = (-3000.0, -1000.0, 5000.0, 2000.0)
 AZIMUTH_RAD = np.radians(np.append(np.arange(0.0, 360.0, 7.3), [90.0, 180.0, 270.0]))
