@@ -1,4 +1,4 @@
-"""Array types for hints, and dataclasses of arrays of one length."""
+"""Types of arrays for hints, and a base of dataclasses whose fields are arrays of one length."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Self, cast
@@ -20,6 +20,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
 
 Index = slice | NDArray[np.integer] | BoolArray
+"""What chooses rows: a slice, row numbers or a mask."""
 
 
 class Rows:
@@ -48,13 +49,13 @@ class Rows:
         return cls(**{name: _concatenated(column) for name, column in columns.items()})
 
     def replaced(self, chosen: BoolArray, other: Self) -> Self:
-        """Return these rows, with another's where ``chosen`` (M,) is true."""
+        """Return these rows, with the rows of another where ``chosen`` (M,) is true."""
         columns = {name: (getattr(other, name), old) for name, old in self.columns().items()}
         return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
 
     @classmethod
     def _names(cls) -> tuple[str, ...]:
-        # `dataclasses.fields` would take a tenth of a refinement.
+        # `dataclasses.fields` would take a tenth of the time of a refinement.
         return tuple(cast(Any, cls).__dataclass_fields__)
 
 

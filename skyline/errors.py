@@ -25,8 +25,8 @@ _UNSHOWN = re.compile(
 def printable(text: str | os.PathLike[str]) -> str:
     r"""Return text as one line of characters that UTF-8, JSON and XML can hold.
 
-    A byte of a file's name that is not UTF-8 becomes ``\xe4``, a line end ``\n``, an escape
-    ``\x1b``; everything else stays as it is.
+    A byte of a file's name that is not UTF-8 becomes ``\xe4``, for example, a line end ``\n``, and
+    an escape ``\x1b``; everything else stays as it is.
     """
     return _UNSHOWN.sub(lambda found: _escaped(found[0]), os.fspath(text))
 
@@ -90,7 +90,7 @@ class BuildError(SkylineError, RuntimeError):
 
 
 def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
-    """Return the entry of a name; for an unknown name of ``what`` raises `InputError`."""
+    """Return the entry with a name; raises `InputError` if ``what`` has an unknown name."""
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
@@ -108,25 +108,22 @@ def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
 
 
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:
-    """Return a path's suffix in small letters; raises `InputError` for one that is not known."""
+    """Return a path's suffix in lower case; raises `InputError` for one that is not known."""
     suffix = Path(path).suffix.lower()
     entry_named(f"the suffix of {path}", suffix, dict.fromkeys(known))
     return suffix
 
 
 def check_suffix(path: str | Path, known: Iterable[str]) -> None:
-    """Raise `InputError` for a path whose suffix promises another format than the known ones.
-
-    A path without a suffix promises nothing.
-    """
+    """Raise `InputError` for a path whose suffix is not known; a path may have none."""
     if Path(path).suffix:
         suffix_of(path, known)
 
 
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
-    """Return a hint that coordinates were given in the wrong order, with the right one.
+    """Return a hint that coordinates are in the wrong order; it gives them in the right order.
 
-    In the hint, the two numbers of each pair are exchanged.
+    In the right order the two numbers of each pair are exchanged.
     """
     right = ",".join(
         f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
@@ -135,9 +132,9 @@ def swapped_in_words(*given: float, names: str = "longitude and latitude") -> st
 
 
 def library(name: str, what: str, package: str | None = None) -> Any:
-    """Import a library that ``what`` needs; `InputError` says how it is installed.
+    """Return the imported library that ``what`` needs; `InputError` says how to install it.
 
-    The package is named, not Skyline's extra: an index need not have Skyline.
+    The error names the package, not Skyline's extra: an index need not have Skyline.
     """
     try:
         return import_module(name)

@@ -1,4 +1,4 @@
-"""The installed fonts that draw names in any script, with Matplotlib.
+"""The installed fonts with which Matplotlib draws names in any script.
 
 Matplotlib draws each letter of a text in the first of several fonts that has it, and shapes, joins
 and orders letters as their script demands. The fonts are chosen here, for each text.
@@ -21,10 +21,9 @@ from matplotlib.font_manager import (
 from matplotlib.ft2font import FaceFlags, FT2Font
 
 _REGULAR = 400
-_LAST_RESORT = "lastresort"
-"""Fonts of this name show which letters are missing, and draw none."""
+"""The weight of a font that is neither light nor bold."""
 _CJK = ("CJK", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO", "HALFWIDTH", "FULLWIDTH")
-"""How Unicode's names of letters begin that the fonts for Chinese, Japanese and Korean have."""
+"""First words of Unicode's names of letters that are Chinese, Japanese or Korean."""
 
 
 def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
@@ -42,7 +41,7 @@ def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def undrawn_letters(texts: Iterable[str]) -> set[str]:
-    """Return the letters of texts that no installed font draws, each with its marks."""
+    """Return the letters of texts, each with its marks, that no installed font draws."""
     letters = set().union(*map(_letters, texts))
     letters -= _drawn_as_usual(letters)
     return letters.difference(*_drawn_by_others(letters).values())
@@ -57,6 +56,7 @@ def packages_with(letters: Iterable[str]) -> list[str]:
 
 
 def _package(letter: str) -> str:
+    """Return Debian's package of fonts for a letter, an empty text for no letter."""
     if unicodedata.name(letter, "").startswith(_CJK):
         return "fonts-noto-cjk"
     kind = unicodedata.category(letter)
@@ -92,21 +92,22 @@ def _families(missing: set[str], others: dict[str, set[str]]) -> tuple[str, ...]
 
 
 def _drawn_as_usual(letters: set[str]) -> set[str]:
-    """Return those letters that Matplotlib's default families draw."""
+    """Return the letters that Matplotlib's default families draw."""
     files = [findfont(FontProperties(family=[family])) for family in rcParams["font.family"]]
     fonts = [FT2Font(file, face_index=file.face_index) for file in files]
     return {letter for letter in letters if any(_has(font, letter) for font in fonts)}
 
 
 def _drawn_by_others(letters: set[str]) -> dict[str, set[str]]:
-    """Return those letters that each installed family draws, the preferred families first."""
+    """Return the letters that each installed family draws, the preferred families first."""
     drawn: dict[str, set[str]] = {}
     if not letters:
         return drawn
     _add_new_fonts()
     for entry in sorted(fontManager.ttflist, key=_preference):
         name = entry.name.lower().replace(" ", "")
-        if entry.name in drawn or _LAST_RESORT in name:
+        # Fonts of last resort show which letters are missing, and draw none.
+        if entry.name in drawn or "lastresort" in name:
             continue
         with suppress(OSError, RuntimeError):  # The file is gone, or damaged.
             # One font is open at a time: a process may not open as many files as there are fonts.
@@ -117,7 +118,7 @@ def _drawn_by_others(letters: set[str]) -> dict[str, set[str]]:
 
 
 def _add_new_fonts() -> None:
-    """Add fonts to Matplotlib's list, which it keeps in a file, that were installed since."""
+    """Add fonts to Matplotlib's list that were installed since it wrote its list to a file."""
     known = {entry.fname for entry in fontManager.ttflist}
     for path in sorted(set(findSystemFonts()) - known):
         with suppress(Exception):  # Matplotlib, too, leaves out each font that it cannot read.
@@ -135,6 +136,6 @@ def _preference(entry: FontEntry) -> tuple[object, ...]:
 
 
 def _has(font: FT2Font, letter: str) -> bool:
-    """Return whether a font draws a letter and its marks, in one piece or in several."""
+    """Return whether a font draws a letter with its marks, as one character or as several."""
     forms = letter, unicodedata.normalize("NFD", letter)
     return any(all(font.get_char_index(ord(part)) for part in form) for form in forms)

@@ -28,7 +28,7 @@ from skyline.geodesy import GROUND_M, Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ray_casting import edge_crossings_m
 from skyline.terrain.summits import prominence_m
-from skyline.terrain.viewpoints import Viewpoints, is_inside
+from skyline.terrain.viewpoints import Viewpoints, is_on_map
 
 SUMMIT_RADIUS_M = 150.0
 """Distance from a named place within which its summit is searched, and within which terrain does
@@ -113,16 +113,16 @@ def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
     would lie in its middle.
     """
     frame, places_m = terrain.frame, (peaks.easting_m, peaks.northing_m)
-    in_degrees = is_inside(terrain, *frame.from_lonlat(*places_m))
+    in_degrees = is_on_map(terrain, *frame.from_lonlat(*places_m))
     if in_degrees.any():
         raise InputError(
             f"the easting and northing of {peaks.names[int(np.argmax(in_degrees))]} are degrees; "
             "expected metres: name the columns lon,lat"
         )
-    if not len(peaks) or is_inside(terrain, *places_m).any():
+    if not len(peaks) or is_on_map(terrain, *places_m).any():
         return
     lon, lat = frame.to_lonlat(*places_m)
-    swapped = is_inside(terrain, *frame.from_lonlat(lat, lon)).any()
+    swapped = is_on_map(terrain, *frame.from_lonlat(lat, lon)).any()
     _log.warning(
         "none of %d peaks lies on the elevation model (the first is %s at %.4f,%.4f)%s",
         len(peaks),

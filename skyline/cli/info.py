@@ -18,7 +18,7 @@ from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.store.read import is_store, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
-from skyline.terrain.viewpoints import Viewpoints, place_on, stand_on
+from skyline.terrain.viewpoints import Viewpoints, position_on, stand_on
 
 Facts = dict[str, object]
 
@@ -112,7 +112,7 @@ def explain(
     terrain = read_terrain(dem, crs)
     east_m, north_m = np.array([[first], [second]])
     if max(abs(first), abs(second)) <= 360.0:
-        east_m, north_m = place_on(terrain, first, second)
+        east_m, north_m = position_on(terrain, first, second)
     eye = stand_on(terrain, easting_m=east_m, northing_m=north_m)
     _print_facts(_describe_scene(terrain, eye), as_json)
 

@@ -1,4 +1,4 @@
-"""Elevation models as people name them: files, addresses, zip archives, and folders of all these.
+"""The files of a DEM as people name them: files, addresses, zip archives, and folders of these.
 
 GDAL says which files of a folder or an archive are rasters. Their sidecar files are passed over;
 files that hold no heights, such as texts and pictures, are left out with a warning. A file that
@@ -39,28 +39,22 @@ from skyline.terrain.raster_files import (
 from skyline.terrain.tiles import no_dem
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
-"""Elevation files, folders or zip archives of them, addresses, or names of GDAL's: one or
-several."""
+"""Elevation files, folders or zip archives of them, addresses, or GDAL names: one or several."""
 
 _ZIP = ".zip"
-_OF_TILES = (
+_TILE_ENDINGS = (
     ".tif", ".tiff", ".gtiff", ".vrt", ".hgt", ".asc", ".img", ".bil", ".flt", ".jp2", ".dem",
     ".dt0", ".dt1", ".dt2", ".xyz",
     _ZIP, ".tar", ".tgz", ".7z", ".rar", ".bz2", ".xz", ".zst",
 )  # fmt: skip
-"""Endings of tiles and of packed files: one that GDAL does not open may be a tile."""
+"""Endings of tiles and of packed files; a file with one that GDAL does not open may be a tile."""
 _BARE = {"EHdr", "ENVI", "GenBin"}
-"""GDAL's formats of bare samples, which take any file beside a header of its name for them."""
+"""GDAL's formats of bare samples, in which it opens any file beside a header of its name."""
 _REFERRING = {"VRT", "GTI"}
-"""Formats whose files name other rasters, which are no sidecar files."""
+"""GDAL's formats whose files name other rasters, which are no sidecar files."""
 _GREYS = {ColorInterp.gray, ColorInterp.undefined, ColorInterp.alpha}
+"""Roles of bands that may hold heights, and of the mask beside them."""
 
-_LEAST_FILLED = 0.5
-"""Least share of a grid that a text of points fills. One that is not named as a tile may as well
-list peaks, or viewpoints."""
-_CATALOGUES = (".json", ".geojson")
-"""Endings of STAC items, whose rasters would be fetched from servers."""
-_HEAD_BYTES = 1024
 
 _log = logging.getLogger(__name__)
 
@@ -75,8 +69,9 @@ class _Raster:
     is_picture: bool
     """Whether it has colours, or has 8 bits and no place on the map."""
     is_byte: bool
-    """Whether its values have 8 bits, as those of masks and shaded reliefs have."""
+    """Whether its values have 8 bits, as in masks and shaded reliefs."""
     box: BoundingBox
+    """Its outline, in its CRS."""
     header: str = ""
     """The header file of bare samples; empty in other formats."""
     size: int = 0
@@ -84,7 +79,7 @@ class _Raster:
 
 
 def dem_names(paths: Paths) -> tuple[str, ...]:
-    """Return the names under which GDAL opens what paths stand for, in order.
+    """Return the names under which GDAL opens the rasters of a DEM, in order.
 
     Names of files are absolute. A folder or a zip archive stands for the rasters in it, in order of
     path. A file that is named itself is not opened here.
@@ -103,6 +98,7 @@ def dem_names(paths: Paths) -> tuple[str, ...]:
 
 
 def _names_of(given: Any) -> list[str]:
+    """Return the names of the rasters that one path stands for; raises as `dem_names`."""
     path = os.fspath(given) if isinstance(given, os.PathLike) else given
     if not isinstance(path, str):
         raise no_dem(given)
@@ -116,9 +112,9 @@ def _names_of(given: Any) -> list[str]:
 
 
 def absolute_name(path: str | Path) -> str:
-    """Return an absolute path, or a name of GDAL's with the path in it made absolute.
+    """Return an absolute path, or a GDAL name with the path in it made absolute.
 
-    Raises `MissingFileError` where there is no such file and it is no address or name of GDAL's,
+    Raises `MissingFileError` where there is no such file and the name is no address or GDAL name,
     and `InputError` for a name that is not UTF-8.
     """
     text = str(path)
@@ -164,7 +160,7 @@ def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
 
 
 def _members(file: Path) -> list[str]:
-    """Return GDAL's names of the members of an archive; of another file its own name."""
+    """Return the GDAL names of an archive's members; for another file, its own name."""
     if file.suffix.lower() != _ZIP or not is_file(file):
         return [str(file)]
     try:
@@ -184,7 +180,8 @@ def _raster_in(name: str, where: str) -> _Raster | None:
 
     Raises as `dem_names`.
     """
-    if name.lower().endswith(_CATALOGUES):
+    # The rasters of STAC items would be fetched from servers.
+    if name.lower().endswith((".json", ".geojson")):
         return None
     if not (archive_of(name) or is_file(name)):
         if _is_named_as_tile(name):
@@ -205,7 +202,7 @@ def _raster_in(name: str, where: str) -> _Raster | None:
 
 
 def _raster_of(name: str, dataset: Any) -> _Raster | None:
-    """Describe an open raster; None if it has no samples of its own, or is a list of points.
+    """Return what an open raster is; None if it has no samples of its own, or lists points.
 
     Raises `InputError` where a file has several rasters, and where bare samples are cut short.
     """
@@ -214,11 +211,12 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
         if any(map(_is_on_map, dataset.subdatasets)):
             raise InputError(f"{name} holds several rasters ({', '.join(dataset.subdatasets)})")
         return None
+    # A text that is not named as a tile may as well list peaks or viewpoints, which lie apart.
     may_be_list = dataset.driver == "XYZ" and not _is_named_as_tile(name)
-    if may_be_list and filled_share(name, dataset) < _LEAST_FILLED:
+    if may_be_list and filled_share(name, dataset) < 0.5:
         return None
     is_byte = set(dataset.dtypes) == {"uint8"}
-    # Deeper values than a palette's own 8 bits are heights for which a palette is only a hint.
+    # With values of more than 8 bits a palette only colours the heights.
     greys = _GREYS if is_byte else _GREYS | {ColorInterp.palette}
     has_colours = not set(dataset.colorinterp) <= greys
     is_picture = has_colours or (is_byte and (len(bands) > 1 or dataset.transform.is_identity))
@@ -227,7 +225,7 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
     header = next((file for file in files if file.lower().endswith(".hdr")), "")
     if dataset.driver not in _BARE or not header:
         return found
-    # Beside such a header GDAL takes any file for samples, a projection or a text, too.
+    # Beside such a header GDAL takes any file for samples, even a projection or a text.
     least = dataset.width * dataset.height * sum(np.dtype(one).itemsize for one in dataset.dtypes)
     size = _size_of(name)
     if size >= least:
@@ -240,8 +238,8 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
 def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
     """Return rasters without those that belong to others, as overviews and masks do.
 
-    Of rasters that belong to each other, the first stays; of files of bare samples with one header,
-    the shortest.
+    Where two rasters belong to each other, the first stays; where files of bare samples share a
+    header, the shortest stays.
     """
     files = {one.name: one.files for one in rasters}
     owned = {
@@ -257,16 +255,17 @@ def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
 
 
 def _without_pictures(rasters: Sequence[_Raster]) -> list[_Raster]:
-    """Return rasters without pictures, and without those of 8 bits that lie over deeper ones.
+    """Return rasters without pictures, and without masks and shaded reliefs.
 
-    Those are masks and shaded reliefs of the deeper ones. Where all have 8 bits, as canopy models
-    do, all may be heights.
+    A mask or a shaded relief has 8 bits and lies over a raster of more bits. Where all rasters have
+    8 bits, as canopy models do, all may hold heights.
     """
     rasters = [one for one in rasters if not one.is_picture]
     boxes = np.array([one.box for one in rasters if not one.is_byte]).reshape(-1, 4)
 
     def lies_over(one: _Raster) -> bool:
-        x, y = (one.box.left + one.box.right) / 2.0, (one.box.bottom + one.box.top) / 2.0
+        x = (one.box.left + one.box.right) / 2.0
+        y = (one.box.bottom + one.box.top) / 2.0
         low = np.minimum(boxes[:, :2], boxes[:, 2:])
         high = np.maximum(boxes[:, :2], boxes[:, 2:])
         return bool(((low <= (x, y)) & ((x, y) <= high)).all(axis=1).any())
@@ -275,11 +274,13 @@ def _without_pictures(rasters: Sequence[_Raster]) -> list[_Raster]:
 
 
 def _is_on_map(name: str) -> bool:
+    """Return whether a raster has a georeference."""
     with opened_raster(name) as dataset:
         return not dataset.transform.is_identity
 
 
 def _size_of(name: str) -> int:
+    """Return the number of bytes of a file, or of an archive's member when it is unpacked."""
     member = archive_of(name)
     if member is None:
         return Path(name).stat().st_size
@@ -288,12 +289,13 @@ def _size_of(name: str) -> int:
 
 
 def _is_text(name: str) -> bool:
+    """Return whether the first kilobyte of a file has no zero byte, as in a text."""
     with unpacked(name) as content:
-        return b"\0" not in content.read(_HEAD_BYTES)
+        return b"\0" not in content.read(1024)
 
 
 def _is_named_as_tile(name: str) -> bool:
-    return name.lower().removesuffix(".gz").endswith(_OF_TILES)
+    return name.lower().removesuffix(".gz").endswith(_TILE_ENDINGS)
 
 
 def _stem(name: str) -> str:
@@ -309,7 +311,7 @@ def _is_beside(name: str, stems: set[str]) -> bool:
 
 
 def _shown(name: str, where: str) -> str:
-    """Return the name of a file within a folder, or within the archive in which it is packed."""
+    """Return the name of a file within a folder, or within its archive."""
     path = Path(*(archive_of(name) or (name,)))
     base = Path(where).absolute()
     return str(path.relative_to(base if base.is_dir() else base.parent))

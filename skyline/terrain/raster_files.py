@@ -24,6 +24,7 @@ NOT_RECOGNIZED = "not recognized as being in"
 """GDAL's words for a file of no format that it knows."""
 
 _BLOCK_BYTES = 1 << 20
+"""Bytes of a file that are unpacked at a time."""
 
 _SETTINGS = {
     # Enough to decode a row of tiles; GDAL's default is 5 % of the machine's memory.
@@ -36,11 +37,14 @@ _SETTINGS = {
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
+"""GDAL's settings for reading heights."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
+"""A user with a password in an address, or its query."""
 _NO_ANSWER = re.compile(
     r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/|"
     r"^'/vsicurl/\S*' does not exist"
 )
+"""GDAL's words where a server fails."""
 
 
 @contextmanager

@@ -1,8 +1,8 @@
-"""Summits of a height field: the highest point near a place, and the prominence of a hill.
+"""Summits of a height field: the highest point near a position, and the prominence of a hill.
 
 The highest sample of a summit lies up to a sample's spacing beside the true summit. An eye beside
-that sample stands on the model's slope, with the summit before it like a wall, although the two
-places are the same as far as the model can resolve.
+that sample stands on the model's slope, with the summit before it like a wall, although the model
+cannot tell the two positions apart.
 """
 
 import math
@@ -13,31 +13,24 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array
 from skyline.terrain.heightfield import HeightField
 
-_FALL_SDS, _LEVEL_SDS = 2.0, 0.5
-"""Least fall of the ground around a summit, and greatest rise on it, in deviations of the model's
-heights."""
-_SUMMIT_REACH = 16
-"""Distance from a summit, in samples, within which the ground must fall off."""
-_PROMINENCE_REACH = 64
-"""Distance from a summit, in samples, within which the way to higher ground is searched."""
-_PROMINENCE_STEP_M = 1.0
 _BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
-"""From a sample into each triangle around it, in samples to the east plus i times to the south."""
-_EIGHT_NEIGHBOURS = np.ones((3, 3), np.int64)
+"""Steps from a sample into each triangle around it, in samples to the east plus i times to the
+south."""
 
 
 def highest_within(
     field: HeightField, easting_m: float, northing_m: float, within_m: float
 ) -> tuple[float, float]:
-    """Return easting and northing of the highest point in a disc; of equals the nearest.
+    """Return easting and northing of the highest point in a disc.
 
     ``within_m`` is the disc's radius. On each triangle the height is linear. The highest point in
-    the disc is therefore at a sample, where an edge leaves the disc, or where the triangle's
-    steepest way up from the disc's middle does. Where the disc has no surface, its middle is
-    returned.
+    the disc is therefore at a sample, where an edge leaves the disc, or where the steepest way up
+    from the disc's middle on a triangle's plane leaves it. Of points of one height the nearest is
+    returned, and the disc's middle where it has no surface.
     """
     row, col = (float(at) for at in field.to_grid(easting_m=easting_m, northing_m=northing_m))
-    south_m, east_m = field.spacing_north_m, field.spacing_east_m
+    south_m = field.spacing_north_m
+    east_m = field.spacing_east_m
     rows, cols = (
         np.arange(max(0, math.ceil(at - reach) - 1), min(count, math.floor(at + reach) + 2))
         for at, reach, count in (
@@ -47,7 +40,8 @@ def highest_within(
     )
     if not (rows.size and cols.size):
         return easting_m, northing_m
-    down_m, right_m = (rows - row) * south_m, (cols - col) * east_m
+    down_m = (rows - row) * south_m
+    right_m = (cols - col) * east_m
     # Points are offsets to the east plus i times offsets to the south.
     points = [np.zeros(1, np.complex128), (right_m + 1j * down_m[:, np.newaxis]).ravel()]
     diagonal_m = math.hypot(south_m, east_m)
@@ -61,32 +55,34 @@ def highest_within(
         half_m = np.sqrt(within_m**2 - met_m**2)
         points += [normal * (met_m + 1j * half_m), normal * (met_m - 1j * half_m)]
     heights = field.heights_m[rows[:, np.newaxis], cols].astype(np.float64)
-    up_east, up_south = np.diff(heights, axis=1) / east_m, np.diff(heights, axis=0) / south_m
+    up_east = np.diff(heights, axis=1) / east_m
+    up_south = np.diff(heights, axis=0) / south_m
     for up in (
         up_east[:-1] + 1j * up_south[:, 1:],  # the north-eastern triangles
         up_east[1:] + 1j * up_south[:, :-1],
     ):
         sloping = up[np.abs(up) > 0.0]
         points.append(within_m * sloping / np.abs(sloping))
-    place = np.concatenate(points)
-    place = place[np.abs(place) <= within_m * (1.0 + 1e-12)]
+    point = np.concatenate(points)
+    point = point[np.abs(point) <= within_m * (1.0 + 1e-12)]
     # Rounding must not decide in which triangle a point lies: the triangle may be a hole.
-    place = (place[:, np.newaxis] + east_m * _BESIDE.real + 1j * south_m * _BESIDE.imag).ravel()
-    easting, northing = easting_m + place.real, northing_m - place.imag
-    # To the millimetre, since rounding must not prefer one place of level ground to another.
+    point = (point[:, np.newaxis] + east_m * _BESIDE.real + 1j * south_m * _BESIDE.imag).ravel()
+    easting = easting_m + point.real
+    northing = northing_m - point.imag
+    # To the millimetre, since rounding must not prefer one point of level ground to another.
     height = np.nan_to_num(
         np.round(field.height_at(easting_m=easting, northing_m=northing), 3), nan=-np.inf
     )
-    best = np.lexsort((np.abs(place), -height))[0]
+    best = np.lexsort((np.abs(point), -height))[0]
     return float(easting[best]), float(northing[best])
 
 
 def summit_heights_m(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> Float64Array:
-    """Return the height of the summit on which each place lies, (N,); NaN where there is none.
+    """Return the height of the summit on which each position lies, (N,); NaN where there is none.
 
-    A place lies on a summit if the highest sample within one spacing is on one: the ground falls
+    The highest sample within one spacing of the position is a summit if the ground around it falls
     off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
     of that deviation. Beyond holes and the border it may rise.
     """
@@ -96,7 +92,8 @@ def summit_heights_m(
     cols = np.floor(col).astype(np.int64)[:, np.newaxis] + np.tile(near, 4)
     within = np.hypot(rows - row[:, np.newaxis], cols - col[:, np.newaxis]) <= 1.0
     heights = np.where(within, _heights(field, rows, cols, -np.inf), -np.inf)
-    each, highest = np.arange(len(row)), heights.argmax(axis=1)
+    each = np.arange(len(row))
+    highest = heights.argmax(axis=1)
     top_row, top_col, top_m = (one[each, highest] for one in (rows, cols, heights))
     side = np.arange(-1, 2)
     around = _heights(
@@ -105,10 +102,11 @@ def summit_heights_m(
         top_col[:, np.newaxis] + np.tile(side, 3),
         np.inf,
     )
-    fall_m, level_m = _FALL_SDS * field.height_sd_m, _LEVEL_SDS * field.height_sd_m
+    fall_m = 2.0 * field.height_sd_m
+    level_m = 0.5 * field.height_sd_m
     summit_m = np.full(len(row), np.nan)
     for index in np.flatnonzero(np.isfinite(top_m) & (top_m + level_m >= around.max(axis=1))):
-        hill = _framed(field, int(top_row[index]), int(top_col[index]), _SUMMIT_REACH)
+        hill = _framed(field, int(top_row[index]), int(top_col[index]), reach=16)
         if _falls_by(hill, fall_m, level_m):
             summit_m[index] = top_m[index]
     return summit_m
@@ -118,12 +116,13 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
     """Return the least descent from a sample on the way to higher ground, metres.
 
     Ground counts as higher if it is more than `HeightField.height_sd_m` above the sample, because
-    the sample nearest to a named place is not always the highest of its hill. Ground that is more
-    than 64 samples away, or not known, counts as higher.
+    the sample nearest to a named peak is not always the highest of its hill. Ground that is more
+    than 64 samples away, or not known, counts as higher. The descent is exact to a metre.
     """
-    hill = _framed(field, row, col, _PROMINENCE_REACH)
-    low_m, high_m = 0.0, float(field.heights_m[row, col]) - float(hill.min())
-    while high_m - low_m > _PROMINENCE_STEP_M:
+    hill = _framed(field, row, col, reach=64)
+    low_m = 0.0
+    high_m = float(field.heights_m[row, col]) - float(hill.min())
+    while high_m - low_m > 1.0:
         fall_m = 0.5 * (low_m + high_m)
         if _falls_by(hill, fall_m, field.height_sd_m):
             low_m = fall_m
@@ -150,9 +149,12 @@ def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
 
 
 def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
-    """Return whether ground falls by ``fall_m`` all round a window's middle before it rises."""
+    """Return whether ground falls by ``fall_m`` all round a window's middle.
+
+    On the way it may rise by ``rise_m`` above the middle.
+    """
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2
-    hills, _ = label(around_m >= around_m[middle] - fall_m, _EIGHT_NEIGHBOURS)
+    hills, _ = label(around_m >= around_m[middle] - fall_m, np.ones((3, 3)))
     return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + rise_m)

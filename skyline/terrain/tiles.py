@@ -38,9 +38,8 @@ EVEN = 0.05
 """Greatest distance of an array's coordinate from even steps, in samples: coordinates in float32
 degrees are not exact."""
 
-_LEAST_FILLED = 1.0 / 9.0
-"""Least share of a grid that a text of points fills: with less, a sample has no neighbour."""
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
+"""Names of the dimensions of rows and columns."""
 
 _log = logging.getLogger(__name__)
 
@@ -151,7 +150,8 @@ def _tile_of(
             )
         band = bands[0]
         is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
-        if is_text and filled_share(source, dataset) < _LEAST_FILLED:
+        # With less than a ninth of the grid filled, a sample may have no neighbour.
+        if is_text and filled_share(source, dataset) < 1.0 / 9.0:
             raise InputError(
                 f"{source} lists points that lie apart on a grid of {dataset.height} x "
                 f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
@@ -244,7 +244,7 @@ def _on_map(source: str, crs: CRS) -> CRS:
 def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
     """Return the CRS that a raster names, else the default.
 
-    The vertical part of a default with the same map is taken where the raster names none.
+    Where the raster names the default's map and no vertical part, the default is returned.
     """
     if wkt is None:
         if default_crs is None:

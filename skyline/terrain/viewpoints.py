@@ -1,4 +1,4 @@
-"""Viewpoints: places of eyes on a height field, given as arrays or in a CSV file."""
+"""Viewpoints: positions of eyes on a height field, given as arrays or in a CSV file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,20 +15,16 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
-LEAST_EYE_HEIGHT_M = 0.3
-"""Height of a camera on the lowest tripods, or in the hands of someone who lies down. An eye that
-seems lower stands where the terrain model is too high."""
-_HIGHEST_EYE_M = 20_000.0
-"""Greatest elevation of an eye, above all aeroplanes from which people take photos."""
-_MOST_BELOW_M = 200.0
-"""Greatest depth of an eye below the ground: vertical datums differ by up to 100 m, and models err
-as much beside cliffs."""
-_MOST_WITHIN_M = 10_000.0
-"""Greatest radius in which the highest point around an eye may be searched."""
+"""Height above ground of a camera in the hands of someone who stands."""
 
-_ROUNDING_M = 1e-6
-_PLACES = (("easting", "northing"), ("lon", "lat"))
-_EYES = ("eye_height_m", "eye_elevation_m")
+LEAST_EYE_HEIGHT_M = 0.3
+"""Height above ground of a camera on the lowest tripods, or in the hands of someone who lies down.
+An eye that seems lower stands where the terrain model is too high."""
+
+HIGHEST_EYE_M = 20_000.0
+"""Greatest elevation of an eye, above all aeroplanes from which people take photos."""
+_POSITIONS = (("easting", "northing"), ("lon", "lat"))
+_HEIGHTS = ("eye_height_m", "eye_elevation_m")
 _LABELS = ("id", "name")
 _EXPECTED = (
     "expected a header `lon,lat` or `easting,northing`, and optionally `eye_height_m` (above "
@@ -42,7 +38,8 @@ class Viewpoints(Rows):
 
     Attributes
     ----------
-    easting_m, northing_m : (N,) float64
+    easting_m : (N,) float64
+    northing_m : (N,) float64
     eye_elevation_m : (N,) float64
         Metres above the DEM's datum (not above ground).
     """
@@ -53,7 +50,7 @@ class Viewpoints(Rows):
 
 
 def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, UInt8Array]:
-    """Return each eye four times and the headings (4 N,) of its views, north to west."""
+    """Return each eye four times, and the headings (4 N,) of its views, north to west."""
     count = len(viewpoints)
     heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
     return viewpoints[np.repeat(np.arange(count), len(HEADINGS))], heading
@@ -67,7 +64,7 @@ def stand_on(
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = 0.0,
 ) -> Viewpoints:
-    """Place eyes on the surface plus an eye height.
+    """Place eyes at a height above the surface of a height field.
 
     Parameters
     ----------
@@ -75,7 +72,7 @@ def stand_on(
     eye_height_m : array_like, metres above ground, at least 0
     summit_within_m : float or None
         Eyes move to the highest point within this distance. None leaves eyes where they are, and
-        lifts those within a sample's spacing of a summit of the model to its height
+        lifts an eye within a sample's spacing of a summit of the model to the summit's height
         (`skyline.terrain.summits.summit_heights_m`).
 
     Raises
@@ -87,21 +84,21 @@ def stand_on(
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
-    asked = easting, northing
-    if summit_within_m is not None and not 0.0 <= summit_within_m <= _MOST_WITHIN_M:
+    given = easting, northing
+    if summit_within_m is not None and not 0.0 <= summit_within_m <= 10_000.0:
         raise InputError(
-            f"summits are looked for within {summit_within_m:g} m; expected 0 to {_MOST_WITHIN_M:g}"
+            f"summits are looked for within {summit_within_m:g} m; expected 0 to 10000"
         )
     if summit_within_m:
         highest = [
-            highest_within(field, *place, summit_within_m)
-            for place in zip(easting.tolist(), northing.tolist(), strict=True)
+            highest_within(field, *position, summit_within_m)
+            for position in zip(easting.tolist(), northing.tolist(), strict=True)
         ]
         easting, northing = np.array(highest).reshape(-1, 2).T.copy()
     ground = field.height_at(easting_m=easting, northing_m=northing)
     missing = np.flatnonzero(np.isnan(ground))
     if missing.size:
-        raise _no_ground(field, missing, *asked)
+        raise _no_ground(field, missing, *given)
     if summit_within_m is None:
         ground = np.fmax(ground, summit_heights_m(field, easting, northing))
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=ground + eye_height)
@@ -119,7 +116,7 @@ def stand_at(
 
     By default an eye beside a summit of the model stands as high as the summit.
     """
-    easting_m, northing_m = place_on(field, lon, lat)
+    easting_m, northing_m = position_on(field, lon, lat)
     return stand_on(
         field,
         easting_m=easting_m,
@@ -138,28 +135,29 @@ def stand_at_one(
     summit_within_m: float | None = None,
 ) -> Viewpoints:
     """Place a single eye, as `stand_at`; raises `InputError` for several."""
-    place = {"lon": lon, "lat": lat}
-    eye = stand_at(field, **place, eye_height_m=eye_height_m, summit_within_m=summit_within_m)
+    eye = stand_at(
+        field, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
     if len(eye) != 1:
         raise InputError(f"{len(eye)} places are given; expected one: call this for each of them")
     return eye
 
 
-def place_on(
+def position_on(
     field: HeightField, lon_deg: ArrayLike, lat_deg: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
 
-    Raises `OffMapError` for a place off the map.
+    Raises `OffMapError` for a position off the map.
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = field.frame.from_lonlat(lon, lat)
-    outside = np.flatnonzero(~is_inside(field, easting, northing))
+    outside = np.flatnonzero(~is_on_map(field, easting, northing))
     if outside.size:
         first = outside[0]
         box = field.box_deg
         remedy = "give another place, or a DEM that covers it"
-        if is_inside(field, *field.frame.from_lonlat(lat[first], lon[first])):
+        if is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "
@@ -179,38 +177,35 @@ def stand_where_possible(
     easting, northing = _flat(easting_m, northing_m)
     ground = field.height_at(easting_m=easting, northing_m=northing)
     stands = ~np.isnan(ground)
-    eye_m = ground + DEFAULT_EYE_HEIGHT_M
-    eyes = Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_m)
+    elevation = ground + DEFAULT_EYE_HEIGHT_M
+    eyes = Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=elevation)
     return eyes[stands], stands
 
 
 def at_elevation(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Viewpoints:
-    """Place eyes at elevations above the datum; as `stand_on` otherwise."""
+    """Place eyes at elevations above the datum; otherwise as `stand_on`."""
     easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
-    _check_heights(
-        eye_elevation
-        - stand_on(field, easting_m=easting, northing_m=northing, eye_height_m=0.0).eye_elevation_m
-    )
+    ground = stand_on(field, easting_m=easting, northing_m=northing, eye_height_m=0.0)
+    _check_heights(eye_elevation - ground.eye_elevation_m)
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_elevation)
 
 
 def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
     """Raise an error if an eye's elevation is impossible, or far below the ground.
 
-    ``ground_m`` is the elevation of the lowest ground where the eye may stand. The eye may lie
-    somewhat below it, since the elevation may be of another vertical datum than the model, and the
-    model may be wrong. Raises `InputError` outside -500 to 20,000 m, and `OffMapError` more than
-    200 m below the ground.
+    ``ground_m`` is the elevation of the lowest ground where the eye may stand. Raises `InputError`
+    outside -500 to 20,000 m, and `OffMapError` more than 200 m below the ground: vertical datums
+    differ by up to 100 m, and models err as much beside cliffs.
     """
     lowest_m = GROUND_M[0]
-    if not lowest_m <= eye_elevation_m <= _HIGHEST_EYE_M:
+    if not lowest_m <= eye_elevation_m <= HIGHEST_EYE_M:
         raise InputError(
             f"the eye's elevation is {eye_elevation_m:g} m; expected metres above the DEM's datum, "
-            f"{lowest_m:g} to {_HIGHEST_EYE_M:g}"
+            f"{lowest_m:g} to {HIGHEST_EYE_M:g}"
         )
-    if eye_elevation_m < ground_m - _MOST_BELOW_M:
+    if eye_elevation_m < ground_m - 200.0:
         raise OffMapError(
             f"the eye's elevation is {eye_elevation_m:g} m, and the ground of the DEM lies at "
             f"{ground_m:.0f} m there; expected metres above the DEM's datum: correct it, or leave "
@@ -223,17 +218,18 @@ def _no_ground(
 ) -> OffMapError:
     """Return the error for viewpoints without ground to stand on."""
     first = missing[0]
-    easting, northing = easting_m[first], northing_m[first]
+    easting = easting_m[first]
+    northing = northing_m[first]
     lon, lat = field.frame.to_lonlat(easting, northing)
     place = (
         f"{_first_of(missing, len(easting_m))} at lon {lon:.5f}, lat {lat:.5f} (easting "
         f"{easting:.2f}, northing {northing:.2f}) is"
     )
-    if is_inside(field, easting, northing):
+    if is_on_map(field, easting, northing):
         return OffMapError(f"{place} on a hole of the DEM: move it or remove it")
     west, south, east, north = field.bounds_m
     remedy = "move it or remove it"
-    if is_inside(field, northing, easting):
+    if is_on_map(field, northing, easting):
         remedy = swapped_in_words(easting, northing, names="easting and northing")
     return OffMapError(
         f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
@@ -242,17 +238,20 @@ def _no_ground(
 
 
 def _first_of(failing: Int64Array, count: int) -> str:
+    """Return the words for the first of the viewpoints that fail, of ``count`` in all."""
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
-def is_inside(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
-    """Return a mask of the places that lie on a map."""
+def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return a mask of the positions that lie on a map."""
     west, south, east, north = field.bounds_m
-    easting, northing = np.asarray(easting_m), np.asarray(northing_m)
+    easting = np.asarray(easting_m)
+    northing = np.asarray(northing_m)
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
 def _flat(*values: ArrayLike) -> list[Float64Array]:
+    """Return values broadcast to (N,); raises `InputError` unless they are finite numbers."""
     try:
         numbers = [np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values]
         arrays = np.broadcast_arrays(*map(np.atleast_1d, numbers))
@@ -268,7 +267,8 @@ def _flat(*values: ArrayLike) -> list[Float64Array]:
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:
-    below = np.flatnonzero(eye_height_m < -_ROUNDING_M)
+    """Raise `OffMapError` for an eye below the ground; a micrometre below it is rounding."""
+    below = np.flatnonzero(eye_height_m < -1e-6)
     if below.size:
         first = below[0]
         more = f", and {below.size - 1} more are below it" if below.size > 1 else ""
@@ -289,31 +289,32 @@ def read_viewpoints(
     The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
     (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
     become labels; without either column there are none. ``eye_height_m`` is for files without a
-    column of heights, ``summit_within_m`` (as in `stand_on`) for files without one of elevations.
+    column of heights, and ``summit_within_m`` (as in `stand_on`) for files without a column of
+    elevations.
 
     Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
     columns are wrong, or a value is not a number; otherwise as `stand_on`.
     """
     table = read_table(path, _EXPECTED)
-    places = table.first_in(*_PLACES, expected=_EXPECTED)
-    eyes = [name for name in _EYES if name in table.header]
-    if len(eyes) > 1:
-        raise InputError(f"{path} has the columns {' and '.join(eyes)}; expected one of them")
-    table.refuse_other(*places, *_EYES, *_LABELS)
+    position = table.first_in(*_POSITIONS, expected=_EXPECTED)
+    heights = [name for name in _HEIGHTS if name in table.header]
+    if len(heights) > 1:
+        raise InputError(f"{path} has the columns {' and '.join(heights)}; expected one of them")
+    table.refuse_other(*position, *_HEIGHTS, *_LABELS)
     if not table.rows:
         raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
     first, second, *height = (
-        np.array([row.number(name) for row in table.rows]) for name in (*places, *eyes)
+        np.array([row.number(name) for row in table.rows]) for name in (*position, *heights)
     )
     labels = (
         tuple(printable(row.label) for row in table.rows) if {*_LABELS} & {*table.header} else ()
     )
-    if places == ("lon", "lat"):
-        first, second = place_on(field, first, second)
-    elif is_inside(field, *field.frame.from_lonlat(first, second)).all():
+    if position == ("lon", "lat"):
+        first, second = position_on(field, first, second)
+    elif is_on_map(field, *field.frame.from_lonlat(first, second)).all():
         # In a frame around the model they would lie in its middle, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
-    if eyes == ["eye_elevation_m"]:
+    if heights == ["eye_elevation_m"]:
         return at_elevation(field, first, second, *height), labels
     stood = stand_on(
         field,
