@@ -15,22 +15,14 @@ from typing import Any, cast
 
 from skyline.camera import Projection
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import (
-    REPORT_PAGE,
-    STANDARD,
-    Row,
-    Table,
-    is_own_page,
-    is_table,
-    read_table,
-    version_of,
-)
+from skyline.files import REPORT_PAGE, STANDARD, is_own_page, version_of
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.read import check_fov, photos_in, read_query
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Runner
+from skyline.tables import Row, Table, is_table, read_table
 
 _NUMBERS = (
     "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",

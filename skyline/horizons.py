@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.errors import InputError, entry_named, library, numbers_of
-from skyline.files import csv_lines, write_whole
+from skyline.files import write_whole
 from skyline.geodesy import Curvature, in_turn
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import MAX_WIDTH, Horizons
+from skyline.tables import csv_lines
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface

@@ -23,8 +23,9 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
-from skyline.files import GEOJSON, Row, read_bytes, read_table
+from skyline.files import GEOJSON, read_bytes
 from skyline.geodesy import GROUND_M, Curvature, Frame
+from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ray_casting import edge_crossings_m
 from skyline.terrain.summits import prominence_m

@@ -36,12 +36,13 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import STANDARD, csv_lines, on_disk, read_bytes, write_whole
+from skyline.files import STANDARD, on_disk, read_bytes, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
+from skyline.tables import csv_lines
 from skyline.terrain.dem_files import dem_names
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.view import PIXEL_FILES, Viewer

@@ -27,7 +27,6 @@ from skyline.errors import InputError, MissingFileError, suffix_of
 from skyline.files import (
     STANDARD,
     files_in,
-    is_table,
     left_out_in_words,
     names_in_words,
     read_bytes,
@@ -40,6 +39,7 @@ from skyline.photo.sky_model import is_sky_mask, model_skyline, skyline_of_mask
 from skyline.photo.skyline import Lens, PhotoSkyline, check_of_image
 from skyline.photo.trace import read_trace
 from skyline.photo.xmp import xmp_of
+from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
 

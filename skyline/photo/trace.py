@@ -9,8 +9,9 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.camera import Projection
 from skyline.errors import InputError, check_suffix
-from skyline.files import Row, Table, read_table, write_whole
+from skyline.files import write_whole
 from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.tables import Row, Table, read_table
 
 TRACES = (".csv",)
 """The suffix of traces: files of others are photos."""

@@ -30,21 +30,14 @@ import numpy as np
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.camera import Projection
 from skyline.errors import BusyError, InputError, SkylineError, printable, suffix_of
-from skyline.files import (
-    STANDARD,
-    csv_lines,
-    has_locks,
-    lock_file,
-    unguarded,
-    write_whole,
-    write_with_folders,
-)
+from skyline.files import STANDARD, has_locks, lock_file, write_whole, write_with_folders
 from skyline.geodesy import Frame, lonlat_rings
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.store.read import Store
+from skyline.tables import csv_lines, unguarded
 
 VIEW_REACH_M = 2000.0
 """Radius of the wedge drawn for a view; a camera sees farther, but longer wedges would overlap."""

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
-from skyline.files import read_table
 from skyline.geodesy import GROUND_M
 from skyline.skylines import HEADINGS
+from skyline.tables import read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 

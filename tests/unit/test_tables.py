@@ -10,7 +10,8 @@ from threading import Thread
 import pytest
 
 from skyline.errors import InputError
-from skyline.files import csv_lines, is_table, read_table, write_whole
+from skyline.files import write_whole
+from skyline.tables import csv_lines, is_table, read_table
 
 
 def places(path, text):
