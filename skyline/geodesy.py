@@ -1,7 +1,7 @@
-"""Map frames: places in metres and degrees, the direction of north, and the Earth's curvature.
+"""Map frames: positions in metres and degrees, the direction of north, the Earth's curvature.
 
-Inside the program a location is (easting, northing) in one metric frame and azimuths are from
-grid north. People read degrees of WGS 84, and azimuths from true north.
+Inside the program a position is (easting, northing) in one metric frame and azimuths are from grid
+north. People read degrees of WGS 84, and azimuths from true north.
 """
 
 import math
@@ -18,30 +18,28 @@ from skyline.arrays import Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
+"""The mean radius of the Earth."""
+
 DEFAULT_REFRACTION_K = 0.13
-GROUND_M = -500.0, 9000.0
+"""The share of the Earth's curvature that refraction usually compensates by day."""
+
+GROUND_M = (-500.0, 9000.0)
 """Lowest and highest ground on Earth, with a margin: Dead Sea -430 m, Everest 8849 m."""
+
 TRUE_DEG = 0.05
 """Greatest error of an angle on a map that is used as a frame, in degrees. The best answers claim
 0.1 degrees, as does the noise of a photo's skyline; errors add as squares, so half as much widens
 that by an eighth. UTM is off by 0.03 degrees on its zone's border at the equator. Warping a map
 that is nearer the truth would move its summits by more than it gains."""
-_PROBES = 9
-"""Rows and columns of the places at which a map is compared with the ground."""
+
 _EDGE_POINTS = 63
 """Points along each side of a box that is transformed to other coordinates, where it is curved."""
-
-_ON_EDGE_DEG, _SLIVER_DEG = 1e-9, 2e-7
-"""A corner this near to the antimeridian lies on it; a part narrower than 2 cm is dropped."""
-
 _LOCAL = "local transverse Mercator"
+"""The beginning of the names of local frames."""
 _WGS84 = Geod(ellps="WGS84")
 _STEP_DEG = 1e-4
 """Step of latitude, 11 m: half of the differences from which a projection's derivatives are
 computed."""
-_NORTHMOST_DEG = 89.99
-"""Greatest latitude at which north is computed: a pole has none, and takes that of a place a
-kilometre away."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ class Curvature:
 
     @property
     def drop_per_m2(self) -> float:
-        """The drop is ``drop_per_m2 * d**2``, d the horizontal distance: (1 - k) / (2 R)."""
+        """The drop at a metre's distance, (1 - k) / (2 R); it grows with the distance squared."""
         return (1.0 - self.refraction_k) / (2.0 * self.radius_m) if self.enabled else 0.0
 
     def drop_m(self, distance_m: ArrayLike) -> Float64Array:
@@ -90,7 +88,7 @@ Bounds = tuple[float, float, float, float]
 
 
 def check_bounds(bounds_deg: Bounds) -> Bounds:
-    """Return bounds as floats; `InputError` where they are not W,S,E,N with S < N."""
+    """Return bounds as floats; raises `InputError` unless they are W,S,E,N with S < N."""
     error = f"bounds are {bounds_deg!r}; expected four numbers W,S,E,N in degrees"
     west, south, east, north = bounds_deg = numbers_of(bounds_deg, 4, error)  # type: ignore[assignment]
     if not are_bounds(*bounds_deg):
@@ -106,7 +104,8 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
 def are_bounds(west: float, south: float, east: float, north: float) -> bool:
     """Return whether numbers can be the bounds of a box in degrees.
 
-    A box with W > E crosses the antimeridian; wider than half a turn, its W and E were swapped.
+    A box with W > E crosses the antimeridian, and is at most half a turn wide: W and E of a wider
+    one were swapped.
     """
     return (
         -90.0 <= south < north <= 90.0
@@ -129,7 +128,10 @@ def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude or latitude without a sign but with one of two letters such as EW."""
+    """Return a longitude or a latitude in words, with the first of two letters if positive.
+
+    ``names`` are the letters, ``EW`` or ``NS``.
+    """
     value = float(in_turn(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
@@ -163,7 +165,7 @@ def without_vertical(crs: CRS) -> CRS:
 
 
 def parse_crs(crs: object) -> CRS:
-    """Return the CRS of anything that pyproj understands; raises `InputError` for anything else."""
+    """Return the CRS of anything that pyproj understands; raises `InputError` otherwise."""
     try:
         return CRS.from_user_input(crs)
     except CRSError as error:
@@ -174,7 +176,7 @@ def parse_crs(crs: object) -> CRS:
 
 
 def transformer(source: CRS, target: CRS) -> Transformer:
-    """Return the transformation of x and y, in the order that raster files have, between two CRS.
+    """Return the transformation of x and y between two CRS, in the order of raster files.
 
     Raises `InputError` where PROJ knows none, as for the CRS of another planet.
     """
@@ -188,10 +190,10 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return longitude and latitude (WGS 84) of a point in a CRS, and their accuracy in words."""
+    """Return longitude, latitude (WGS 84) of a point in a CRS, and their accuracy in words."""
     transformation = transformer(crs, CRS.from_epsg(4326))
     lon, lat = transformation.transform(x, y)
-    with suppress(ProjError):  # where there is only one
+    with suppress(ProjError):  # There may be only one operation.
         transformation = transformation.get_last_used_operation()
     steps = transformation.description.split(" + ")
     how = " + ".join(step for step in steps if not step.startswith("axis order change"))
@@ -203,7 +205,10 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return the degrees by which a place lies outside the area of a CRS, if that is known."""
+    """Return by how many degrees a position lies outside the area of a CRS.
+
+    It is 0 where the area is not known.
+    """
     authority = crs.to_authority()
     area = CRS.from_authority(*authority).area_of_use if authority else None
     if area is None:
@@ -220,12 +225,14 @@ class Frame:
     """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
 
     wkt: str
+    """The CRS as well-known text."""
 
     @classmethod
     def from_crs(cls, crs: object) -> "Frame":
-        """Make a frame of anything pyproj understands; raises `InputError` unless metric.
+        """Return the frame of anything that pyproj understands as a metric CRS.
 
-        The vertical axis of a compound or three-dimensional CRS is left out.
+        The vertical axis of a compound or three-dimensional CRS is left out. Raises `InputError`
+        for anything else.
         """
         parsed = without_vertical(parse_crs(crs))
         if not is_metric(parsed):
@@ -237,7 +244,7 @@ class Frame:
 
     @classmethod
     def local(cls, *, lon: float, lat: float) -> "Frame":
-        """Make the local conformal frame: transverse Mercator on WGS 84 through a point."""
+        """Return the local conformal frame: transverse Mercator on WGS 84 through a point."""
         definition = CRS.from_proj4(
             f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -273,9 +280,9 @@ class Frame:
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
     def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
-        """Return the box in degrees around the map rectangle around places.
+        """Return the box in degrees around the least map rectangle that holds positions.
 
-        A rectangle that holds a pole has all longitudes, -180 to 180.
+        Around a rectangle that holds a pole, the box has all longitudes, -180 to 180.
         """
         west, south, east, north = self._to_lonlat.transform_bounds(
             np.min(easting_m),
@@ -293,7 +300,7 @@ class Frame:
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
     def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
-        """Return the rectangle around a box in degrees; raises as `check_bounds`."""
+        """Return the map rectangle around a box in degrees; raises as `check_bounds`."""
         west, south, _, north = check_bounds(bounds_deg)
         rectangle: Rectangle = self._to_lonlat.transform_bounds(
             west,
@@ -311,14 +318,15 @@ class Frame:
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
     def angle_error_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return the greatest error of an angle on the map at each location, level or upright.
+        """Return the greatest error of an angle on the map at each position, level or upright.
 
         A scale k in some direction divides the tangents of elevation angles there by k, which
-        changes that of 45 degrees most.
+        changes an angle of 45 degrees most.
         """
         to_east, to_north = self._steps(easting_m, northing_m)
         # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
-        sums, differences = np.abs(to_east - 1j * to_north), np.abs(to_east + 1j * to_north)
+        sums = np.abs(to_east - 1j * to_north)
+        differences = np.abs(to_east + 1j * to_north)
         scales = np.stack([sums + differences, sums - differences]) / 2.0
         with np.errstate(invalid="ignore"):  # off the map
             level = 2.0 * np.arcsin(differences / sums)
@@ -328,15 +336,13 @@ class Frame:
     def untrue_deg(self, rectangle_m: Rectangle) -> float:
         """Return the greatest error of an angle in a rectangle; 0 where the frame may be used.
 
-        It may where the error is at most `TRUE_DEG`, or no greater than that of a local frame, as
-        over areas that are too wide for any map.
+        A frame may be used where its error is at most `TRUE_DEG`, or no greater than the error of a
+        local frame, as over areas that are too wide for any map.
         """
         if self.is_local:
             return 0.0
         west, south, east, north = rectangle_m
-        easting, northing = np.meshgrid(
-            np.linspace(west, east, _PROBES), np.linspace(south, north, _PROBES)
-        )
+        easting, northing = np.meshgrid(np.linspace(west, east, 9), np.linspace(south, north, 9))
         error_deg = self._greatest_error_deg(easting, northing)
         if error_deg <= TRUE_DEG:
             return 0.0
@@ -351,19 +357,21 @@ class Frame:
         return float(np.nanmax(np.append(error_deg, 0.0)))
 
     def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return map metres per metre on the ground at each location, mean over directions."""
+        """Return map metres per metre of ground at each position, a mean over directions."""
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 
     def _steps(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Complex128Array, Complex128Array]:
-        """Return the steps, easting + i northing, for a metre of ground to the east and the north.
+        """Return the map steps, easting + i northing, of a metre of ground east, and north.
 
-        They are differences of places on WGS 84, and hold for any datum, prime meridian and axes.
+        They are differences of positions on WGS 84, and hold for any datum, prime meridian and
+        axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
-        lat = np.clip(lat, -_NORTHMOST_DEG, _NORTHMOST_DEG)
+        # A pole has no north, and takes the north of a position a kilometre away.
+        lat = np.clip(lat, -89.99, 89.99)
         lat_rad = np.radians(lat)
         lon_step = _STEP_DEG / np.cos(lat_rad)
 
@@ -373,7 +381,8 @@ class Frame:
             return np.asarray((east + 1j * north) / math.radians(2.0 * _STEP_DEG))
 
         with np.errstate(invalid="ignore"):  # off the map
-            eastward, northward = step(lon_step, 0.0), step(0.0, _STEP_DEG)
+            eastward = step(lon_step, 0.0)
+            northward = step(0.0, _STEP_DEG)
         # The radii of curvature across the meridian and along it.
         root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
         across_m = _WGS84.a / np.sqrt(root)
@@ -385,15 +394,16 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
     """Return an outline as rings of longitude and latitude, cut at the antimeridian.
 
     RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world. The
-    outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and oriented alike;
-    longitudes are from -180 to 180.
+    outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and oriented as the
+    outline is; longitudes are from -180 to 180.
     """
     lon, lat = frame.to_lonlat(*outline_m.T)
     lon = np.unwrap(lon, period=360.0)
     lon[-1] = lon[0]  # to the bit
     # A corner on the antimeridian, up to rounding, is moved to one side of it.
-    on_edge = np.abs((lon % 360.0) - 180.0) < _ON_EDGE_DEG
-    ring = np.stack([lon + 2.0 * _ON_EDGE_DEG * on_edge, lat], axis=1)
+    rounding_deg = 1e-9
+    on_edge = np.abs((lon % 360.0) - 180.0) < rounding_deg
+    ring = np.stack([lon + 2.0 * rounding_deg * on_edge, lat], axis=1)
     rings = _cut_at(ring, float(np.copysign(180.0, lon[0])))
     for ring in rings:
         middle = 0.5 * (ring[:, 0].min() + ring[:, 0].max())
@@ -402,13 +412,14 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
 
 
 def _cut_at(ring: Float64Array, edge: float) -> list[Float64Array]:
-    """Return the parts of a ring on either side of a longitude; the ring if it lies on one."""
+    """Return the parts of a ring on both sides of a longitude, or the ring if it is on one side."""
     count = len(ring) - 1
     is_east = ring[:-1, 0] > edge
     crossed = np.flatnonzero(is_east != np.roll(is_east, -1))
     if not len(crossed):
         return [ring]
-    start, step = ring[crossed], ring[crossed + 1] - ring[crossed]
+    start = ring[crossed]
+    step = ring[crossed + 1] - start
     on_edge = start + step * ((edge - start[:, :1]) / step[:, :1])
     on_edge[:, 0] = edge
     # Crossings split the ring into chains. From south to north, the edge lies inside between each
@@ -420,8 +431,10 @@ def _cut_at(ring: Float64Array, edge: float) -> list[Float64Array]:
         chains.append(np.concatenate([on_edge[[at]], ring[inner], on_edge[[to]]]))
     order = np.argsort(on_edge[:, 1])
     goes_on = np.empty_like(order)
-    goes_on[order[::2]], goes_on[order[1::2]] = order[1::2], order[::2]
-    parts, left = [], set(range(len(chains)))
+    goes_on[order[::2]] = order[1::2]
+    goes_on[order[1::2]] = order[::2]
+    parts = []
+    left = set(range(len(chains)))
     while left:
         chain = first = min(left)
         joined = []
@@ -430,4 +443,5 @@ def _cut_at(ring: Float64Array, edge: float) -> list[Float64Array]:
             joined.append(chains[chain])
             chain = int(goes_on[after[chain]])
         parts.append(np.concatenate([*joined, chains[first][:1]]))
-    return [part for part in parts if np.ptp(part[:, 0]) > _SLIVER_DEG]
+    # A part narrower than 2 cm is dropped.
+    return [part for part in parts if np.ptp(part[:, 0]) > 2e-7]

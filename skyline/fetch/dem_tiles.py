@@ -26,7 +26,14 @@ from rasterio.windows import transform as transform_of
 
 from skyline.arrays import BoolArray, Progress
 from skyline.errors import FetchError, InputError
-from skyline.fetch.remote import AbsentError, RefusedError, SpoiledError, with_remote
+from skyline.fetch.remote import (
+    PATIENT,
+    AbsentError,
+    Patience,
+    RefusedError,
+    SpoiledError,
+    with_remote,
+)
 from skyline.files import check_folder, for_gdal, write_whole
 from skyline.geodesy import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.raster_files import bands_of, without_secrets
@@ -41,19 +48,10 @@ SOURCES = {
         "Copernicus_DSM_COG_10_{ns}{lat:02d}_00_{ew}{lon:03d}_00_DEM.tif"
     )
 }
-"""Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
+"""The addresses of named sources: Copernicus GLO-30, a surface model of 1 arc-second, on AWS."""
 
-_ARC_SECOND_BYTES = 4 * 3600**2
 _TAG = "SKYLINE_FETCH"
-# Bounds this near to a pixel's edge lie on it, up to rounding.
-_SLACK = 1e-6
-# Tiles reach over their borders by some pixels. A smaller share in a cell is a neighbour's border.
-_LEAST_SHARE = 0.1
-
-_NAMED = 5
-"""Tiles that an error names."""
-
-_WIDTH = re.compile(r"(\d{1,2}d)?")
+"""The tag of a file with its source and its bounds."""
 
 _log = logging.getLogger(__name__)
 
@@ -65,9 +63,9 @@ class FetchResult:
     files: tuple[Path, ...]
     """All tiles, from the south-west, row by row."""
     fetched: int
-    """Number of these that were fetched now; the others already existed."""
+    """Number of tiles that were fetched now; the others were there already."""
     missing: tuple[str, ...]
-    """Tiles that the source does not have, usually sea."""
+    """Names of tiles that the source does not have, usually sea."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +75,7 @@ class _Cut:
     url: str
     path: Path
     tag: str
+    """The source and the bounds, as JSON."""
     window: Window
     dtype: DTypeLike
 
@@ -95,7 +94,7 @@ class _Failures:
 
     @contextmanager
     def noting(self, name: str) -> Iterator[None]:
-        """Note the error of a tile that is fetched in the block, so that others are fetched too.
+        """Keep the error of a tile that is fetched in the block, so that others are fetched too.
 
         Raises `FetchError` where the server does not answer, or fails for two tiles in a row.
         """
@@ -113,14 +112,15 @@ class _Failures:
 
     @property
     def error(self) -> FetchError:
-        """One error for all tiles, with the words of the first."""
-        names, first = list(self._errors), next(iter(self._errors.values()))
+        """One error for all tiles, with the words of the first error and five names at most."""
+        names = list(self._errors)
+        first = next(iter(self._errors.values()))
         if self._wanted == 1:
             return first
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
         return FetchError(
             f"{len(names)} of {self._wanted} tiles could not be fetched, "
-            f"{', '.join(names[:_NAMED])}{more}: {first}"
+            f"{', '.join(names[:5])}{more}: {first}"
         )
 
 
@@ -130,19 +130,20 @@ def fetch_dem(
     folder: Path,
     progress: Progress | None = None,
     earlier: Sequence[Path] = (),
+    patience: Patience = PATIENT,
 ) -> FetchResult:
     """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
 
-    A tile is written whole or not at all, and one that is there from the same source and has the
-    bounds is not fetched again, so that the same call continues a fetch that failed. One of other
-    bounds grows to the box around both.
+    A tile is written whole or not at all. A tile that is there from the same source, with the
+    bounds, is not fetched again, so that the same call continues a fetch that failed; a tile with
+    other bounds grows to the box around both.
 
     ``source`` is a name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand
     for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
     hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
-    it does not exist. Files are named by their tile: ``N46E009.tif``. A request that fails, or has
-    no answer in `TIMEOUT_S` seconds, is repeated up to `RETRIES` times. Samples of the same
-    source are copied from the folders of earlier fetches.
+    it does not exist. Files are named after their tile: ``N46E009.tif``. A request that fails, or
+    has no answer in time, is repeated (``patience``). Samples of the same source are copied from
+    ``earlier``, the folders of earlier fetches.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large, there
     is no tile, or a file is in the way or cannot be written, and `FetchError` where tiles could not
@@ -164,7 +165,7 @@ def fetch_dem(
         path = folder / f"{name}.tif"
         try:
             with failures.noting(name):
-                cut = _plan(address(template, *corner), path, corner, bounds_deg)
+                cut = _cut_of(address(template, *corner), path, corner, bounds_deg, patience)
                 files.append(path)
                 cuts += [cut] if cut is not None else []
         except AbsentError as error:
@@ -183,7 +184,7 @@ def fetch_dem(
     for done, cut in enumerate(cuts):
         show(done, len(cuts))
         with failures.noting(cut.path.stem):
-            _fetch(cut, earlier)
+            _fetch(cut, earlier, patience)
     show(len(cuts), len(cuts))
     if failures:
         raise failures.error
@@ -197,10 +198,13 @@ def address(template: str, lat: int, lon: int) -> str:
 
 
 def _check_template(template: str) -> None:
+    """Raise `InputError` unless a template is an address with fields for a tile's corner."""
     try:
         fields = [part[1:] for part in Formatter().parse(template) if part[1] is not None]
         usable = {"lat", "lon"} <= {name for name, *_ in fields} <= {"lat", "lon", "ns", "ew"}
-        usable &= all(_WIDTH.fullmatch(width or "") and not how for _, width, how in fields)
+        usable &= all(
+            re.fullmatch(r"(\d{1,2}d)?", width or "") and not how for _, width, how in fields
+        )
         parts = urlsplit(address(template, 0, 0) if usable else "")
         usable &= parts.scheme in ("http", "https") and bool(parts.hostname)
         usable &= not set(parts.geturl()) & {"{", "}"}
@@ -225,7 +229,8 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     lons = range(math.floor(west), math.ceil(west + width_deg(bounds_deg)))
     count = len(lats) * len(lons)
     if count > MAX_TILES:
-        size_gb = (north - south) * width_deg(bounds_deg) * _ARC_SECOND_BYTES / 1e9
+        arc_second_bytes = 4 * 3600**2  # of a degree by a degree of float32
+        size_gb = (north - south) * width_deg(bounds_deg) * arc_second_bytes / 1e9
         raise InputError(
             f"bounds {west:g},{south:g},{east:g},{north:g} need {count} tiles, about "
             f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
@@ -234,8 +239,10 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
     return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
 
 
-def _plan(url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds) -> _Cut | None:
-    """Return the part of a remote tile to read; None where the file is there already."""
+def _cut_of(
+    url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds, patience: Patience
+) -> _Cut | None:
+    """Return the part of a remote tile to read, None where the file is there already."""
     source = without_secrets(url)
     if path.exists():
         held: dict[str, Any] = {}
@@ -256,11 +263,11 @@ def _plan(url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds) -> 
         _check_usable(url, file)
         return _Cut(url, path, tag, _window(url, file, corner, bounds_deg), file.dtypes[0])
 
-    return with_remote(url, look)
+    return with_remote(url, look, patience)
 
 
 def _around(one: Bounds, other: Bounds) -> Bounds:
-    """Return the box around two boxes that have a part of one tile each."""
+    """Return the box around two boxes, each of which has a part of one tile."""
 
     def start(box: Bounds) -> float:
         return float(in_turn(box[0], one[0]))
@@ -294,23 +301,31 @@ def _check_usable(url: str, file: Any) -> None:
 
 
 def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) -> Window:
-    """Return the pixels of a tile that meet the bounds; refuses a file of another tile."""
+    """Return the pixels of a tile that meet the bounds; raises `InputError` for another tile."""
     west, south, _, north = bounds_deg
     east = west + width_deg(bounds_deg)
-    step_east, step_north = file.transform.a, -file.transform.e
-    left, top = file.transform.c, file.transform.f
+    step_east = file.transform.a
+    step_north = -file.transform.e
+    left = file.transform.c
+    top = file.transform.f
     middle = left + 0.5 * file.width * step_east
     turn = 360.0 * round((middle - 0.5 * (west + east)) / 360.0)
-    first_col = max(math.floor((west + turn - left) / step_east + _SLACK), 0)
-    last_col = min(math.ceil((east + turn - left) / step_east - _SLACK), file.width)
-    first_row = max(math.floor((top - north) / step_north + _SLACK), 0)
-    last_row = min(math.ceil((top - south) / step_north - _SLACK), file.height)
+    # Bounds this near to a pixel's edge lie on it, up to rounding.
+    slack = 1e-6
+    first_col = max(math.floor((west + turn - left) / step_east + slack), 0)
+    last_col = min(math.ceil((east + turn - left) / step_east - slack), file.width)
+    first_row = max(math.floor((top - north) / step_north + slack), 0)
+    last_row = min(math.ceil((top - south) / step_north - slack), file.height)
     lat, lon = corner
-    off_deg = float(in_turn(middle - lon - 0.5)), top - 0.5 * file.height * step_north - lat - 0.5
-    half_deg = 0.5 * file.width * step_east, 0.5 * file.height * step_north
+    half_width_deg = 0.5 * file.width * step_east
+    half_height_deg = 0.5 * file.height * step_north
+    east_deg = float(in_turn(middle - lon - 0.5))
+    north_deg = top - half_height_deg - lat - 0.5
+    # Tiles reach over their borders by some pixels: a file with less than a tenth of its width in
+    # the cell is a neighbour.
     outside = any(
-        0.5 + half - abs(off) < _LEAST_SHARE * min(2.0 * half, 1.0)
-        for off, half in zip(off_deg, half_deg, strict=True)
+        0.5 + half - abs(off) < 0.1 * min(2.0 * half, 1.0)
+        for off, half in ((east_deg, half_width_deg), (north_deg, half_height_deg))
     )
     if outside or first_col >= last_col or first_row >= last_row:
         raise InputError(
@@ -322,13 +337,14 @@ def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) ->
     return Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
 
-def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
+def _fetch(cut: _Cut, earlier: Sequence[Path], patience: Patience) -> None:
     """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
-    samples, known = np.empty((height, width), cut.dtype), np.zeros((height, width), bool)
+    samples = np.empty((height, width), cut.dtype)
+    known = np.zeros((height, width), bool)
 
     def read(file: Any) -> bytes:
-        """Read a row of blocks at a time, and keep them when a connection fails."""
+        """Return the file's content; rows of blocks stay when a connection fails."""
         for folder in (cut.path.parent, *earlier):
             _copy_held(folder / cut.path.name, cut, file.transform, samples, known)
         block_rows = int(file.block_shapes[0][0])
@@ -345,13 +361,13 @@ def _fetch(cut: _Cut, earlier: Sequence[Path]) -> None:
             start = stop
         return _geotiff(samples, cut, file)
 
-    write_whole(cut.path, with_remote(cut.url, read))
+    write_whole(cut.path, with_remote(cut.url, read, patience))
 
 
 def _copy_held(
     path: Path, cut: _Cut, transform: Any, samples: NDArray[Any], known: BoolArray
 ) -> None:
-    """Copy a cut's samples from a file that was fetched earlier from the same tile."""
+    """Copy samples of a cut from a file that was fetched earlier from the same tile."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
         fetched = tag.get("source"), file.dtypes[0], file.transform.a, file.transform.e
@@ -371,7 +387,7 @@ def _copy_held(
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
-    """Return samples as the bytes of a GeoTIFF with the place and meaning of their origin."""
+    """Return the bytes of a GeoTIFF of samples with the place and the units of their origin."""
     with rasterio.MemoryFile() as memory:
         with memory.open(
             driver="GTiff",

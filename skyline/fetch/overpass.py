@@ -11,20 +11,20 @@ from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, printable, suffix_of
-from skyline.fetch.remote import PASSING, RETRIES, TIMEOUT_S, RequestError, repeated
+from skyline.fetch.remote import PASSING, PATIENT, Patience, RequestError, repeated
 from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.raster_files import without_secrets
 
 
-def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
+def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience = PATIENT) -> int:
     """Write the named peaks and volcanoes of a box as GeoJSON; return their number.
 
     `skyline.read_peaks` reads the file, which is written whole or not at all. ``server`` is the
-    address of an Overpass interpreter. A failed request is repeated up to `RETRIES` times; the
-    whole answer must arrive within `TIMEOUT_S` seconds.
+    address of an Overpass interpreter. A failed request is repeated up to ``patience.retries``
+    times; the whole answer must arrive within ``patience.timeout_s`` seconds.
 
-    Raises `InputError` where the suffix is not that of GeoJSON, the bounds are not in order, the
+    Raises `InputError` where the path has no suffix of GeoJSON, the bounds are not in order, the
     server is no http address, or the file cannot be written, and `FetchError` where the server
     fails, is too slow, or its answer is not a list of peaks in the box.
     """
@@ -41,9 +41,9 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
         f'node["natural"~"^(peak|volcano)$"]["name"]({south},{begin},{north},{end});'
         for begin, end in spans
     )
-    query = f"[out:json][timeout:{TIMEOUT_S}];({wanted});out;"
+    query = f"[out:json][timeout:{patience.timeout_s}];({wanted});out;"
     body = urlencode({"data": query}).encode()
-    answer = repeated(server, lambda: _ask(server, body))
+    answer = repeated(server, lambda: _ask(server, body, patience.timeout_s), patience)
     features = [_feature(server, one, (south, north), spans) for one in _elements(server, answer)]
     if not features:
         raise FetchError(
@@ -58,26 +58,26 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path) -> int:
     return len(features)
 
 
-def _ask(server: str, query: bytes) -> bytes:
+def _ask(server: str, query: bytes, timeout_s: int) -> bytes:
     """Return the whole answer, which must arrive in time; raises `RequestError`."""
     request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
-    deadline = time.monotonic() + TIMEOUT_S
+    deadline = time.monotonic() + timeout_s
     body = bytearray()
-    retries = RETRIES
+    retries = None
     try:
-        with urlopen(request, timeout=TIMEOUT_S) as answer:
+        with urlopen(request, timeout=timeout_s) as answer:
             promised = answer.length
             # Piece by piece, since a server that sends a byte a second never times out.
             while piece := answer.read1(1 << 16):
                 body += piece
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"incomplete after {TIMEOUT_S} s")
+                    raise TimeoutError(f"incomplete after {timeout_s} s")
         if promised is None or len(body) == promised:
             return bytes(body)
         reason = f"no whole answer ({len(body)} of {promised} bytes)"
     except HTTPError as error:
         reason = f"the server answers HTTP {error.code}"
-        retries = RETRIES if error.code in PASSING else 0
+        retries = None if error.code in PASSING else 0
     except URLError as error:
         reason = f"no answer ({error.reason})"
     except (OSError, http.client.HTTPException) as error:
@@ -90,7 +90,8 @@ def _elements(server: str, answer: bytes) -> list[Any]:
     """Return the elements of an answer; raises `FetchError` if it is not whole."""
     try:
         content = json.loads(answer)
-        elements, note = [*content["elements"]], content.get("remark", "")
+        elements = [*content["elements"]]
+        note = content.get("remark", "")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         begins = " ".join(answer[:60].decode("utf-8", "replace").split())
         raise FetchError(
@@ -108,10 +109,15 @@ def _elements(server: str, answer: bytes) -> list[Any]:
 def _feature(
     server: str, element: Any, lats: tuple[float, float], spans: list[tuple[float, float]]
 ) -> dict[str, object]:
-    """Return an element as a GeoJSON feature; `FetchError` where it is no named peak in the box."""
+    """Return an element as a GeoJSON feature.
+
+    Raises `FetchError` where it is no named peak in the box.
+    """
     try:
-        lon, lat = float(element["lon"]), float(element["lat"])
-        name, height = element["tags"]["name"], element["tags"].get("ele")
+        lon = float(element["lon"])
+        lat = float(element["lat"])
+        name = element["tags"]["name"]
+        height = element["tags"].get("ele")
     except (KeyError, TypeError, ValueError, AttributeError):
         lon = lat = math.nan
         name = height = None

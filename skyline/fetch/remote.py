@@ -1,4 +1,4 @@
-"""Requests to servers, repeated where that may help; the error of a failed one is one line."""
+"""Requests to servers, repeated where that may help; a request that fails has a one-line error."""
 
 import re
 import time
@@ -12,21 +12,30 @@ from rasterio.errors import RasterioError
 from skyline.errors import FetchError
 from skyline.terrain.raster_files import NOT_RECOGNIZED, without_secrets
 
-RETRIES = 4
-"""Number of repetitions of a failed request."""
-TIMEOUT_S = 30
-"""Seconds without an answer, or with less than 1 kB a second, after which a request has failed."""
-
 PASSING = (429, 500, 502, 503, 504)
 """HTTP status codes of failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
 """Words of curl for a server that cannot be found: without a network every attempt fails alike."""
 
-_FIRST_DELAY_S = 1.0
-"""Delay before the first repetition; it doubles before each further one."""
-
 _T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long an answer may take, and how often a failed request is repeated."""
+
+    retries: int = 4
+    """Greatest number of repetitions of a failed request."""
+    timeout_s: int = 30
+    """Seconds without an answer, or with less than 1 kB a second, after which a request has
+    failed."""
+    first_delay_s: float = 1.0
+    """Delay before the first repetition; it doubles before each further one."""
+
+
+PATIENT = Patience()
+"""The patience of commands."""
 
 
 class AbsentError(FetchError):
@@ -47,43 +56,44 @@ class RequestError(Exception):
 
     reason: str
     advice: str
-    retries: int
-    """Number of repetitions that may help; more than `RETRIES` are not made."""
+    retries: int | None = None
+    """Number of repetitions that may help, None for all that are made."""
     kind: type[FetchError] = FetchError
     """The error of the last repetition."""
 
 
-def repeated(url: str, request: Callable[[], _T]) -> _T:
+def repeated(url: str, request: Callable[[], _T], patience: Patience = PATIENT) -> _T:
     """Return the result of a request, repeated where it raises a `RequestError`.
 
-    Raises the `FetchError` of the last repetition that may help, where that fails too.
+    Where the last repetition fails too, raises its `FetchError`.
     """
     attempt = 0
     while True:
         try:
             return request()
         except RequestError as error:
-            if attempt >= min(error.retries, RETRIES):
+            most = patience.retries if error.retries is None else error.retries
+            if attempt >= min(most, patience.retries):
                 times = f"tried {attempt + 1} times" if attempt else "not tried again"
                 raise error.kind(
                     f"{without_secrets(url)}: {error.reason}, {times}; {error.advice}"
                 ) from error
-        time.sleep(_FIRST_DELAY_S * 2.0**attempt)
+        time.sleep(patience.first_delay_s * 2.0**attempt)
         attempt += 1
 
 
-def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
-    """Open the GeoTIFF at an address and return ``work`` of the rasterio dataset.
+def with_remote(url: str, work: Callable[[Any], _T], patience: Patience = PATIENT) -> _T:
+    """Return what ``work`` returns for the rasterio dataset of the GeoTIFF at an address.
 
-    After a failure that may pass ``work`` is called again with the file opened anew. Raises
+    After a failure that may pass, ``work`` is called again with the file opened anew. Raises
     `AbsentError`, `RefusedError` where the server refuses the file or sends something that is not a
     GeoTIFF, `SpoiledError` where it fails or breaks off, and another `FetchError` where it does not
     answer in time.
     """
     settings = {
         "GDAL_HTTP_MAX_RETRY": 0,
-        "GDAL_HTTP_CONNECTTIMEOUT": TIMEOUT_S,
-        "GDAL_HTTP_LOW_SPEED_TIME": TIMEOUT_S,
+        "GDAL_HTTP_CONNECTTIMEOUT": patience.timeout_s,
+        "GDAL_HTTP_LOW_SPEED_TIME": patience.timeout_s,
         "GDAL_HTTP_LOW_SPEED_LIMIT": 1000,
         # No requests for the folder or for side-car files.
         "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
@@ -106,11 +116,11 @@ def with_remote(url: str, work: Callable[[Any], _T]) -> _T:
                 settings["CPL_VSIL_CURL_USE_HEAD"] = "NO"
             raise _failure(url, error) from error
 
-    return repeated(url, read)
+    return repeated(url, read, patience)
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
-    """Return the error for a failure of GDAL, from its message and those of its causes."""
+    """Return the error for a failure of GDAL, from its message and the messages of its causes."""
     messages: list[str] = []
     cause: BaseException | None = error
     while cause is not None:
@@ -127,15 +137,14 @@ def _failure(url: str, error: RasterioError) -> Exception:
             check = "check that the source is open to you (or the file is absent)"
         reason = f"the server answers HTTP {code}"
         if code in PASSING:
-            return RequestError(reason, again, RETRIES, SpoiledError)
+            return RequestError(reason, again, kind=SpoiledError)
         return RequestError(reason, check, 0, RefusedError)
     if curl := re.search(r"CURL error: (.*?)( - Failure writing output to destination|;|$)", text):
         advice = f"check the address and the connection, then {again}"
-        return RequestError(
-            f"no answer ({curl[1]})", advice, 2 if _UNREACHABLE.search(curl[1]) else RETRIES
-        )
+        retries = 2 if _UNREACHABLE.search(curl[1]) else None
+        return RequestError(f"no answer ({curl[1]})", advice, retries)
     if NOT_RECOGNIZED in text:
         reason = "not a GeoTIFF, or the server does not answer HTTP range requests"
         return RequestError(reason, check, 2, RefusedError)
     reason = f"the file breaks off or is damaged ({text.rpartition('; ')[2]})"
-    return RequestError(reason, again, RETRIES, SpoiledError)
+    return RequestError(reason, again, kind=SpoiledError)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from urllib.parse import parse_qs
 
 import numpy as np
@@ -10,8 +11,8 @@ from commands import assert_refused
 from range_server import Behaviour, serve
 
 from skyline import Frame, read_peaks
-from skyline.fetch import overpass as client
-from skyline.fetch import remote
+from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.remote import Patience
 
 
 def node(name, lon, lat, **tags):
@@ -82,8 +83,8 @@ def test_a_failure_that_passes_is_tried_again(run, tmp_path, trouble):
 def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
     run, tmp_path, monkeypatch, server, message
 ):
-    monkeypatch.setattr(remote, "RETRIES", 0)
-    monkeypatch.setattr(client, "TIMEOUT_S", 1)
+    hasty = partial(fetch_peaks, patience=Patience(retries=0, timeout_s=1))
+    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", hasty)
     path = tmp_path / "peaks.geojson"
     path.write_text("as before")
     done = fetch(run, overpass(**server), path)

@@ -1,5 +1,7 @@
 """Tiles fetched from a server of the test's own, which is slow, fails or breaks off on request."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
@@ -12,9 +14,12 @@ from skyline import read_dem
 from skyline.errors import FetchError, InputError
 from skyline.fetch import dem_tiles, remote
 from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, _around, address, fetch_dem, tile_corners
+from skyline.fetch.remote import Patience
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
+QUICK = Patience(retries=2, timeout_s=1, first_delay_s=0.01)
+ONCE_MORE = replace(QUICK, retries=1)
 EAST = "/N46E010.tif"
 VRT = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
 
@@ -45,16 +50,13 @@ def server(contents):
 
 
 @pytest.fixture
-def template(server, monkeypatch):
-    monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.01)
-    monkeypatch.setattr(remote, "RETRIES", 2)
-    monkeypatch.setattr(remote, "TIMEOUT_S", 1)
+def template(server):
     with serve(server) as host:
         yield f"{host}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
 
 
-def fetch(template, folder, bounds=BOUNDS):
-    return fetch_dem(bounds, template, folder)
+def fetch(template, folder, bounds=BOUNDS, patience=QUICK, **options):
+    return fetch_dem(bounds, template, folder, patience=patience, **options)
 
 
 def expect_heights(result, heights):
@@ -127,12 +129,12 @@ def test_what_an_earlier_fetch_has_is_copied(template, server, heights, tmp_path
     alone = server.sent
     server.sent = 0
     bounds = (9.85, 46.65, 10.15, 46.85)
-    done = fetch_dem(bounds, template, tmp_path / "next", earlier=[tmp_path / "whole"])
+    done = fetch(template, tmp_path / "next", bounds, earlier=[tmp_path / "whole"])
     expect_heights(done, heights)
     assert done.fetched == 2
     assert server.sent < alone
     server.sent = 0
-    fetch_dem(BOUNDS, template, tmp_path / "again", earlier=[tmp_path / "whole"])
+    fetch(template, tmp_path / "again", earlier=[tmp_path / "whole"])
     assert server.sent < alone / 4
     for one, other in zip(whole.files, sorted((tmp_path / "again").iterdir()), strict=True):
         assert one.read_bytes() == other.read_bytes()
@@ -168,11 +170,10 @@ def test_failures_and_bodies_that_break_off_are_read_again(
         ({"files": {EAST: VRT}}, "not a GeoTIFF"),
     ],
 )
-def test_lasting_failures_are_one_line(template, server, tmp_path, monkeypatch, trouble, message):
-    monkeypatch.setattr(remote, "RETRIES", 1)
+def test_lasting_failures_are_one_line(template, server, tmp_path, trouble, message):
     vars(server).update(trouble)
     with pytest.raises(FetchError, match=message) as caught:
-        fetch(template, tmp_path)
+        fetch(template, tmp_path, patience=ONCE_MORE)
     assert "http://127.0.0.1" in str(caught.value)
     assert ".tif" in str(caught.value)
     assert "vsicurl" not in str(caught.value)
@@ -184,16 +185,15 @@ def test_lasting_failures_are_one_line(template, server, tmp_path, monkeypatch, 
     "trouble", [{"status": {EAST: 403}}, {"status": {EAST: 503}}, {"files": {EAST: VRT}}]
 )
 def test_a_tile_that_is_refused_does_not_stop_the_others(
-    template, server, contents, heights, tmp_path, monkeypatch, trouble
+    template, server, contents, heights, tmp_path, trouble
 ):
-    monkeypatch.setattr(remote, "RETRIES", 1)
     north = geotiff(heights[:, :SAMPLES], north=48.0), geotiff(heights[:, SAMPLES:], 10.0, 48.0)
     server.files |= dict(zip(("/N47E009.tif", "/N47E010.tif"), north, strict=True))
     for name, value in trouble.items():
         setattr(server, name, {**getattr(server, name), **value})
     bounds = (9.8, 46.6, 10.1, 47.2)
     with pytest.raises(FetchError, match=r"^1 of 4 tiles could not be fetched, N46E010: http:"):
-        fetch(template, tmp_path, bounds)
+        fetch(template, tmp_path, bounds, ONCE_MORE)
     assert {path.name for path in tmp_path.iterdir()} == {
         "N46E009.tif",
         "N47E009.tif",
@@ -223,7 +223,7 @@ def test_a_server_that_is_not_found_is_tried_three_times(tmp_path, monkeypatch):
     waited = []
     monkeypatch.setattr(remote.time, "sleep", waited.append)
     with pytest.raises(FetchError, match=r"no answer \(.*\), tried 3 times; check the address"):
-        fetch("http://127.0.0.1:9/{lat}{lon}.tif", tmp_path)
+        fetch("http://127.0.0.1:9/{lat}{lon}.tif", tmp_path, patience=Patience())
     assert waited == [1.0, 2.0]
 
 
