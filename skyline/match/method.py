@@ -13,8 +13,8 @@ from skyline.match.screen import ReportProgress, silent
 from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 MATCHERS = "skyline.matchers"
 """Group of the entry points by which matchers are found, ours as well as those of other
