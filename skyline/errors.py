@@ -23,7 +23,7 @@ _UNSHOWN = re.compile(
 
 
 def printable(text: str | os.PathLike[str]) -> str:
-    r"""Return text as one line of characters that UTF-8, JSON and XML can hold.
+    r"""Return text as one line that UTF-8, JSON and XML can hold.
 
     A byte of a file's name that is not UTF-8 becomes ``\xe4``, for example, a line end ``\n``, and
     an escape ``\x1b``; everything else stays as it is.
@@ -90,7 +90,10 @@ class BuildError(SkylineError, RuntimeError):
 
 
 def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
-    """Return the entry with a name; raises `InputError` if ``what`` has an unknown name."""
+    """Return the entry with a name.
+
+    Raises `InputError` if ``what`` has a name that is not known.
+    """
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
@@ -108,20 +111,26 @@ def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
 
 
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:
-    """Return a path's suffix in lower case; raises `InputError` for one that is not known."""
+    """Return a path's suffix in lower case.
+
+    Raises `InputError` for a suffix that is not known.
+    """
     suffix = Path(path).suffix.lower()
     entry_named(f"the suffix of {path}", suffix, dict.fromkeys(known))
     return suffix
 
 
 def check_suffix(path: str | Path, known: Iterable[str]) -> None:
-    """Raise `InputError` for a path whose suffix is not known; a path may have none."""
+    """Raise `InputError` for a path whose suffix is not known.
+
+    A path may have no suffix.
+    """
     if Path(path).suffix:
         suffix_of(path, known)
 
 
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
-    """Return a hint that coordinates are in the wrong order; it gives them in the right order.
+    """Return a hint that gives swapped coordinates in the right order.
 
     In the right order the two numbers of each pair are exchanged.
     """
@@ -132,9 +141,10 @@ def swapped_in_words(*given: float, names: str = "longitude and latitude") -> st
 
 
 def library(name: str, what: str, package: str | None = None) -> Any:
-    """Return the imported library that ``what`` needs; `InputError` says how to install it.
+    """Return the imported library that ``what`` needs.
 
-    The error names the package, not Skyline's extra: an index need not have Skyline.
+    Raises `InputError`, which says how to install it. The error names the package, not Skyline's
+    extra: an index need not have Skyline.
     """
     try:
         return import_module(name)

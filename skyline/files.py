@@ -38,9 +38,10 @@ _MEMBER = re.compile(r"/vsizip/\{(.+?\.zip)\}/(.+)", re.DOTALL | re.IGNORECASE)
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
-    """Return the content of a file, or of standard input for ``-``, which may be read again.
+    """Return the content of a file, or of standard input for ``-``.
 
-    Raises `MissingFileError` and `InputError`, whose messages end with what was ``expected``.
+    Standard input may be read again. Raises `MissingFileError` and `InputError`, whose messages end
+    with what was ``expected``.
     """
     if str(path) == STANDARD:
         return _content(sys.stdin)
@@ -59,10 +60,11 @@ def _content(stream: TextIO) -> bytes:
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file whole or not at all; write to standard output for ``-``.
+    """Write a file whole or not at all.
 
-    After a failure the file is as it was. A link stays, and its target is written; devices and
-    pipes are written, too. Raises `InputError` where the file cannot be written.
+    The path ``-`` is standard output. After a failure the file is as it was. A link stays, and its
+    target is written; devices and pipes are written, too. Raises `InputError` where the file cannot
+    be written.
     """
     content = content.encode() if isinstance(content, str) else content
     if str(path) == STANDARD:
@@ -97,7 +99,10 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raise `InputError` for a file, and for a new folder with the suffix of a file."""
+    """Raise `InputError` for a path that cannot be a folder.
+
+    Such a path is a file, or a new folder with the suffix of a file.
+    """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} is a file; name a folder")
     suffix = path.suffix.lower()
@@ -120,7 +125,7 @@ def is_own_page(path: Path) -> bool:
 
 
 def files_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False) -> list[Path]:
-    """Return the files in a folder and in the folders in it, in order of path.
+    """Return the files below a folder, in order of path.
 
     Hidden files and folders are left out, and so are folders that systems make or for which
     ``is_skipped`` returns True. Links are followed, and each folder is listed once; a link without
@@ -144,12 +149,15 @@ def files_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False)
 
 
 def is_of_system(name: str) -> bool:
-    """Return whether a file or folder is hidden, or made by a system beside a person's own."""
+    """Return whether a file or folder is hidden or a system's own."""
     return name.startswith(".") or name.lower() in _SYSTEM_FOLDERS
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Return the names of files in words: one of each ending, and how many more there are."""
+    """Return the names of files in words.
+
+    One of each ending is named, with the number of the others.
+    """
     most = 10
     kinds: dict[str, list[str]] = {}
     for name in names:
@@ -163,14 +171,17 @@ def names_in_words(names: Sequence[str]) -> str:
 
 
 def left_out_in_words(names: Sequence[str], expected: str) -> str:
-    """Return a clause with the number and the names of files of a folder that are left out."""
+    """Return a clause on the files of a folder that are left out."""
     one = len(names) == 1
     number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
     return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
 
 
 def has_locks(path: Path) -> bool:
-    """Return whether a file can be locked; in some network folders none can."""
+    """Return whether a file can be locked.
+
+    In some network folders none can.
+    """
     with path.open("rb") as file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -182,7 +193,7 @@ def has_locks(path: Path) -> bool:
 
 
 def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) -> TextIO | None:
-    """Lock a file, made if it is missing; return it open, which holds the lock.
+    """Lock a file, made if it is missing, and return it open.
 
     While another process holds the lock, None is returned. With ``before_waiting``, that is called
     instead, and the lock is waited for. Where no file can be locked, the file is returned all the
@@ -208,7 +219,10 @@ def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) ->
 
 
 def for_gdal(name: str) -> str:
-    """Return a path or an address for GDAL to open; raises `InputError` if it is not UTF-8."""
+    """Return a path or an address for GDAL to open.
+
+    Raises `InputError` if it is not UTF-8.
+    """
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -225,28 +239,37 @@ def member_name(archive: str | Path, member: str) -> str:
 
 
 def archive_of(name: str) -> tuple[str, str] | None:
-    """Return the archive and the member of a name of `member_name`; None for any other name."""
+    """Return the archive and the member of a `member_name`.
+
+    For any other name it is None.
+    """
     parts = _MEMBER.fullmatch(name)
     return None if parts is None else (parts[1], parts[2])
 
 
 def on_disk(name: str | Path) -> str | Path:
-    """Return the file that GDAL reads under a name: a member's archive, or the name itself."""
+    """Return the file that GDAL reads under a name.
+
+    The result is a member's archive, or the name itself.
+    """
     parts = archive_of(str(name))
     return name if parts is None else parts[0]
 
 
 def is_file(path: str | Path) -> bool:
-    """Return whether there is a file of this name, which may be too long for one."""
+    """Return whether there is a file of this name.
+
+    The name may be too long for a file, as an address may be.
+    """
     return os.path.isfile(path)  # noqa: PTH113  (`Path.is_file` raises an error for long names)
 
 
 def version_of(path: str | Path) -> tuple[int, int, int] | None:
-    """Return a file's size, modification time and status-change time; None without a file.
+    """Return a file's size, modification time and status-change time.
 
-    A member of an archive has the version of the archive. Times are in nanoseconds. Copying and
-    unpacking may keep the modification time, but not the status-change time, which a change of
-    permissions or of the name updates, too.
+    Without a file it is None. A member of an archive has the version of the archive. Times are in
+    nanoseconds. Copying and unpacking may keep the modification time, but not the status-change
+    time, which a change of permissions or of the name updates, too.
     """
     try:
         known = Path(on_disk(path)).stat()

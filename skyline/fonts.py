@@ -27,11 +27,11 @@ _CJK = ("CJK", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO", "HALFWIDTH", "FULLW
 
 
 def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the families that draw each text, to be tried in order; none if no font can.
+    """Return the families that draw each text, to be tried in order.
 
-    The families that Matplotlib uses by default (``font.family``) come first, then as few others as
-    draw the remaining letters. Fonts that were installed after Matplotlib made its list are added
-    to the list.
+    A text that no font can draw has none. The families that Matplotlib uses by default
+    (``font.family``) come first, then as few others as draw the remaining letters. Fonts that were
+    installed after Matplotlib made its list are added to the list.
     """
     missing = [_letters(text) for text in texts]
     usual = _drawn_as_usual(set().union(*missing))
@@ -56,7 +56,7 @@ def packages_with(letters: Iterable[str]) -> list[str]:
 
 
 def _package(letter: str) -> str:
-    """Return Debian's package of fonts for a letter, an empty text for no letter."""
+    """Return Debian's package of fonts for a letter, or an empty text."""
     if unicodedata.name(letter, "").startswith(_CJK):
         return "fonts-noto-cjk"
     kind = unicodedata.category(letter)
@@ -118,7 +118,7 @@ def _drawn_by_others(letters: set[str]) -> dict[str, set[str]]:
 
 
 def _add_new_fonts() -> None:
-    """Add fonts to Matplotlib's list that were installed since it wrote its list to a file."""
+    """Add fonts that are newer than Matplotlib's list to it."""
     known = {entry.fname for entry in fontManager.ttflist}
     for path in sorted(set(findSystemFonts()) - known):
         with suppress(Exception):  # Matplotlib, too, leaves out each font that it cannot read.
@@ -136,6 +136,9 @@ def _preference(entry: FontEntry) -> tuple[object, ...]:
 
 
 def _has(font: FT2Font, letter: str) -> bool:
-    """Return whether a font draws a letter with its marks, as one character or as several."""
+    """Return whether a font draws a letter with its marks.
+
+    The font may draw them as one character or as several.
+    """
     forms = letter, unicodedata.normalize("NFD", letter)
     return any(all(font.get_char_index(ord(part)) for part in form) for form in forms)

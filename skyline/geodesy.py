@@ -72,7 +72,10 @@ class Curvature:
 
     @property
     def drop_per_m2(self) -> float:
-        """The drop at a metre's distance, (1 - k) / (2 R); it grows with the distance squared."""
+        """The drop at a metre's distance, (1 - k) / (2 R).
+
+        The drop grows with the square of the distance.
+        """
         return (1.0 - self.refraction_k) / (2.0 * self.radius_m) if self.enabled else 0.0
 
     def drop_m(self, distance_m: ArrayLike) -> Float64Array:
@@ -88,7 +91,10 @@ Bounds = tuple[float, float, float, float]
 
 
 def check_bounds(bounds_deg: Bounds) -> Bounds:
-    """Return bounds as floats; raises `InputError` unless they are W,S,E,N with S < N."""
+    """Return bounds as floats.
+
+    Raises `InputError` unless they are W,S,E,N with S < N.
+    """
     error = f"bounds are {bounds_deg!r}; expected four numbers W,S,E,N in degrees"
     west, south, east, north = bounds_deg = numbers_of(bounds_deg, 4, error)  # type: ignore[assignment]
     if not are_bounds(*bounds_deg):
@@ -116,19 +122,25 @@ def are_bounds(west: float, south: float, east: float, north: float) -> bool:
 
 
 def width_deg(bounds_deg: Bounds) -> float:
-    """Return the width of a box in degrees of longitude; 360 where it goes all the way round."""
+    """Return the width of a box in degrees of longitude.
+
+    The result is 360 where the box goes all the way round.
+    """
     west, _, east, _ = bounds_deg
     return east - west if west <= east else east - west + 360.0
 
 
 def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
-    """Return angles or longitudes within half a turn of another, [-180, 180) by default."""
+    """Return angles within half a turn of another angle.
+
+    By default they are in [-180, 180).
+    """
     least_deg = about_deg - 180.0
     return (np.asarray(angle_deg, dtype=np.float64) - least_deg) % 360.0 + least_deg
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude or a latitude in words, with the first of two letters if positive.
+    """Return a longitude or a latitude in words, without a sign.
 
     ``names`` are the letters, ``EW`` or ``NS``.
     """
@@ -144,7 +156,7 @@ def distance_in_words(distance_m: float) -> str:
 
 
 def is_upright(crs: CRS) -> bool:
-    """Return whether the map of a CRS is neither mirrored nor upside down.
+    """Return whether a CRS's map is neither mirrored nor upside down.
 
     Both axes of a polar projection point north, or both south.
     """
@@ -153,14 +165,17 @@ def is_upright(crs: CRS) -> bool:
 
 
 def is_metric(crs: CRS) -> bool:
-    """Return whether a CRS is projected, in metres and upright, so that it can be a frame."""
+    """Return whether a CRS can be a frame.
+
+    It can if it is projected, in metres and upright.
+    """
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
     metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
     return bool(crs.is_projected and metres and is_upright(crs))
 
 
 def without_vertical(crs: CRS) -> CRS:
-    """Return a CRS without its vertical axis, the CRS itself if it has none."""
+    """Return a CRS without its vertical axis, if it has one."""
     return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
 
@@ -176,9 +191,10 @@ def parse_crs(crs: object) -> CRS:
 
 
 def transformer(source: CRS, target: CRS) -> Transformer:
-    """Return the transformation of x and y between two CRS, in the order of raster files.
+    """Return the transformation of x and y between two CRS.
 
-    Raises `InputError` where PROJ knows none, as for the CRS of another planet.
+    The order of x and y is the order in raster files. Raises `InputError` where PROJ knows none, as
+    for the CRS of another planet.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -190,7 +206,10 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return longitude, latitude (WGS 84) of a point in a CRS, and their accuracy in words."""
+    """Return longitude, latitude and their accuracy in words.
+
+    The point is given in a CRS, and the result is on WGS 84.
+    """
     transformation = transformer(crs, CRS.from_epsg(4326))
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # There may be only one operation.
@@ -205,7 +224,7 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return by how many degrees a position lies outside the area of a CRS.
+    """Return the degrees by which a position lies outside a CRS's area.
 
     It is 0 where the area is not known.
     """
@@ -244,7 +263,10 @@ class Frame:
 
     @classmethod
     def local(cls, *, lon: float, lat: float) -> "Frame":
-        """Return the local conformal frame: transverse Mercator on WGS 84 through a point."""
+        """Return the transverse Mercator frame on WGS 84 through a point.
+
+        The frame is conformal.
+        """
         definition = CRS.from_proj4(
             f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -275,12 +297,12 @@ class Frame:
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
-        """Return longitude and latitude in degrees (WGS 84) of map coordinates in metres."""
+        """Return longitude and latitude (WGS 84, degrees) of map coordinates."""
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
     def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
-        """Return the box in degrees around the least map rectangle that holds positions.
+        """Return the box in degrees around the map rectangle of positions.
 
         Around a rectangle that holds a pole, the box has all longitudes, -180 to 180.
         """
@@ -318,10 +340,10 @@ class Frame:
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
     def angle_error_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return the greatest error of an angle on the map at each position, level or upright.
+        """Return the greatest error of an angle on the map, by position.
 
-        A scale k in some direction divides the tangents of elevation angles there by k, which
-        changes an angle of 45 degrees most.
+        The angle is level or upright. A scale k in some direction divides the tangents of elevation
+        angles there by k, which changes an angle of 45 degrees most.
         """
         to_east, to_north = self._steps(easting_m, northing_m)
         # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
@@ -334,10 +356,11 @@ class Frame:
         return np.asarray(np.degrees(np.maximum(level, upright)))
 
     def untrue_deg(self, rectangle_m: Rectangle) -> float:
-        """Return the greatest error of an angle in a rectangle; 0 where the frame may be used.
+        """Return the greatest error of an angle in a rectangle.
 
-        A frame may be used where its error is at most `TRUE_DEG`, or no greater than the error of a
-        local frame, as over areas that are too wide for any map.
+        The result is 0 where the frame may be used. A frame may be used where its error is at most
+        `TRUE_DEG`, or no greater than the error of a local frame, as over areas that are too wide
+        for any map.
         """
         if self.is_local:
             return 0.0
@@ -357,17 +380,20 @@ class Frame:
         return float(np.nanmax(np.append(error_deg, 0.0)))
 
     def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return map metres per metre of ground at each position, a mean over directions."""
+        """Return map metres per metre of ground at each position.
+
+        The scale is the mean over directions.
+        """
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 
     def _steps(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Complex128Array, Complex128Array]:
-        """Return the map steps, easting + i northing, of a metre of ground east, and north.
+        """Return the map steps of a metre of ground east, and north.
 
-        They are differences of positions on WGS 84, and hold for any datum, prime meridian and
-        axes.
+        A step is easting + i northing. They are differences of positions on WGS 84, and hold for
+        any datum, prime meridian and axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
         # A pole has no north, and takes the north of a position a kilometre away.
@@ -391,7 +417,7 @@ class Frame:
 
 
 def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
-    """Return an outline as rings of longitude and latitude, cut at the antimeridian.
+    """Return an outline in degrees as rings cut at the antimeridian.
 
     RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world. The
     outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and oriented as the
@@ -412,7 +438,10 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
 
 
 def _cut_at(ring: Float64Array, edge: float) -> list[Float64Array]:
-    """Return the parts of a ring on both sides of a longitude, or the ring if it is on one side."""
+    """Return the parts of a ring on both sides of a longitude.
+
+    A ring on one side is the only part.
+    """
     count = len(ring) - 1
     is_east = ring[:-1, 0] > edge
     crossed = np.flatnonzero(is_east != np.roll(is_east, -1))

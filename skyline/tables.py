@@ -63,7 +63,10 @@ class Row:
         return self["id"] or self["name"]
 
     def with_point(self, column: str) -> str:
-        """Return a number's text with a decimal point, and no points between thousands."""
+        """Return a number's text with a decimal point.
+
+        Points between thousands are taken off.
+        """
         text = self[column]
         if not self.has_decimal_commas:
             return text
@@ -72,9 +75,10 @@ class Row:
         return text.replace(",", ".")
 
     def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
-        """Return a finite number from ``low`` to ``high``; raises `InputError` for anything else.
+        """Return a finite number from ``low`` to ``high``.
 
-        ``lon`` is from -180 to 360 and ``lat`` from -90 to 90.
+        Raises `InputError` for anything else. ``lon`` is from -180 to 360 and ``lat`` from -90 to
+        90.
         """
         low, high = _LIMITS.get(column, (low, high))
         text = self[column]
@@ -110,7 +114,10 @@ class Table:
             )
 
     def first_in(self, *choices: tuple[str, ...], expected: str) -> tuple[str, ...]:
-        """Return the first set of columns that the table has; raises `InputError` for none."""
+        """Return the first set of columns that the table has.
+
+        Raises `InputError` for none.
+        """
         for names in choices:
             if set(names) <= set(self.header):
                 return names
@@ -119,7 +126,10 @@ class Table:
 
 
 def is_table(path: object) -> TypeGuard[str | Path]:
-    """Return whether a path is a CSV file, by its suffix, or by its text on standard input."""
+    """Return whether a path is a CSV file.
+
+    A path is one by its suffix, or by its text on standard input.
+    """
     if not isinstance(path, str | Path):
         return False
     if str(path) != STANDARD:
@@ -186,10 +196,10 @@ def read_table(
 
 
 def csv_lines(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV (RFC 4180) of printable texts, none of them a formula.
+    """Return rows as CSV (RFC 4180) without formulas.
 
-    A text that a spreadsheet would take for a formula gets an apostrophe before it, which
-    `read_table` takes off; a number stays a number.
+    All texts are printable. A text that a spreadsheet would take for a formula gets an apostrophe
+    before it, which `read_table` takes off; a number stays a number.
     """
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
@@ -198,7 +208,7 @@ def csv_lines(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _cell(value: object) -> object:
-    """Return a text as it is written, with an apostrophe before a formula."""
+    """Return a text as it is written, an apostrophe before formulas."""
     if not isinstance(value, str):
         return value
     text = printable(value)

@@ -94,9 +94,10 @@ class _Failures:
 
     @contextmanager
     def noting(self, name: str) -> Iterator[None]:
-        """Keep the error of a tile that is fetched in the block, so that others are fetched too.
+        """Keep the error of a tile that is fetched in the block.
 
-        Raises `FetchError` where the server does not answer, or fails for two tiles in a row.
+        So other tiles are fetched too. Raises `FetchError` where the server does not answer, or
+        fails for two tiles in a row.
         """
         try:
             yield
@@ -112,7 +113,10 @@ class _Failures:
 
     @property
     def error(self) -> FetchError:
-        """One error for all tiles, with the words of the first error and five names at most."""
+        """One error for all tiles that failed.
+
+        It has the words of the first error, and five names at most.
+        """
         names = list(self._errors)
         first = next(iter(self._errors.values()))
         if self._wanted == 1:
@@ -192,13 +196,14 @@ def fetch_dem(
 
 
 def address(template: str, lat: int, lon: int) -> str:
-    """Return the address of the tile with a south-west corner at these degrees."""
-    ns, ew = "N" if lat >= 0 else "S", "E" if lon >= 0 else "W"
+    """Return the address of the tile with a south-west corner."""
+    ns = "N" if lat >= 0 else "S"
+    ew = "E" if lon >= 0 else "W"
     return template.format(lat=abs(lat), lon=abs(lon), ns=ns, ew=ew)
 
 
 def _check_template(template: str) -> None:
-    """Raise `InputError` unless a template is an address with fields for a tile's corner."""
+    """Raise `InputError` unless a template is an address of tiles."""
     try:
         fields = [part[1:] for part in Formatter().parse(template) if part[1] is not None]
         usable = {"lat", "lon"} <= {name for name, *_ in fields} <= {"lat", "lon", "ns", "ew"}
@@ -219,7 +224,7 @@ def _check_template(template: str) -> None:
 
 
 def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
-    """Return latitude and longitude of the south-west corners of the tiles within bounds.
+    """Return latitude and longitude of the tiles' south-west corners.
 
     They are whole degrees, from the south-west, row by row. Raises `InputError` for more than
     `MAX_TILES`, and as `check_bounds`.
@@ -242,7 +247,10 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
 def _cut_of(
     url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds, patience: Patience
 ) -> _Cut | None:
-    """Return the part of a remote tile to read, None where the file is there already."""
+    """Return the part of a remote tile to read.
+
+    The result is None where the file is there already.
+    """
     source = without_secrets(url)
     if path.exists():
         held: dict[str, Any] = {}
@@ -267,7 +275,7 @@ def _cut_of(
 
 
 def _around(one: Bounds, other: Bounds) -> Bounds:
-    """Return the box around two boxes, each of which has a part of one tile."""
+    """Return the box around two boxes in one tile."""
 
     def start(box: Bounds) -> float:
         return float(in_turn(box[0], one[0]))
@@ -279,7 +287,8 @@ def _around(one: Bounds, other: Bounds) -> Bounds:
 
 def _check_usable(url: str, file: Any) -> None:
     """Raise `InputError` unless a file is a north-up DEM in degrees."""
-    where, transform = without_secrets(url), file.transform
+    where = without_secrets(url)
+    transform = file.transform
     bands, alpha = bands_of(file)
     if len(bands) != 1:
         raise InputError(f"{where} has {file.count} bands; a DEM has one: check the source")
@@ -301,7 +310,10 @@ def _check_usable(url: str, file: Any) -> None:
 
 
 def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) -> Window:
-    """Return the pixels of a tile that meet the bounds; raises `InputError` for another tile."""
+    """Return the pixels of a tile that meet the bounds.
+
+    Raises `InputError` for a file of another tile.
+    """
     west, south, _, north = bounds_deg
     east = west + width_deg(bounds_deg)
     step_east = file.transform.a
@@ -367,7 +379,7 @@ def _fetch(cut: _Cut, earlier: Sequence[Path], patience: Patience) -> None:
 def _copy_held(
     path: Path, cut: _Cut, transform: Any, samples: NDArray[Any], known: BoolArray
 ) -> None:
-    """Copy samples of a cut from a file that was fetched earlier from the same tile."""
+    """Copy samples of a cut from a file that was fetched earlier."""
     with suppress(RasterioError, ValueError), rasterio.open(path, driver="GTiff") as file:
         tag = json.loads(file.tags().get(_TAG, "{}"))
         fetched = tag.get("source"), file.dtypes[0], file.transform.a, file.transform.e
@@ -387,7 +399,7 @@ def _copy_held(
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
-    """Return the bytes of a GeoTIFF of samples with the place and the units of their origin."""
+    """Return a GeoTIFF of samples with their origin's place and units."""
     with rasterio.MemoryFile() as memory:
         with memory.open(
             driver="GTiff",
@@ -403,7 +415,9 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             tiled=True,
         ) as file:
             file.write(samples, 1)
-            file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
+            file.scales = origin.scales
+            file.offsets = origin.offsets
+            file.units = origin.units
             # This tag holds whether samples stand for points or areas.
             kept = origin.tags().get("AREA_OR_POINT", "Area")
             file.update_tags(**{_TAG: cut.tag}, AREA_OR_POINT=kept)

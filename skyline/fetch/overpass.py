@@ -18,11 +18,11 @@ from skyline.terrain.raster_files import without_secrets
 
 
 def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience = PATIENT) -> int:
-    """Write the named peaks and volcanoes of a box as GeoJSON; return their number.
+    """Write the named peaks of a box as GeoJSON; return their number.
 
-    `skyline.read_peaks` reads the file, which is written whole or not at all. ``server`` is the
-    address of an Overpass interpreter. A failed request is repeated up to ``patience.retries``
-    times; the whole answer must arrive within ``patience.timeout_s`` seconds.
+    Volcanoes are peaks, too. `skyline.read_peaks` reads the file, which is written whole or not at
+    all. ``server`` is the address of an Overpass interpreter. A failed request is repeated up to
+    ``patience.retries`` times; the whole answer must arrive within ``patience.timeout_s`` seconds.
 
     Raises `InputError` where the path has no suffix of GeoJSON, the bounds are not in order, the
     server is no http address, or the file cannot be written, and `FetchError` where the server
@@ -87,7 +87,10 @@ def _ask(server: str, query: bytes, timeout_s: int) -> bytes:
 
 
 def _elements(server: str, answer: bytes) -> list[Any]:
-    """Return the elements of an answer; raises `FetchError` if it is not whole."""
+    """Return the elements of an answer.
+
+    Raises `FetchError` if the answer is not whole.
+    """
     try:
         content = json.loads(answer)
         elements = [*content["elements"]]

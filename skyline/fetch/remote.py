@@ -83,7 +83,7 @@ def repeated(url: str, request: Callable[[], _T], patience: Patience = PATIENT) 
 
 
 def with_remote(url: str, work: Callable[[Any], _T], patience: Patience = PATIENT) -> _T:
-    """Return what ``work`` returns for the rasterio dataset of the GeoTIFF at an address.
+    """Return the result of ``work`` on a remote GeoTIFF's rasterio dataset.
 
     After a failure that may pass, ``work`` is called again with the file opened anew. Raises
     `AbsentError`, `RefusedError` where the server refuses the file or sends something that is not a
@@ -120,7 +120,7 @@ def with_remote(url: str, work: Callable[[Any], _T], patience: Patience = PATIEN
 
 
 def _failure(url: str, error: RasterioError) -> Exception:
-    """Return the error for a failure of GDAL, from its message and the messages of its causes."""
+    """Return the error for a failure of GDAL, from its messages."""
     messages: list[str] = []
     cause: BaseException | None = error
     while cause is not None:

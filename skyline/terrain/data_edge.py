@@ -39,7 +39,10 @@ class DataEdge:
 
     @classmethod
     def of(cls, terrain: HeightField, curvature: Curvature) -> Self:
-        """Return the edge of a DEM beyond which ranges go on as high as they are inside."""
+        """Return the edge of a DEM.
+
+        Beyond it, ranges are taken to go on as high as they are inside.
+        """
         northward = terrain.heights_m[::-1]
         cols = ceil(BAND_M / terrain.spacing_east_m)
         rows = ceil(BAND_M / terrain.spacing_north_m)
@@ -61,7 +64,7 @@ class DataEdge:
         eye_elevation_m: FloatArray,
         azimuth_rad: FloatArray,
     ) -> FloatArray:
-        """Return the greatest tangent of an elevation angle of terrain past the edge.
+        """Return the greatest elevation tangent of terrain past the edge.
 
         An eye above the terrain's greatest height sees ground of that height best at its horizon,
         not at the edge. The arguments broadcast; azimuths are from grid north, positions lie inside
@@ -79,7 +82,10 @@ class DataEdge:
     def _leaving(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
-        """Return the distance at which rays leave the data, and the height of terrain beyond."""
+        """Return the distance at which rays leave the data.
+
+        The second result is the height of the terrain beyond.
+        """
         west, south, east, north = self.bounds_m
         width_m = east - west
         length_m = north - south
@@ -108,10 +114,10 @@ class DataEdge:
 
 
 def _highest(band_m: FloatArray, reach: int) -> Float64Array:
-    """Return the greatest height of a band (D, N) near each of P equal parts of its length N.
+    """Return the greatest height of a band near parts of its length.
 
-    Near means within ``reach`` samples of the part's middle. Where there are no data, the height is
-    -inf.
+    The band is (D, N); its length N has P equal parts. Near means within ``reach`` samples of the
+    part's middle. Where there are no data, the height is -inf.
     """
     along_m = np.fmax.reduce(band_m, axis=0, initial=-np.inf)
     middle = ((np.arange(PARTS) + 0.5) * len(along_m) / PARTS).astype(np.intp)

@@ -80,7 +80,10 @@ def metres_per(unit: str) -> float | None:
 
 @cache
 def _units() -> Mapping[frozenset[str], float]:
-    """Return the metres in each unit of length that PROJ knows, by the words of its names."""
+    """Return the metres in each unit, by the words of its names.
+
+    The units of length are those that PROJ knows.
+    """
     metres = {
         _key(name): unit.conv_factor
         for unit in get_units_map(category="linear").values()
@@ -142,7 +145,10 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
 
 
 def _datum_of(crs: CRS) -> tuple[str, str]:
-    """Return the name of a vertical datum and `Vertical.reference`, both empty if none is named."""
+    """Return the name of a vertical datum and `Vertical.reference`.
+
+    Both are empty if none is named.
+    """
     for part in crs.sub_crs_list:
         if part.is_vertical:
             name = str(part.name)
@@ -152,7 +158,7 @@ def _datum_of(crs: CRS) -> tuple[str, str]:
 
 @cache
 def map_conventions(crs: CRS) -> Mapping[str, str]:
-    """Return the datum, the axes and the meridian of a horizontal CRS by name, in words."""
+    """Return a horizontal CRS's datum, axes and meridian in words."""
     authority = crs.to_authority()
     found = {"crs": f"{crs.name} ({':'.join(authority)})" if authority else str(crs.name)}
     if crs.datum and crs.ellipsoid:
@@ -168,7 +174,10 @@ def map_conventions(crs: CRS) -> Mapping[str, str]:
 
 
 def merged_conventions(conventions: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return the conventions of several files by name; all of them where they differ."""
+    """Return the conventions of several files by name.
+
+    Where files differ, all are listed.
+    """
     names = dict.fromkeys(name for one in conventions for name in one)
     return {
         name: "; ".join(dict.fromkeys(one[name] for one in conventions if name in one))

@@ -79,7 +79,7 @@ class _Raster:
 
 
 def dem_names(paths: Paths) -> tuple[str, ...]:
-    """Return the names under which GDAL opens the rasters of a DEM, in order.
+    """Return the GDAL names of a DEM's rasters, in order.
 
     Names of files are absolute. A folder or a zip archive stands for the rasters in it, in order of
     path. A file that is named itself is not opened here.
@@ -98,7 +98,10 @@ def dem_names(paths: Paths) -> tuple[str, ...]:
 
 
 def _names_of(given: Any) -> list[str]:
-    """Return the names of the rasters that one path stands for; raises as `dem_names`."""
+    """Return the names of the rasters that one path stands for.
+
+    Raises as `dem_names`.
+    """
     path = os.fspath(given) if isinstance(given, os.PathLike) else given
     if not isinstance(path, str):
         raise no_dem(given)
@@ -112,7 +115,7 @@ def _names_of(given: Any) -> list[str]:
 
 
 def absolute_name(path: str | Path) -> str:
-    """Return an absolute path, or a GDAL name with the path in it made absolute.
+    """Return a path made absolute, alone or in a GDAL name.
 
     Raises `MissingFileError` where there is no such file and the name is no address or GDAL name,
     and `InputError` for a name that is not UTF-8.
@@ -132,9 +135,9 @@ def absolute_name(path: str | Path) -> str:
 
 
 def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
-    """Return the names of the rasters of heights among the files of a folder or an archive.
+    """Return the names of the rasters of heights among files.
 
-    Raises as `dem_names`.
+    The files are of a folder or an archive, ``where``. Raises as `dem_names`.
     """
     names = [name for file in files for name in _members(file)]
     rasters = _without_sidecars([one for name in names if (one := _raster_in(name, where))])
@@ -160,7 +163,10 @@ def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
 
 
 def _members(file: Path) -> list[str]:
-    """Return the GDAL names of an archive's members; for another file, its own name."""
+    """Return the GDAL names of an archive's members.
+
+    For another file it is the file's name.
+    """
     if file.suffix.lower() != _ZIP or not is_file(file):
         return [str(file)]
     try:
@@ -176,7 +182,7 @@ def _members(file: Path) -> list[str]:
 
 
 def _raster_in(name: str, where: str) -> _Raster | None:
-    """Return the raster in a file of a folder; None for a file without one.
+    """Return the raster in a file of a folder, or None.
 
     Raises as `dem_names`.
     """
@@ -202,9 +208,10 @@ def _raster_in(name: str, where: str) -> _Raster | None:
 
 
 def _raster_of(name: str, dataset: Any) -> _Raster | None:
-    """Return what an open raster is; None if it has no samples of its own, or lists points.
+    """Return what an open raster is.
 
-    Raises `InputError` where a file has several rasters, and where bare samples are cut short.
+    The result is None if the file has no samples of its own, or lists points. Raises `InputError`
+    where a file has several rasters, and where bare samples are cut short.
     """
     bands, _ = bands_of(dataset)
     if not bands:
@@ -236,10 +243,10 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
 
 
 def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
-    """Return rasters without those that belong to others, as overviews and masks do.
+    """Return rasters without those that belong to others.
 
-    Where two rasters belong to each other, the first stays; where files of bare samples share a
-    header, the shortest stays.
+    Overviews and masks belong to others, for example. Where two rasters belong to each other, the
+    first stays; where files of bare samples share a header, the shortest stays.
     """
     files = {one.name: one.files for one in rasters}
     owned = {
@@ -280,7 +287,7 @@ def _is_on_map(name: str) -> bool:
 
 
 def _size_of(name: str) -> int:
-    """Return the number of bytes of a file, or of an archive's member when it is unpacked."""
+    """Return the size in bytes of a file or an unpacked member."""
     member = archive_of(name)
     if member is None:
         return Path(name).stat().st_size
@@ -289,7 +296,10 @@ def _size_of(name: str) -> int:
 
 
 def _is_text(name: str) -> bool:
-    """Return whether the first kilobyte of a file has no zero byte, as in a text."""
+    """Return whether the first kilobyte of a file is text.
+
+    A text has no zero byte.
+    """
     with unpacked(name) as content:
         return b"\0" not in content.read(1024)
 
@@ -304,7 +314,10 @@ def _stem(name: str) -> str:
 
 
 def _is_beside(name: str, stems: set[str]) -> bool:
-    """Return whether a file is named after a tile, as ``dem.prj`` and ``dem.tif.md5`` are."""
+    """Return whether a file is named after a tile.
+
+    Files named after ``dem.tif`` are ``dem.prj`` and ``dem.tif.md5``, for example.
+    """
     path = PurePath(name)
     parts = path.name.split(".")
     return any(str(path.with_name(".".join(parts[:n]))) in stems for n in range(1, len(parts)))

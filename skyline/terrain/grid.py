@@ -57,7 +57,10 @@ class Grid:
 
 
 def full_turn(crs: CRS) -> float | None:
-    """Return a full turn of longitude in the units of a geographic CRS; None for any other CRS."""
+    """Return a full turn in the units of a geographic CRS.
+
+    Any other CRS has none: the result is None.
+    """
     if not crs.is_geographic:
         return None
     return round(2.0 * math.pi / crs.axis_info[0].unit_conversion_factor, 9)

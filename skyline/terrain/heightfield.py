@@ -188,7 +188,7 @@ class HeightField:
 
     @property
     def height_sd_m(self) -> float:
-        """Standard deviation of the heights from the true ones, expected from the spacing.
+        """Standard deviation of the heights, expected from the spacing.
 
         It is 1.2 m times the root of the spacing in metres. Measured against finer models it is
         6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
@@ -332,7 +332,7 @@ class HeightField:
 
 
 def field_of(dem: MetricDem) -> HeightField:
-    """Return the height field of metric samples, which are taken over and not copied."""
+    """Return the height field of metric samples, which are not copied."""
     dem.heights_m.setflags(write=False)
     return HeightField(
         heights_m=dem.heights_m,
@@ -350,14 +350,14 @@ def _field_of_tile(tile: Tile, options: DemOptions) -> HeightField:
 
 
 def ground_of(field: HeightField) -> Ground:
-    """Return the heights of a field as a function of eastings and northings."""
+    """Return a field's heights as a function of easting and northing."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)
 
 
 def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
-    """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground.
+    """Return the rise of the ground (M, 2) a metre east, and north.
 
-    The rise is the mean over 15 m on either side.
+    The slope is 0 beside unknown ground. The rise is the mean over 15 m on either side.
     """
     reach_m = 15.0
     position = easting_m + 1j * northing_m

@@ -38,13 +38,16 @@ class MetricDem:
 
 
 def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
-    """Repair heights on their files' own grid, and warp them if they need a metric frame.
+    """Repair a DEM's heights, and warp them if they need it.
 
+    Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
     Warns where the place is not a likely one for the CRS, and where a map is not used as the frame.
     Raises `InputError` where the place is none, where there is no height at all, and as
     `skyline.terrain.resampling.warp`.
     """
-    crs, grid, heights_m = mosaic.crs, mosaic.grid, mosaic.heights_m
+    crs = mosaic.crs
+    grid = mosaic.grid
+    heights_m = mosaic.heights_m
     lon, lat, accuracy = _centre(mosaic)
     frame = _map_frame(mosaic)
     if frame is not None:
@@ -98,9 +101,10 @@ def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
 
 
 def _map_frame(mosaic: Mosaic) -> Frame | None:
-    """Return the frame of a DEM's own map, None where the DEM must be warped.
+    """Return the frame of a DEM's own map, or None.
 
-    A warning says why, unless the map is in degrees or in feet.
+    None means that the DEM must be warped. A warning says why, unless the map is in degrees or in
+    feet.
     """
     crs = mosaic.crs
     if not crs.is_projected:

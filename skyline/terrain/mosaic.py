@@ -89,7 +89,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 
 
 def _lay_tile(place: Float32Array, tile: Tile) -> None:
-    """Read a tile into its place, where earlier tiles may have given heights, which stay.
+    """Read a tile into its place; heights of earlier tiles stay.
 
     Warns where they differ, and raises `InputError` where they are of other ground.
     """
@@ -121,7 +121,10 @@ def _lay_tile(place: Float32Array, tile: Tile) -> None:
 
 
 def _warn_of_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile) -> None:
-    """Warn where a tile that has been read stands above or below the tiles beside it."""
+    """Warn where a tile stands above or below those beside it.
+
+    The tile has been read.
+    """
     step_m = max((border_step_m(*border) for border in borders), key=abs, default=0.0)
     if step_m:
         _log.warning(
@@ -136,11 +139,11 @@ def _warn_of_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile)
 def _free_borders(
     heights: Float32Array, row: int, col: int, grid: Grid
 ) -> list[tuple[Float32Array, BoolArray]]:
-    """Return the borders of a tile that is yet to be read, with samples on both sides.
+    """Return the borders of a tile with samples on both sides.
 
-    ``row`` and ``col`` are the place of the tile's north-west sample in ``heights``. A border is a
-    view of four lines of samples (4, n), two inside the tile and two outside, and a mask (n,) of
-    the columns whose sample at the tile's edge no other tile has given.
+    The tile is yet to be read. ``row`` and ``col`` are the place of the tile's north-west sample in
+    ``heights``. A border is a view of four lines of samples (4, n), two inside the tile and two
+    outside, and a mask (n,) of the columns whose sample at the tile's edge no other tile has given.
     """
     borders = []
     for across, first, along, count in (
@@ -156,11 +159,11 @@ def _free_borders(
 
 
 def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
-    """Return how far a tile stands above its neighbours along a border; 0 if it joins them.
+    """Return how far a tile stands above its neighbours.
 
-    ``lines`` (4, n) are samples from within the tile outwards, two on either side of the border, of
-    which those marked in ``is_free`` (n,) count. The slopes on both sides explain their share of a
-    step.
+    The step is 0 along a border at which the tile joins them. ``lines`` (4, n) are samples from
+    within the tile outwards, two on either side of the border, of which those marked in ``is_free``
+    (n,) count. The slopes on both sides explain their share of a step.
     """
     inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
     with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
@@ -201,7 +204,8 @@ def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
     sample gives the height. A sample higher than its neighbours passes its height to the nearest
     column, so that no crest sinks. ``first`` is one of the tiles of the mosaic.
     """
-    grid, step = mosaic.grid, finest.step_east
+    grid = mosaic.grid
+    step = finest.step_east
     # Samples stand for their pixels, which reach half a sample beyond the outermost.
     half = 0.5 * grid.step_east
     left = math.ceil((grid.west - half - finest.west) / step - GRID_TOLERANCE)
@@ -234,7 +238,10 @@ def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
 
 
 def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
-    """Return the common grid, and the row and column on it of each tile's first sample."""
+    """Return the common grid, and each tile's place on it.
+
+    A place is the row and the column of a tile's first sample.
+    """
     base = tiles[0].grid
     places = [_place_on_grid(tile, tiles[0]) for tile in tiles]
     top, left = (min(firsts) for firsts in zip(*places, strict=True))
@@ -250,11 +257,13 @@ def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
 
 
 def _place_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
-    """Return the row and the column of a tile's first sample on the first tile's grid.
+    """Return the row and column of a tile on the first's grid.
 
     Raises `InputError` where the tile does not lie on that grid.
     """
-    grid, base, turn = tile.grid, first.grid, full_turn(first.crs)
+    grid = tile.grid
+    base = first.grid
+    turn = full_turn(first.crs)
     if not tile.crs.equals(first.crs, ignore_axis_order=True):
         raise InputError(
             f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; "

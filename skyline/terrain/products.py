@@ -30,9 +30,10 @@ first pattern that is found counts."""
 
 
 def model_of(files: Sequence[str]) -> str:
-    """Return `SURFACE` or `GROUND`, and the product, by the names and tags of a DEM's files.
+    """Return what a DEM shows by its files' names and tags.
 
-    `UNKNOWN` where these say nothing, or where the files differ.
+    The result is `SURFACE` or `GROUND` with the product, and `UNKNOWN` where these say nothing, or
+    where the files differ.
     """
     models = {_model_of_file(file) for file in files}
     return models.pop() if len(models) == 1 else UNKNOWN

@@ -36,7 +36,10 @@ class DemOptions:
 
     @property
     def default_crs(self) -> CRS | None:
-        """The CRS of files that name none, parsed; raises `InputError` if it is not understood."""
+        """The CRS of files that name none.
+
+        Raises `InputError` if it is not understood.
+        """
         return None if self.crs is None else parse_crs(self.crs)
 
 

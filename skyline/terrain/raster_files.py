@@ -63,7 +63,8 @@ def opened_raster(source: str, **settings: str) -> Iterator[Any]:
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
         if "://" in source:
-            source, reason = without_secrets(source), without_secrets(reason)
+            source = without_secrets(source)
+            reason = without_secrets(reason)
         if _NO_ANSWER.search(reason):
             raise FetchError(
                 f"{source} cannot be read from its server ({reason}); check the address and "
@@ -77,7 +78,7 @@ def opened_raster(source: str, **settings: str) -> Iterator[Any]:
 
 
 def _dataset(source: str, held: ExitStack) -> Any:
-    """Return the rasterio dataset of a raster, which is open as long as ``held`` is."""
+    """Return a raster's rasterio dataset, open as long as ``held``."""
     with warnings.catch_warnings():
         # A raster without a georeference is refused later, with an error of its own.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -99,9 +100,9 @@ def _is_gzip(source: str) -> bool:
 
 @contextmanager
 def unpacked(source: str) -> Iterator[IO[bytes]]:
-    """Open the content of a file, a ``.gz`` or an archive's member; checksums are compared.
+    """Open the content of a file, a ``.gz`` or a member.
 
-    Raises `InputError` where it cannot be read to the end.
+    Checksums are compared. Raises `InputError` where it cannot be read to the end.
     """
     member = archive_of(source)
     try:
@@ -121,16 +122,19 @@ def unpacked(source: str) -> Iterator[IO[bytes]]:
 
 
 def check_whole(source: str) -> None:
-    """Read an archive's member to its end, where its checksum is compared: GDAL does not do so."""
+    """Read an archive's member to its end.
+
+    There its checksum is compared, as GDAL does not.
+    """
     with unpacked(source) as content:
         while content.read(_BLOCK_BYTES):
             pass
 
 
 def filled_share(source: str, dataset: Any) -> float:
-    """Return the greatest share of a grid that a text of points can fill.
+    """Return the greatest share of a grid that points can fill.
 
-    GDAL lays the grid through all points, and gives 0 where there is none.
+    A text lists the points. GDAL lays the grid through all points, and gives 0 where there is none.
     """
     with unpacked(source) as content:
         lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))
@@ -138,7 +142,10 @@ def filled_share(source: str, dataset: Any) -> float:
 
 
 def bands_of(dataset: Any) -> tuple[list[int], int | None]:
-    """Return the numbers of a dataset's bands of values, and of its alpha band or None."""
+    """Return the numbers of a dataset's bands of values.
+
+    The second result is the number of its alpha band, or None.
+    """
     roles = list(enumerate(dataset.colorinterp, start=1))
     values = [number for number, role in roles if role is not ColorInterp.alpha]
     alpha = (number for number, role in roles if role is ColorInterp.alpha)
@@ -146,10 +153,10 @@ def bands_of(dataset: Any) -> tuple[list[int], int | None]:
 
 
 def files_of(name: str) -> list[str]:
-    """Return the files that GDAL reads for a local raster; none if it cannot open the raster.
+    """Return the files that GDAL reads for a local raster.
 
-    These are the raster itself, files beside it with a georeference or a CRS, and the files that a
-    virtual raster names.
+    The result is empty if GDAL cannot open the raster. The files are the raster itself, files
+    beside it with a georeference or a CRS, and the files that a virtual raster names.
     """
     if "://" in name or name.startswith("/vsi"):
         return []
@@ -161,5 +168,5 @@ def files_of(name: str) -> list[str]:
 
 
 def without_secrets(text: str) -> str:
-    """Return text whose addresses have no user, password and query, which may be secret."""
+    """Return text whose addresses have no user, password and query."""
     return _SECRET.sub("", text)

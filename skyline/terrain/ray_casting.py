@@ -22,7 +22,7 @@ def edge_crossings_m(
     near_m: Float64Array,
     far_m: Float64Array,
 ) -> tuple[Float64Array, BoolArray]:
-    """Return the distances at which level rays of one eye cross edges of the surface.
+    """Return the distances at which level rays cross edges.
 
     The K rays are followed from ``near_m`` to ``far_m`` (K,). The surface is a plane between two
     neighbouring crossings. Returns distances (K, C), in no order, and which of them are crossings;
@@ -53,11 +53,12 @@ def first_hits_m(
     step_rad: float,
     progress: Progress | None,
 ) -> Float64Array:
-    """Return the horizontal distances at which N rays of one eye first meet the surface.
+    """Return the distances at which rays first meet the surface.
 
-    The profile of the terrain is followed along azimuths ``step_rad`` apart, and each ray is met on
-    the nearest profile. From there the distance is carried over to the ray's own azimuth, where the
-    surface allows it: beside a ridge's edge, the ray may see other terrain than the profile.
+    The N rays are of one eye, and the distances horizontal. The profile of the terrain is followed
+    along azimuths ``step_rad`` apart, and each ray is met on the nearest profile. From there the
+    distance is carried over to the ray's own azimuth, where the surface allows it: beside a ridge's
+    edge, the ray may see other terrain than the profile.
 
     Rays have grid azimuths and tangents of elevation angles (N,). The distances (N,) are exact for
     a ray within ``step_rad / 2`` of the given one in azimuth, and NaN for sky. ``progress`` is

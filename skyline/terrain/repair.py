@@ -83,10 +83,10 @@ class RepairCounts(NamedTuple):
 def repair(
     heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules = RepairRules()
 ) -> RepairCounts:
-    """Turn fill into voids, remove spikes, and close small voids; afterwards NaN marks every hole.
+    """Turn fill into voids, remove spikes, and close small voids.
 
-    ``source`` is the name of the DEM in errors and warnings. Raises `InputError` where there is no
-    height at all.
+    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
+    Raises `InputError` where there is no height at all.
     """
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
@@ -108,7 +108,10 @@ def repair(
 
 
 def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
-    """Raise `InputError` where no height is known; warn of heights that no ground has."""
+    """Raise `InputError` where there is no height.
+
+    Warns of heights that no ground has.
+    """
     lowest_m = np.inf
     highest_m = -np.inf
     for rows in row_strips(heights_m, rules.strip_samples):
@@ -167,10 +170,10 @@ def void_undeclared(
 def remove_spikes(
     heights_m: Float32Array, spacing_m: float, rules: RepairRules = RepairRules()
 ) -> int:
-    """Turn spikes, upward and downward, into voids; return the number of their samples.
+    """Turn spikes into voids; return the number of their samples.
 
-    A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
-    at most ``rules.max_spike_samples`` samples that
+    Spikes point upward or downward. A sample is a spike if its height is absurd (beyond
+    `ABSURD_M`), or if it is part of a clump of at most ``rules.max_spike_samples`` samples that
 
     - no gentle step joins to the rest: every step to a neighbour outside the clump is higher than
       ``rules.least_step_m(spacing_m)``. A summit, the rim of a cliff of any height and the crest of
@@ -230,9 +233,9 @@ def fill_voids(heights_m: Float32Array, rules: RepairRules = RepairRules()) -> i
 
 
 def _beside_jumps(heights_m: Float32Array, step_m: float, rules: RepairRules) -> Int64Array:
-    """Return flat indices, ascending, of heights with a jump to one beside them.
+    """Return flat indices of heights with a jump beside them.
 
-    A jump is more than ``step_m`` up or down.
+    The indices are ascending. A jump is more than ``step_m`` up or down.
     """
     found = []
     for rows in row_strips(heights_m, rules.strip_samples):
@@ -277,7 +280,10 @@ def _are_spikes(
 
 
 def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) -> BoolArray:
-    """Return which heights (N,) lie far from the median of their neighbours (N, 8)."""
+    """Return which heights lie far from their neighbours' median.
+
+    Heights are (N,), the neighbours (N, 8).
+    """
     ranked = np.sort(firm_m, axis=1)  # NaN last
     known = np.count_nonzero(np.isfinite(ranked), axis=1)
     last = np.maximum(known - 1, 0)
@@ -292,7 +298,7 @@ def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) ->
 
 
 def _small_voids(heights_m: Float32Array, rules: RepairRules) -> Int64Array:
-    """Return flat indices, ascending, of the samples of small voids that have a rim."""
+    """Return ascending flat indices of small voids that have a rim."""
     from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  (slow to load, seldom needed)
 
     most = rules.max_void_samples
@@ -323,7 +329,10 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
 
 
 def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
-    """Return heights in float64; NaN on voids, off the grid, and where there is no file."""
+    """Return heights in float64.
+
+    Heights are NaN on voids, off the grid, and where there is no file.
+    """
     on_grid = samples >= 0
     heights = np.full(samples.shape, np.nan)
     heights[on_grid] = heights_m.reshape(-1)[samples[on_grid]]
@@ -331,13 +340,19 @@ def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
-    """Return the slot of each wanted index among ascending samples, and whether it is there."""
+    """Return the slot of each wanted index among ascending samples.
+
+    A mask says whether the index is there.
+    """
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
 
 
 def _walled_values(heights_m: Float32Array, step_m: float, rules: RepairRules) -> list[float]:
-    """Return values that often stand twice in a row beside a jump: they may be fill."""
+    """Return values that may be fill.
+
+    Such values often stand twice in a row beside a jump.
+    """
     counts: Counter[float] = Counter()
     reach = rules.wall_reach_samples
     around = np.arange(-reach, reach + 2)
@@ -357,7 +372,7 @@ def _walled_values(heights_m: Float32Array, step_m: float, rules: RepairRules) -
 
 
 def _remove_fill(heights_m: Float32Array, value: float, step_m: float, rules: RepairRules) -> int:
-    """Turn the fill of one value into voids; return the number of its samples."""
+    """Turn the fill of one value into voids; count its samples."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     has_value = heights_m == np.float32(value)
@@ -397,7 +412,10 @@ def _walls(
     step_m: float,
     reach: int,
 ) -> Int64Array:
-    """Return how many samples east of each sample of a rim its highest wall stands; 0 for none."""
+    """Return how far east of a rim's samples the wall is.
+
+    The result is the number of samples to the highest wall, 0 for none.
+    """
     wall = np.zeros(row.size, dtype=np.int64)
     before = np.full(row.size, value)
     highest = np.full(row.size, step_m)

@@ -29,9 +29,10 @@ _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64A
 
 
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
-    """Return the metres between samples at a grid's centre, along rows and along columns.
+    """Return the metres between samples at a grid's centre.
 
-    ``frame`` is local, with its origin at the centre.
+    The first number is along rows, the second along columns. ``frame`` is local, with its origin at
+    the centre.
     """
     x, y = grid.centre
     half_east = 0.5 * grid.step_east
@@ -61,11 +62,11 @@ def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
 def warp(
     heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
 ) -> tuple[Float32Array, Grid]:
-    """Resample heights on a grid of a CRS to a frame, as `cubic` and `keep_summits` do.
+    """Resample heights from a CRS to a frame; summits are kept.
 
-    Returns the heights (rows, cols), and their grid in the frame, whose eastings and northings are
-    whole multiples of the spacing. It covers the box around the source; samples outside the
-    source's outermost samples are NaN.
+    The methods are `cubic` and `keep_summits`. Returns the heights (rows, cols), and their grid in
+    the frame, whose eastings and northings are whole multiples of the spacing. It covers the box
+    around the source; samples outside the source's outermost samples are NaN.
 
     Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
     """
@@ -105,7 +106,7 @@ def _span(at: Float64Array, count: int) -> slice:
 
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
-    """Return the grid of the target: whole multiples of the spacing around the source."""
+    """Return the target's grid, of whole multiples of the spacing."""
     west, south, east, north = to_frame.transform_bounds(
         grid.west, grid.south, grid.east, grid.north, densify_pts=127
     )
@@ -130,7 +131,7 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
 
 
 def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
-    """Return a function from samples of the target to positions in the source.
+    """Return a function from target samples to source positions.
 
     It interpolates between nodes where that is exact to `POSITION_TOLERANCE`.
     """
@@ -164,16 +165,19 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
 
 
 def _nodes(count: int) -> Float64Array:
-    """Return nodes at most 32 samples apart, from one sample before ``count`` samples to after."""
+    """Return nodes at most 32 samples apart.
+
+    The nodes reach from one sample before ``count`` samples to one after.
+    """
     return np.linspace(-1.0, count, max(4, count // 32 + 2))
 
 
 def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float32Array:
-    """Return heights at fractional rows and columns by cubic convolution (Keys 1981, a = -1/2).
+    """Return heights by cubic convolution (Keys 1981, a = -1/2).
 
-    No height is above or below the four samples around its position. Where one of the 4 x 4
-    samples is a hole (NaN), the height is interpolated bilinearly. It is NaN outside, and where the
-    nearest sample is a hole.
+    Positions are fractional rows and columns. No height is above or below the four samples around
+    its position. Where one of the 4 x 4 samples is a hole (NaN), the height is interpolated
+    bilinearly. It is NaN outside, and where the nearest sample is a hole.
     """
     rows, cols = heights_m.shape
     # Positions within a margin of the outermost samples lie on them, up to rounding. A source of a
@@ -211,7 +215,10 @@ def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Floa
 
 
 def _keys_weights(t: Float64Array) -> list[Float32Array]:
-    """Return the weights of the samples at -1, 0, 1 and 2 for a position t in [0, 1)."""
+    """Return the weights of the four samples around a position.
+
+    The samples are at -1, 0, 1 and 2; the position t is in [0, 1).
+    """
     return [
         (((2.0 - t) * t - 1.0) * t * 0.5).astype(np.float32),
         (((3.0 * t - 5.0) * t * t + 2.0) * 0.5).astype(np.float32),
@@ -245,10 +252,11 @@ def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> 
 def local_maxima(
     heights_m: Float32Array, strip_samples: int = STRIP_SAMPLES
 ) -> tuple[Int64Array, Int64Array]:
-    """Return row and column (n,), in order, of samples that none of eight neighbours overtops.
+    """Return row and column of samples that no neighbour overtops.
 
-    Samples at the border, beside a hole (NaN) or within a level place are left out.
-    ``strip_samples`` limits the memory, and changes nothing else.
+    Rows and columns (n,) are in order; a sample has eight neighbours. Samples at the border, beside
+    a hole (NaN) or within a level place are left out. ``strip_samples`` limits the memory, and
+    changes nothing else.
     """
     found = []
     for strip in row_strips(heights_m, strip_samples):
@@ -274,12 +282,12 @@ def keep_summits(
     grid: Grid,
     to_target: Transformer,
 ) -> None:
-    """Lift, in place, the sample of a warped grid nearest to each local maximum to its height.
+    """Lift a warped grid's samples to the heights of local maxima.
 
-    The nearest sample is one of the corners of the cell in which the maximum lies; holes stay
-    holes. So every summit is as high as it was, at most 0.71 of the target's spacing aside.
-    ``to_target`` leads from the CRS of ``grid``, on which ``heights_m`` are, to the CRS of
-    ``target``.
+    The sample nearest to each is lifted, in place. The nearest sample is one of the corners of the
+    cell in which the maximum lies; holes stay holes. So every summit is as high as it was, at most
+    0.71 of the target's spacing aside. ``to_target`` leads from the CRS of ``grid``, on which
+    ``heights_m`` are, to the CRS of ``target``.
     """
     row, col = local_maxima(heights_m)
     easting, northing = to_target.transform(
@@ -294,7 +302,10 @@ def keep_summits(
 
 
 def _nearest_known(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Int64Array:
-    """Return the flat index of each position's nearest known corner, -1 where there is none."""
+    """Return the flat index of each position's nearest known corner.
+
+    The result is -1 where there is none.
+    """
     rows, cols = heights_m.shape
     top = np.floor(row).astype(np.int64)
     left = np.floor(col).astype(np.int64)

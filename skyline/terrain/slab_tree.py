@@ -43,7 +43,10 @@ _SLACK_CELLS = 0.02
 
 
 def level_count(strips: int) -> int:
-    """Return the number of levels for a field with ``strips`` strips along its longer axis."""
+    """Return the number of levels for a field.
+
+    ``strips`` is its number of strips along the longer axis.
+    """
     levels = 1
     while LEAF_STRIPS * SLABS**levels < strips:
         levels += 1
@@ -51,11 +54,12 @@ def level_count(strips: int) -> int:
 
 
 def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
-    """Yield the levels of the tree of values (lines, columns), the finest first.
+    """Yield the levels of the tree, the finest first.
 
-    Rays run along the first axis, and strips lie between lines. Values are heights, `EMPTY` for
-    holes, or marks, 0 for none. ``slopes`` (bins + 1,) are increasing bounds of the bins of rays'
-    slopes, columns per line. ``levels`` is the `level_count` of the longer axis.
+    Values are (lines, columns). Rays run along the first axis, and strips lie between lines. Values
+    are heights, `EMPTY` for holes, or marks, 0 for none. ``slopes`` (bins + 1,) are increasing
+    bounds of the bins of rays' slopes, columns per line. ``levels`` is the `level_count` of the
+    longer axis.
     """
     slabs = max(-(-(len(values) - 1) // LEAF_STRIPS), 1)
     lines = _padded(values, 0, slabs * LEAF_STRIPS + 1)
@@ -73,10 +77,10 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
 
 
 def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
-    """Return maxima with `SLABS` slabs joined into one, and columns into spans of cells.
+    """Return the maxima of larger slabs and wider columns.
 
-    Columns of ``maxima`` are single samples (step 0) or spans of ``step`` cells, a power of two;
-    columns of the result are spans of ``wanted`` cells.
+    `SLABS` slabs are joined into one. Columns of ``maxima`` are single samples (step 0) or spans of
+    ``step`` cells, a power of two; columns of the result are spans of ``wanted`` cells.
     """
     slabs = -(-len(maxima) // SLABS)
     joined: Samples = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
@@ -94,7 +98,10 @@ def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
 def _bin_level(
     source: Samples, step: int, slab: int, columns: int, slopes: Float64Array
 ) -> SlabLevel:
-    """Return the level of the slabs whose maxima are in ``source``, a result of `_coarsened`."""
+    """Return the level of slabs from their maxima.
+
+    ``source`` is a result of `_coarsened`.
+    """
     bands = -(-len(source) // SLABS)
     values = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1)
     first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
@@ -119,7 +126,10 @@ def _bin_level(
 
 
 def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int) -> Samples:
-    """Return the greatest of ``span`` columns from start, start + stride, ...: (rows, count)."""
+    """Return the greatest of ``span`` columns: (rows, count).
+
+    Spans begin at start, start + stride, ...
+    """
     need = (count - 1) * stride + span
     held = np.full((len(values), need), _nothing(values), dtype=values.dtype)
     first = max(start, 0)

@@ -80,11 +80,12 @@ def highest_within(
 def summit_heights_m(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> Float64Array:
-    """Return the height of the summit on which each position lies, (N,); NaN where there is none.
+    """Return the height of the summit at each position.
 
-    The highest sample within one spacing of the position is a summit if the ground around it falls
-    off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
-    of that deviation. Beyond holes and the border it may rise.
+    The heights are (N,), NaN where there is no summit. The highest sample within one spacing of the
+    position is a summit if the ground around it falls off by twice `HeightField.height_sd_m` on all
+    sides within 16 samples, before it rises by half of that deviation. Beyond holes and the border
+    it may rise.
     """
     row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
     near = np.arange(-1, 3)
@@ -113,7 +114,7 @@ def summit_heights_m(
 
 
 def prominence_m(field: HeightField, row: int, col: int) -> float:
-    """Return the least descent from a sample on the way to higher ground, metres.
+    """Return a sample's least descent to higher ground, metres.
 
     Ground counts as higher if it is more than `HeightField.height_sd_m` above the sample, because
     the sample nearest to a named peak is not always the highest of its hill. Ground that is more
@@ -142,7 +143,10 @@ def _heights(
 
 
 def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
-    """Return the heights within ``reach`` samples of one, infinite in holes and around them."""
+    """Return heights around a sample, infinite in holes.
+
+    The window reaches ``reach`` samples from the middle, with an infinite frame around it.
+    """
     near = np.arange(-reach, reach + 1)
     heights = _heights(field, row + near[:, np.newaxis], col + near, np.inf)
     return np.pad(heights, 1, constant_values=np.inf)

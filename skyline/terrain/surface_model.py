@@ -43,12 +43,12 @@ class SurfaceRules:
 def read_surface(
     surface: Dem, terrain: HeightField, rules: SurfaceRules = SurfaceRules()
 ) -> HeightField:
-    """Read a surface or canopy model as an upper bound for trees and houses on a terrain.
+    """Read a surface or canopy model as an upper bound.
 
-    The heights of a surface model have the terrain's datum, and the heights of a canopy model are
-    above the ground. A model that lies far below the ground, or does not rise and fall with it, is
-    taken for a canopy model. Its grid and CRS may differ from the terrain's; files that name no CRS
-    have the one that was given for the terrain.
+    Trees and houses on a terrain rise no higher. The heights of a surface model have the terrain's
+    datum, and the heights of a canopy model are above the ground. A model that lies far below the
+    ground, or does not rise and fall with it, is taken for a canopy model. Its grid and CRS may
+    differ from the terrain's; files that name no CRS have the one that was given for the terrain.
 
     The field returned is on the terrain's samples, nowhere lower: the ground, plus the model's
     greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where the model
@@ -89,7 +89,10 @@ def read_surface(
 def _highest_within(
     above_m: Float64Array, model: HeightField, terrain: HeightField
 ) -> Float64Array:
-    """Return the greatest height above ground within a terrain's sample of each model's sample."""
+    """Return the greatest height above ground near each sample.
+
+    The result is the greatest within one of the terrain's samples.
+    """
     wide = [
         max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
         for coarse, fine in (
@@ -106,7 +109,7 @@ def _highest_within(
 
 
 def _above_ground_m(model: HeightField, terrain: HeightField, rules: SurfaceRules) -> Float64Array:
-    """Return the heights of a model's samples above the ground, NaN where not known."""
+    """Return a model's heights above ground, NaN where unknown."""
     above_m = _above_terrain_m(model, terrain)
     known = np.isfinite(above_m)
     if not known.any():
@@ -134,7 +137,10 @@ def _above_ground_m(model: HeightField, terrain: HeightField, rules: SurfaceRule
 
 
 def _above_terrain_m(model: HeightField, terrain: HeightField) -> Float64Array:
-    """Return a model's heights less the terrain's at its samples, NaN where not known."""
+    """Return a model's heights less the terrain's at its samples.
+
+    Heights that are not known are NaN.
+    """
     above_m = np.empty(model.heights_m.shape)
     west, south, east, north = terrain.bounds_m
     reach_m = max(model.spacing_east_m, model.spacing_north_m)
@@ -153,11 +159,12 @@ def _above_terrain_m(model: HeightField, terrain: HeightField) -> Float64Array:
 def _check_datum(
     model: HeightField, terrain: HeightField, median_m: float, rules: SurfaceRules
 ) -> None:
-    """Raise `InputError` where a surface model's heights have another datum than the terrain's.
+    """Raise `InputError` where a surface model has another datum.
 
     ``median_m`` is the median of the surface above the terrain.
     """
-    reference, terrain_reference = _reference_of(model), _reference_of(terrain)
+    reference = _reference_of(model)
+    terrain_reference = _reference_of(terrain)
     if {GEOID, ELLIPSOID} == {reference, terrain_reference}:
         raise InputError(
             f"{_name_of(model)} has heights above the {reference}, and the DEM above the "
@@ -176,15 +183,19 @@ def _name_of(model: HeightField) -> str:
 
 
 def _reference_of(model: HeightField) -> str:
-    """Return `GEOID` or `ELLIPSOID` where a model names its datum, else an empty text."""
+    """Return `GEOID`, `ELLIPSOID`, or an empty text.
+
+    The text is empty where a model names no datum.
+    """
     datum = model.provenance.conventions.get("vertical_datum", "")
     return next((one for one in (GEOID, ELLIPSOID) if datum.endswith(f"({one})")), "")
 
 
 def _follow_share(heights_m: FloatArray, above_m: Float64Array, rules: SurfaceRules) -> float:
-    """Return by how much heights (N,) rise in the mean where the ground rises by a metre.
+    """Return how much heights rise where the ground rises a metre.
 
-    It is 1 for a surface model and 0 for a canopy model; 1 where the ground is flat.
+    The result is the mean over heights (N,). It is 1 for a surface model and 0 for a canopy model;
+    1 where the ground is flat.
     """
     ground_m = heights_m - above_m
     rise_m = ground_m - ground_m.mean()
@@ -195,7 +206,10 @@ def _follow_share(heights_m: FloatArray, above_m: Float64Array, rules: SurfaceRu
 
 
 def _positions(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
-    """Return easting and northing of the samples of some rows, in the frame of another field."""
+    """Return positions of samples in another field's frame.
+
+    Positions are easting and northing of the samples of some rows.
+    """
     row = np.arange(field.rows)[rows, np.newaxis]
     position = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
     if field.frame == other.frame:

@@ -78,7 +78,10 @@ def open_tile(source: str, default_crs: CRS | None) -> Tile:
 
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
-    """Return the tile in an open rasterio dataset; `InputError` where it is not a usable DEM."""
+    """Return the tile in an open rasterio dataset.
+
+    Raises `InputError` where it is not a usable DEM.
+    """
     if not isinstance(dataset, DatasetReaderBase) or dataset.closed:
         raise no_dem(dataset)
     source = str(dataset.name)
@@ -135,28 +138,12 @@ def _tile_of(
     default_crs: CRS | None,
     files: tuple[str, ...],
 ) -> Tile:
-    """Return the tile in a rasterio dataset, opened now and once more when the tile is read."""
+    """Return the tile in a rasterio dataset.
+
+    The dataset is opened now, and once more when the tile is read.
+    """
     with opened() as dataset:
-        if dataset.count == 0 and dataset.subdatasets:
-            raise InputError(
-                f"{source} holds several rasters; name one of them: "
-                f"{', '.join(dataset.subdatasets)}"
-            )
-        bands, alpha = bands_of(dataset)
-        if len(bands) != 1:
-            raise InputError(
-                f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
-                "(gdal_translate -b N), and decode heights kept as colours"
-            )
-        band = bands[0]
-        is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
-        # With less than a ninth of the grid filled, a sample may have no neighbour.
-        if is_text and filled_share(source, dataset) < 1.0 / 9.0:
-            raise InputError(
-                f"{source} lists points that lie apart on a grid of {dataset.height} x "
-                f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
-                "raster (gdal_grid)"
-            )
+        band, alpha = _height_band(source, dataset)
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         transform = dataset.transform
         if dataset.driver == "AAIGrid" and transform.c == transform.f == 0.0:
@@ -201,8 +188,34 @@ def _tile_of(
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
 
 
+def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
+    """Return the numbers of a dataset's band of heights, and of its alpha band or None.
+
+    Raises `InputError` where the dataset has not one band of samples on a grid.
+    """
+    if dataset.count == 0 and dataset.subdatasets:
+        raise InputError(
+            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
+        )
+    bands, alpha = bands_of(dataset)
+    if len(bands) != 1:
+        raise InputError(
+            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+            "(gdal_translate -b N), and decode heights kept as colours"
+        )
+    is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
+    # With less than a ninth of the grid filled, a sample may have no neighbour.
+    if is_text and filled_share(source, dataset) < 1.0 / 9.0:
+        raise InputError(
+            f"{source} lists points that lie apart on a grid of {dataset.height} x "
+            f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
+            "raster (gdal_grid)"
+        )
+    return bands[0], alpha
+
+
 def no_dem(given: object) -> InputError:
-    """Return the error for a value whose type is not read as a DEM."""
+    """Return the error for a value that cannot be a DEM."""
     return InputError(
         f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
         "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
@@ -213,7 +226,10 @@ def no_dem(given: object) -> InputError:
 def _heights_of(
     source: str, band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
 ) -> Float32Array:
-    """Return ``(band * scale + offset) * metres``, NaN where void, -inf where undeclared."""
+    """Return ``(band * scale + offset) * metres``.
+
+    Heights are NaN where void, -inf where a void is not declared.
+    """
     if not (np.isfinite([scale, offset]).all() and scale):
         raise InputError(
             f"{source} has the scale {scale:g} and the offset {offset:g}, which leave no heights; "
@@ -364,7 +380,10 @@ def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: o
 
 
 def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
-    """Raise `InputError` where the unit of coordinates is a length, but not the unit of the CRS."""
+    """Raise `InputError` where coordinates are not in the CRS's unit.
+
+    Only units of length are compared.
+    """
     metres = metres_per(unit) if crs.is_projected else None
     axis = crs.axis_info[0]
     if metres and not math.isclose(metres, axis.unit_conversion_factor, rel_tol=SAME_UNIT):

@@ -52,9 +52,10 @@ class Triangles:
         )
 
     def entries(self, north: bool, east: bool) -> BoolArray:
-        """Return a mask of the ends of edges (rows, cols) over which a ray may enter the surface.
+        """Return the ends of edges where a ray may enter the surface.
 
-        The ray goes ``north`` rather than south, and ``east`` rather than west.
+        The result is a mask (rows, cols). The ray goes ``north`` rather than south, and ``east``
+        rather than west.
         """
         rows, cols = self.north_east.shape
         marks = np.zeros((rows - 1, cols - 1), dtype=bool)

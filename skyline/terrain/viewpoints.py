@@ -50,7 +50,10 @@ class Viewpoints(Rows):
 
 
 def in_four_views(viewpoints: Viewpoints) -> tuple[Viewpoints, UInt8Array]:
-    """Return each eye four times, and the headings (4 N,) of its views, north to west."""
+    """Return each eye four times, and its views' headings.
+
+    Headings (4 N,) run from north to west.
+    """
     count = len(viewpoints)
     heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
     return viewpoints[np.repeat(np.arange(count), len(HEADINGS))], heading
@@ -112,9 +115,10 @@ def stand_at(
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = None,
 ) -> Viewpoints:
-    """Place eyes at longitudes and latitudes (WGS 84); parameters and errors as in `stand_on`.
+    """Place eyes at longitudes and latitudes (WGS 84).
 
-    By default an eye beside a summit of the model stands as high as the summit.
+    Parameters and errors are as in `stand_on`. By default an eye beside a summit of the model
+    stands as high as the summit.
     """
     easting_m, northing_m = position_on(field, lon, lat)
     return stand_on(
@@ -146,9 +150,10 @@ def stand_at_one(
 def position_on(
     field: HeightField, lon_deg: ArrayLike, lat_deg: ArrayLike
 ) -> tuple[Float64Array, Float64Array]:
-    """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
+    """Return easting and northing of positions given in degrees.
 
-    Raises `OffMapError` for a position off the map.
+    Longitudes and latitudes are on WGS 84; the result has shape (N,). Raises `OffMapError` for a
+    position off the map.
     """
     lon, lat = _flat(lon_deg, lat_deg)
     easting, northing = field.frame.from_lonlat(lon, lat)
@@ -170,9 +175,10 @@ def position_on(
 def stand_where_possible(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike
 ) -> tuple[Viewpoints, BoolArray]:
-    """Place eyes 2 m above ground, but none at locations off the map or on a hole.
+    """Place eyes 2 m above ground where there is ground.
 
-    Returns the eyes, and a mask of the locations (N,) where they stand.
+    There is none off the map and on holes. Returns the eyes, and a mask of the locations (N,) where
+    they stand.
     """
     easting, northing = _flat(easting_m, northing_m)
     ground = field.height_at(easting_m=easting, northing_m=northing)
@@ -193,11 +199,12 @@ def at_elevation(
 
 
 def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
-    """Raise an error if an eye's elevation is impossible, or far below the ground.
+    """Raise an error if an eye's elevation is impossible.
 
-    ``ground_m`` is the elevation of the lowest ground where the eye may stand. Raises `InputError`
-    outside -500 to 20,000 m, and `OffMapError` more than 200 m below the ground: vertical datums
-    differ by up to 100 m, and models err as much beside cliffs.
+    An elevation far below the ground is impossible, too. ``ground_m`` is the elevation of the
+    lowest ground where the eye may stand. Raises `InputError` outside -500 to 20,000 m, and
+    `OffMapError` more than 200 m below the ground: vertical datums differ by up to 100 m, and
+    models err as much beside cliffs.
     """
     lowest_m = GROUND_M[0]
     if not lowest_m <= eye_elevation_m <= HIGHEST_EYE_M:
@@ -238,7 +245,10 @@ def _no_ground(
 
 
 def _first_of(failing: Int64Array, count: int) -> str:
-    """Return the words for the first of the viewpoints that fail, of ``count`` in all."""
+    """Return words for the first of the viewpoints that fail.
+
+    ``count`` is the number of all.
+    """
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
@@ -267,7 +277,10 @@ def _flat(*values: ArrayLike) -> list[Float64Array]:
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:
-    """Raise `OffMapError` for an eye below the ground; a micrometre below it is rounding."""
+    """Raise `OffMapError` for an eye below the ground.
+
+    A micrometre below it is rounding.
+    """
     below = np.flatnonzero(eye_height_m < -1e-6)
     if below.size:
         first = below[0]
@@ -284,13 +297,13 @@ def read_viewpoints(
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = 0.0,
 ) -> tuple[Viewpoints, tuple[str, ...]]:
-    """Read viewpoints, place their eyes on a height field, and return them with their labels.
+    """Read viewpoints with their labels from a CSV file.
 
-    The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
-    (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
-    become labels; without either column there are none. ``eye_height_m`` is for files without a
-    column of heights, and ``summit_within_m`` (as in `stand_on`) for files without a column of
-    elevations.
+    Their eyes are placed on a height field. The CSV has a header: ``easting,northing`` in the
+    field's frame or ``lon,lat`` in degrees (WGS 84), and optionally ``eye_height_m`` or
+    ``eye_elevation_m``, and ``id`` or ``name``, which become labels; without either column there
+    are none. ``eye_height_m`` is for files without a column of heights, and ``summit_within_m`` (as
+    in `stand_on`) for files without a column of elevations.
 
     Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
     columns are wrong, or a value is not a number; otherwise as `stand_on`.
