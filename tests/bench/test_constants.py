@@ -1,0 +1,61 @@
+"""Constants of the code in pages: written anew where they changed, refused where they are not."""
+
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from mkdocs.exceptions import PluginError
+
+from skyline.errors import InputError
+from skyline_bench.documents.constants import with_constants
+
+HOOKS = Path(__file__).parents[2] / ".ci" / "site_pages.py"
+
+
+@pytest.mark.parametrize(
+    ("page", "written"),
+    [
+        ("7<!-- skyline.skylines.DEFAULT_WIDTH -->", "640<!-- skyline.skylines.DEFAULT_WIDTH -->"),
+        ("1,0<!-- skyline.skylines.MAX_WIDTH -->", "16,384<!-- skyline.skylines.MAX_WIDTH -->"),
+        ("1<!-- skyline.geodesy.TRUE_DEG -->", "0.05<!-- skyline.geodesy.TRUE_DEG -->"),
+        ("7<!-- skyline.camera.FOV_RANGE_DEG.1 -->", "100<!-- skyline.camera.FOV_RANGE_DEG.1 -->"),
+        (
+            "9 %<!-- skyline.MatchConfig.fov_slack:.1% -->",
+            "2.5 %<!-- skyline.MatchConfig.fov_slack:.1% -->",
+        ),
+    ],
+    ids=["integer", "thousands", "fraction", "item of a tuple", "default of a field, as a share"],
+)
+def test_a_number_before_the_path_of_a_constant_becomes_its_value(page, written):
+    assert with_constants(f"At most {page} m.", "page.md") == f"At most {written} m."
+
+
+@pytest.mark.parametrize(
+    "path", ["skyline.nowhere.NUMBER", "skyline.skylines.NOTHING", "skyline.geodesy.Frame"]
+)
+def test_a_path_to_no_number_is_refused_with_its_page_and_line(path):
+    with pytest.raises(InputError, match=rf"^docs/page\.md:3 names `{path}`"):
+        with_constants(f"# Page\n\n5<!-- {path} --> m\n", "docs/page.md")
+
+
+def test_a_path_without_a_number_before_it_is_refused():
+    with pytest.raises(InputError, match=r"^page\.md:1 .* without a number"):
+        with_constants("some <!-- skyline.skylines.DEFAULT_WIDTH --> columns", "page.md")
+
+
+@pytest.fixture
+def built():
+    """Return a function that returns a page's Markdown as the site has it."""
+    on_page_markdown = runpy.run_path(str(HOOKS))["on_page_markdown"]
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="method.md"))
+    return lambda markdown: on_page_markdown(markdown, page, None, None)
+
+
+def test_the_site_has_the_value_without_its_path(built):
+    assert built("7<!-- skyline.skylines.DEFAULT_WIDTH --> columns") == "640 columns"
+
+
+def test_a_path_to_no_constant_stops_the_site(built):
+    with pytest.raises(PluginError, match=r"method\.md:1 names `skyline\.skylines\.NOTHING`"):
+        built("7<!-- skyline.skylines.NOTHING --> columns")
