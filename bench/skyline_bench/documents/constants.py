@@ -26,27 +26,30 @@ _NUMBER = re.compile(
 def with_constants(text: str, page: str, *, keep_comments: bool = True) -> str:
     """Return the text of a page with the constants' present values.
 
-    Raises `InputError` with the page and the line where a path leads to no number, or where no
+    Raises `InputError` with the page and the lines where a path leads to no number, or where no
     number stands before a path.
     """
+    wrong: list[str] = []
 
     def number(found: re.Match[str]) -> str:
-        line = text.count("\n", 0, found.start()) + 1
+        where = f"`{found['path']}` in line {text.count(chr(10), 0, found.start()) + 1}"
         if found["shown"] is None:
-            raise InputError(
-                f"{page}:{line} names `{found['path']}` without a number before it; write its "
-                "value there, without a space"
-            )
+            wrong.append(f"{where} (no number stands right before it)")
+            return found[0]
         try:
             shown = _shown(_value_of(found["path"]), found["form"])
         except (AttributeError, IndexError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{page}:{line} names `{found['path']}`, which is no number of the code ({error}); "
-                "correct the path in the page"
-            ) from error
+            wrong.append(f"{where} ({error})")
+            return found[0]
         return shown + found["comment"] * keep_comments
 
-    return _NUMBER.sub(number, text)
+    written = _NUMBER.sub(number, text)
+    if wrong:
+        raise InputError(
+            f"{page} names what is no number of the code: {', '.join(wrong)}; correct the paths in "
+            "the page"
+        )
+    return written
 
 
 def _value_of(path: str) -> Any:
