@@ -229,6 +229,22 @@ def test_files_and_names_the_documents_point_to_exist(document):
         assert target.exists(), target
 
 
+def test_modules_that_the_documents_name_by_the_end_of_their_path_exist():
+    modules = [f"/{path.relative_to(ROOT)}" for path in ROOT.glob("*/**/*.py")]
+    for document in DOCUMENTS:
+        for name in re.findall(r"`([\w/]+\.py)`", document.read_text(encoding="utf-8")):
+            assert any(path.endswith(f"/{name}") for path in modules), f"{document.name}: {name}"
+
+
+def test_the_readme_links_every_page_of_the_site():
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    docs, from_root = ROOT / "docs", {"index", "contributing", "changelog"}
+    targets = (target for target in links(README) if docs in target.parents)
+    linked = {target.relative_to(docs).with_suffix("").as_posix() for target in targets}
+    left = set(re.findall(r": (\S+)\.md$", nav, re.MULTILINE)) - linked - from_root
+    assert {page for page in left if not page.startswith("api/")} == set()
+
+
 def test_the_api_pages_show_every_public_name_once():
     pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "api").glob("*.md")]
     named = re.findall(r"^::: skyline\.(\w+)$", "\n".join(pages), re.MULTILINE)
