@@ -19,7 +19,7 @@ HOOKS = Path(__file__).parents[2] / ".ci" / "site_pages.py"
         ("7<!-- skyline.skylines.DEFAULT_WIDTH -->", "640<!-- skyline.skylines.DEFAULT_WIDTH -->"),
         ("1,0<!-- skyline.skylines.MAX_WIDTH -->", "16,384<!-- skyline.skylines.MAX_WIDTH -->"),
         ("1<!-- skyline.geodesy.TRUE_DEG -->", "0.05<!-- skyline.geodesy.TRUE_DEG -->"),
-        ("7<!-- skyline.camera.FOV_RANGE_DEG.1 -->", "100<!-- skyline.camera.FOV_RANGE_DEG.1 -->"),
+        ("7<!-- skyline.skylines.HEADINGS.3 -->", "3<!-- skyline.skylines.HEADINGS.3 -->"),
         (
             "9 %<!-- skyline.MatchConfig.fov_slack:.1% -->",
             "2.5 %<!-- skyline.MatchConfig.fov_slack:.1% -->",
