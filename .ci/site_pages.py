@@ -2,10 +2,9 @@
 
 The README, CONTRIBUTING and CHANGELOG lie in the root of the repository and become pages. Records
 and figures in bench/results/, and the import contract, become files of the site where a page links
-to them. A constant of the
-code that a page names gets its present value. Equations become MathML, which browsers draw
-themselves. A page that asks another server for a script, a style or a
-picture stops the build.
+to them. Constants and equations of the code that a page names get their present form. Equations
+become MathML, which browsers draw themselves. A page that asks another server for a script, a style
+or a picture stops the build.
 """
 
 import html
@@ -20,6 +19,7 @@ from mkdocs.structure.pages import Page
 
 from skyline.errors import InputError
 from skyline_bench.documents.constants import with_constants
+from skyline_bench.documents.equations import with_equations
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOT_PAGES = {
@@ -58,12 +58,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links at the site's pages instead of the repository's files, and fill constants in.
+    """Point links at the site's pages, and fill constants and equations of the code in.
 
-    A constant that the code does not have stops the build.
+    What the code does not have stops the build.
     """
+    path = page.file.src_uri
     try:
-        markdown = with_constants(markdown, page.file.src_uri, keep_comments=False)
+        markdown = with_equations(with_constants(markdown, path, keep_comments=False), path)
     except InputError as error:
         raise PluginError(str(error)) from error
     up = "../" * page.file.src_uri.count("/")

@@ -1,4 +1,4 @@
-"""Constants of the code in pages: written anew where they changed, refused where they are not."""
+"""Constants and equations of the code in pages: written anew, refused where they are not."""
 
 import runpy
 from pathlib import Path
@@ -9,6 +9,7 @@ from mkdocs.exceptions import PluginError
 
 from skyline.errors import InputError
 from skyline_bench.documents.constants import with_constants
+from skyline_bench.documents.equations import with_equations
 
 HOOKS = Path(__file__).parents[2] / ".ci" / "site_pages.py"
 
@@ -47,6 +48,29 @@ def test_all_wrong_paths_of_a_page_are_named_at_once():
 def test_a_path_without_a_number_before_it_is_refused():
     with pytest.raises(InputError, match=r"DEFAULT_WIDTH` in line 1 .no number"):
         with_constants("some <!-- skyline.skylines.DEFAULT_WIDTH --> columns", "page.md")
+
+
+@pytest.fixture
+def documented(tmp_path, monkeypatch):
+    """The name of a module with two equations in its docstring."""
+    (tmp_path / "documented.py").write_text(
+        'r"""Areas.\n\nA square has\n\n.. math:: a^2\n\nand a circle, with its radius r,\n\n'
+        '.. math::\n\n    \\pi\n    r^2\n\nof area.\n"""\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    return "documented"
+
+
+@pytest.mark.parametrize(("number", "latex"), [(1, "a^2"), (2, r"\pi r^2")])
+def test_an_equation_after_its_comment_becomes_the_one_of_the_docstring(documented, number, latex):
+    page = f"It has\n\n<!-- equation {number} of {documented} -->\n\n$$old$$\n\nand so on.\n"
+    assert with_equations(page, "page.md") == page.replace("old", latex)
+
+
+@pytest.mark.parametrize("equation", ["equation 3 of documented", "equation 1 of nothing"])
+def test_an_equation_that_no_docstring_has_is_refused_with_its_page(documented, equation):
+    with pytest.raises(InputError, match=rf"^page\.md names {equation}, which the code"):
+        with_equations(f"<!-- {equation} -->\n\n$$x$$\n", "page.md")
 
 
 @pytest.fixture
