@@ -67,9 +67,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         markdown = with_equations(with_constants(markdown, path, keep_comments=False), path)
     except InputError as error:
         raise PluginError(str(error)) from error
-    up = "../" * page.file.src_uri.count("/")
+    up = "../" * path.count("/")
     markdown = _FILE.sub(lambda found: f"]({up}{_published(found[1])})", markdown)
-    if page.file.src_uri in ROOT_PAGES.values():
+    if path in ROOT_PAGES.values():
         markdown = markdown.replace("](docs/", "](")
     for name, target in ROOT_PAGES.items():
         markdown = re.sub(rf"\]\((?:\.\./)*{re.escape(name)}(?=[)#])", f"]({up}{target}", markdown)

@@ -1,8 +1,8 @@
 """README and docs/ are true: commands run, names exist, numbers are those of records and code.
 
-All commands run in one folder, README first, as they are, over made terrain; a command that
-several pages show runs once. A server on this machine stands in for the public server
-of elevation tiles.
+All commands and Python run in one folder, README first, as they stand, over made terrain; a command
+that several pages show runs once. A server on this machine stands in for the public server of
+elevation tiles.
 """
 
 import io
@@ -46,10 +46,10 @@ LEFT = {
 PROGRAMS = {"skyline": cli, "skyline-bench": bench}
 
 _PER_DEGREE = 240
-_BASIN = (9.86, 46.76)
-"""Longitude and latitude of the middle of a basin of made terrain."""
-_BASIN_DEG = 0.1
-"""Radius of the basin's floor, in degrees of latitude: 11 km."""
+_BASIN_LON = 9.86
+_BASIN_LAT = 46.76
+_BASIN_RADIUS_DEG = 0.1
+"""Radius of a basin's floor in the made terrain, in degrees of latitude: 11 km."""
 _FOCAL_LENGTH_35MM = 31
 
 
@@ -60,11 +60,12 @@ def tiles():
     have few viewpoints and builds take seconds.
     """
     count = _PER_DEGREE
-    north, west = np.mgrid[: 2 * count, : 2 * count] / count
-    from_basin_deg = np.hypot(48.0 - north - _BASIN[1], 0.7 * (9.0 + west - _BASIN[0]))
-    share = np.clip((from_basin_deg - _BASIN_DEG) / _BASIN_DEG, 0.0, 1.0)
-    heights = 1500.0 + fractal(2 * count, 2 * count, 1200.0, seed=5) * share
-    heights = heights.astype(np.float32)
+    lat = 48.0 - np.arange(2 * count)[:, np.newaxis] / count
+    lon = 9.0 + np.arange(2 * count) / count
+    east_deg = (lon - _BASIN_LON) * np.cos(np.radians(_BASIN_LAT))
+    radii = np.hypot(lat - _BASIN_LAT, east_deg) / _BASIN_RADIUS_DEG
+    relief = fractal(2 * count, 2 * count, 1200.0, seed=5) * np.clip(radii - 1.0, 0.0, 1.0)
+    heights = (1500.0 + relief).astype(np.float32)
     for row, lat in enumerate((47, 46)):
         for col, lon in enumerate((9, 10)):
             part = heights[row * count :, col * count :][:count, :count]
