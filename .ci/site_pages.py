@@ -1,9 +1,10 @@
 """What the site of the documentation needs beyond the pages in docs/.
 
 The README, CONTRIBUTING and CHANGELOG lie in the root of the repository and become pages. Records
-and figures in bench/results/ become files of the site where a page links to them. Equations become
-MathML, which browsers draw themselves. A page that asks another server for a script, a style or a
-picture stops the build.
+and figures in bench/results/, and the import contract, become files of the site where a page links
+to them. Constants and equations of the code that a page names get their present form. Equations
+become MathML, which browsers draw themselves. A page that asks another server for a script, a style
+or a picture stops the build.
 """
 
 import html
@@ -16,6 +17,10 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from skyline.errors import InputError
+from skyline_bench.documents.constants import with_constants
+from skyline_bench.documents.equations import with_equations
+
 ROOT = Path(__file__).resolve().parents[1]
 ROOT_PAGES = {
     "README.md": "index.md",
@@ -24,7 +29,7 @@ ROOT_PAGES = {
 }
 """Files in the root of the repository, and the pages they become."""
 
-_RECORD = re.compile(r"\]\((?:\.\./)*(bench/results/[\w./-]+)\)")
+_FILE = re.compile(r"\]\((?:\.\./)*(bench/results/[\w./-]+|\.importlinter)\)")
 _EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _FETCHED = re.compile(
     r"<(?:script|img|iframe|source)\b[^>]*\bsrc=[\"']?(?:https?:)?//[^>]*>"
@@ -33,25 +38,38 @@ _FETCHED = re.compile(
 )
 
 
+def _published(path: str) -> str:
+    """Return the path on the site of a file outside docs/; MkDocs leaves hidden files out."""
+    return f"{path[1:]}.txt" if path.startswith(".") else path
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages of the root, and the records that pages link to."""
+    """Add the pages of the root, and the files outside docs/ that pages link to."""
     for name, page in ROOT_PAGES.items():
         files.append(File.generated(config, page, abs_src_path=str(ROOT / name)))
     linked = {
-        record
+        path
         for file in files.documentation_pages()
-        for record in _RECORD.findall(Path(file.abs_src_path or "").read_text(encoding="utf-8"))
+        for path in _FILE.findall(Path(file.abs_src_path or "").read_text(encoding="utf-8"))
     }
-    for record in sorted(linked):
-        files.append(File.generated(config, record, abs_src_path=str(ROOT / record)))
+    for path in sorted(linked):
+        files.append(File.generated(config, _published(path), abs_src_path=str(ROOT / path)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links at the site's pages instead of the repository's files."""
-    up = "../" * page.file.src_uri.count("/")
-    markdown = _RECORD.sub(rf"]({up}\1)", markdown)
-    if page.file.src_uri in ROOT_PAGES.values():
+    """Point links at the site's pages, and fill constants and equations of the code in.
+
+    What the code does not have stops the build.
+    """
+    path = page.file.src_uri
+    try:
+        markdown = with_equations(with_constants(markdown, path, keep_comments=False), path)
+    except InputError as error:
+        raise PluginError(str(error)) from error
+    up = "../" * path.count("/")
+    markdown = _FILE.sub(lambda found: f"]({up}{_published(found[1])})", markdown)
+    if path in ROOT_PAGES.values():
         markdown = markdown.replace("](docs/", "](")
     for name, target in ROOT_PAGES.items():
         markdown = re.sub(rf"\]\((?:\.\./)*{re.escape(name)}(?=[)#])", f"]({up}{target}", markdown)

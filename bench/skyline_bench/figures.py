@@ -1,4 +1,4 @@
-"""The figures of the pages: tables and sentences, and three pictures.
+"""The figures of the pages: tables and sentences, the code's constants, and three pictures.
 
 Tables, sentences and diagrams are written from records, so that a figure shown has been measured.
 """
@@ -57,7 +57,8 @@ def figures(
     """The tables, figures and diagrams of README.md and docs/, from the records.
 
     Tables are written between the lines <!-- figures: NAME --> and
-    <!-- end of figures -->, and figures into the sentences that have them.
+    <!-- end of figures -->, figures into the sentences that have them, and constants and equations
+    of the code beside the comments that name them.
     """
     records = Results(results)
     for page in pages_in(out):

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skyline_bench.documents.results import Results, answered_right, count, digits
-from skyline_bench.documents.tables import COMPARED, DEMS, FOUR_VIEWS, PLACE, way_of
+from skyline_bench.documents.tables import COMPARED, DEMS, FOUR_VIEWS, way_of
 from skyline_bench.documents.writing import Sentence
 from skyline_bench.measuring import Row
 from skyline_bench.queries.manifest import LOCATE
@@ -33,15 +33,6 @@ def _plain(results: Results, record: str, group: str = ALL) -> Row:
 def _picture(results: Results) -> list[str]:
     row = results.row("readme_picture")
     return [digits(row["error_m"]), f"{row['confidence']:.2f}"]
-
-
-def _more_viewpoints(results: Results) -> list[str]:
-    plan, grid = (
-        results.row("placing_davos", store=store, group=ALL)
-        for store in ("planned-32000", "places-10")
-    )
-    about = plan["places"], plan["km2"], number_of(plan, "within_200m"), plan["n"]
-    return counts(*about, grid["places"] / plan["places"], number_of(grid, "within_200m"))
 
 
 def _without_a_hint(results: Results) -> list[str]:
@@ -161,11 +152,6 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
     "README.md": (
         Sentence("The place found is {} m off; its confidence is {}.", _picture),
         Sentence(
-            "{} places on {} km2 of Davos find {} of {} queries, and a grid of 10 m, with {} times "
-            "as many, finds {}",
-            _more_viewpoints,
-        ),
-        Sentence(
             "A query on Davos takes {} s in the median",
             lambda results: [f"{_plain(results, 'matching')['query_s']:.1f}"],
         ),
@@ -181,10 +167,6 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         Sentence(
             "The greatest error measured is {} px",
             lambda results: [digits(way_of(results, FOUR_VIEWS)["max_px"])],
-        ),
-        Sentence(
-            "It takes {} ms to render",
-            lambda results: [digits(way_of(results, PLACE)["ms_per_viewpoint"])],
         ),
     ),
     "docs/accuracy.md": (
@@ -227,10 +209,9 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             _elsewhere,
         ),
         Sentence(
-            "The error of the plan for 36 px is {} times (Davos) and {} times (Owens Valley) that "
-            "of a uniform grid of as many renderings, interpolated between the grids, and that of "
-            "the plan for 120 px {} and {} times. Where the skyline is far, {} of {} plans gain; "
-            "where it is close, {} of {}",
+            "The plan for 36 px has {} times the error of the uniform grid on Davos, and {} times "
+            "on Owens Valley; the plan for 120 px has {} and {} times. Where the skyline is far, "
+            "{} of {} plans gain; where it is close, {} of {}",
             _gains,
         ),
         Sentence("were learned from {} examples", _learned),

@@ -1,4 +1,4 @@
-"""Writing tables and figures into pages: between markers, and into sentences by their words."""
+"""Writing into pages: tables between markers, figures by their sentences, constants, equations."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.errors import InputError
+from skyline_bench.documents.constants import with_constants
+from skyline_bench.documents.equations import with_equations
 from skyline_bench.documents.results import Results
 from skyline_bench.documents.tables import TABLES, markdown
 
@@ -50,10 +52,11 @@ class Sentence:
 def written(
     text: str, page: str, results: Results, sentences: Mapping[str, Sequence[Sentence]]
 ) -> str:
-    """Return the text of a page with the tables and figures of the records.
+    """Return the text of a page with the figures of the records, and numbers and equations of code.
 
-    ``page`` is its path from the root of the repository. Raises `InputError` for an unknown table
-    or a sentence that is not there, and `MissingFileError` for a record that is not there.
+    ``page`` is its path from the root of the repository. Raises `InputError` for an unknown table,
+    a sentence that is not there, and a constant or an equation that the code does not have, and
+    `MissingFileError` for a record that is not there.
     """
     up = "../" * page.count("/")
 
@@ -68,7 +71,7 @@ def written(
     text = _TABLE.sub(table, text)
     for sentence in sentences.get(page, ()):
         text = sentence.written(text, results, page)
-    return text
+    return with_equations(with_constants(text, page), page)
 
 
 def pages_in(root: Path) -> list[Path]:
