@@ -15,7 +15,7 @@ from skyline.arrays import Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import RenderThread, acquire_context
-from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
 from skyline.skylines import (
     DEFAULT_WIDTH,
     HEADINGS,
@@ -29,8 +29,6 @@ from skyline.skylines import (
 from skyline.terrain.eyes import Viewpoints, in_four_views
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.sightlines import DataEdge
-
-DEFAULT_TOLERANCE_DEG = 0.01
 
 _PIECE_COLUMNS = 12_000
 """Columns of the views that a scene renders in one piece: a few milliseconds without a GPU."""
@@ -47,32 +45,25 @@ class RenderConfig:
     ----------
     width : int
         Columns W of a view.
-    tolerance_px : float
-        Greatest amount by which a skyline may lie below the exact one; with 0 it is exact to
-        float32.
     curvature : Curvature
     """
 
     width: int = DEFAULT_WIDTH
-    tolerance_px: float = 0.05
     curvature: Curvature = field(default_factory=Curvature)
 
 
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
-    Raises `InputError` if the width or the tolerance is out of range or samples are much longer
-    than wide, and `ContextError` if no OpenGL context can be made.
+    Raises `InputError` if the width is out of range or samples are much longer than wide, and
+    `ContextError` if no OpenGL context can be made.
     """
 
     def __init__(self, field: HeightField, config: RenderConfig) -> None:
-        width, tolerance_px = check_width(config.width), config.tolerance_px
-        pixel = pixel_size(width)
-        tolerance = np.full(width, check_tolerance(tolerance_px, "px") * pixel)
+        width = check_width(config.width)
+        near_error = NEAR_ERROR_PX * pixel_size(width)
         name = f"horizon {width} columns"
-        name += f", tolerance {tolerance_px:g} px" if tolerance_px else ""
-        near_error = NEAR_ERROR_PX * pixel
-        super().__init__(name, field, columns_u(width), tolerance, near_error, config.curvature)
+        super().__init__(name, field, columns_u(width), near_error, config.curvature)
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
         """Render the skylines of N eyes, in order.
@@ -163,27 +154,17 @@ class RenderedScene:
 class PanoramaRenderer(ColumnRenderer):
     """Renders the horizons of eyes on one height field, in B bins of azimuth, a multiple of 8.
 
-    ``tolerance_deg`` is the greatest angle by which a skyline level with the eye may lie too low;
-    above and below it the angle is smaller. With 0 the skyline is exact to float32. Raises as
-    `HorizonRenderer`, and `InputError` if the bins are out of range.
+    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
     """
 
-    def __init__(
-        self,
-        field: HeightField,
-        bins: int,
-        curvature: Curvature | None = None,
-        tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
-    ) -> None:
+    def __init__(self, field: HeightField, bins: int, curvature: Curvature | None = None) -> None:
         if bins < 8 or bins % 8:
             raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
         self.bins = bins
-        self._azimuth_rad = azimuth = quadrant_azimuths_rad(bins)
-        tolerance = np.radians(check_tolerance(tolerance_deg, "degrees")) / np.cos(azimuth)
+        self._azimuth_rad = quadrant_azimuths_rad(bins)
         near_error = NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH)
         name = f"horizon {bins} azimuths"
-        name += f", tolerance {tolerance_deg:g} degrees" if tolerance_deg else ""
-        super().__init__(name, field, np.tan(azimuth), tolerance, near_error, curvature)
+        super().__init__(name, field, np.tan(self._azimuth_rad), near_error, curvature)
 
     def render(
         self, viewpoints: Viewpoints, first_azimuth_rad: ArrayLike | None = None

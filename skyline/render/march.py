@@ -189,9 +189,9 @@ def _needs_double(
 class ColumnRenderer(Renderer):
     """Renders skylines of one height field in columns at any abscissas.
 
-    ``u`` and ``tolerance`` (W,) are each column's abscissa, of magnitude at most 1, and the
-    greatest amount by which its v may be too small; with 0 it is exact to float32. ``near_error``
-    is the largest rounding error of v near the eye; float64 is used where float32 exceeds it.
+    ``u`` (W,) are the columns' abscissas, of magnitude at most 1. Skylines are exact to float32.
+    ``near_error`` is the largest rounding error of v near the eye; float64 is used where float32
+    exceeds it.
 
     Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
     context can be made.
@@ -202,7 +202,6 @@ class ColumnRenderer(Renderer):
         name: str,
         field: HeightField,
         u: Float64Array,
-        tolerance: Float64Array,
         near_error: float,
         curvature: Curvature | None,
     ) -> None:
@@ -216,11 +215,11 @@ class ColumnRenderer(Renderer):
                 f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
             )
         self._ctx = self._context.ctx
-        self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
+        self._widest_u = float(np.abs(u).max())
         self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
         self._programs: dict[frozenset[tuple[str, str]], moderngl.ComputeShader] = {}
-        aims = np.stack([*split_float(u), tolerance.astype(np.float32)], axis=-1)
-        self._aims = self._ctx.texture((len(u), 1), 3, aims, dtype="f4", alignment=1)
+        aims = np.stack(split_float(u), axis=-1)
+        self._aims = self._ctx.texture((len(u), 1), 2, aims, dtype="f4", alignment=1)
         self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._results: tuple[moderngl.Buffer, ...] = ()
         self._windows = Window.all_of(field)
@@ -383,8 +382,7 @@ class ColumnRenderer(Renderer):
 
     def _columns_a_lane(self, eyes: int) -> int:
         longest = 80 if self._context.software else 5
-        # With a tolerance the first bounds show in the result, which must not depend on the batch.
-        if self._is_exact and eyes < _MANY_EYES:
+        if eyes < _MANY_EYES:
             longest = max(longest // 8, 1)
         groups = math.ceil(self.width / (self._lanes * longest))
         return math.ceil(self.width / (self._lanes * groups))
@@ -404,15 +402,6 @@ class ColumnRenderer(Renderer):
         farthest = np.abs(eyes["nearest"]).max(axis=0) + samples
         reach = float(np.hypot(*(farthest * self._spacing_m[::-1])))
         return 1e-3 + 1e-6 * (high + self.curvature.drop_per_m2 * reach**2)
-
-
-def check_tolerance(tolerance: float, unit: str) -> float:
-    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
-    if not 0.0 <= tolerance < np.inf:
-        raise InputError(
-            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
-        )
-    return float(tolerance)
 
 
 def _set_uniforms(program: moderngl.ComputeShader, values: dict[str, Any]) -> None:
