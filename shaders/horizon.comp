@@ -5,7 +5,7 @@
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
 // oracle of the benchmarks. Along the axis the heading faces the field is cut into strips, one row
 // of cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
-// the greatest height that rays of their slope can meet (skyline/terrain/mesh.py): one that
+// the greatest height that rays of their slope can meet (skyline/terrain/ray_mesh.py): one that
 // cannot rise above the best crossing so far is passed over whole.
 //
 // Frame: p counts along the heading's axis and grows away from the eye (mirrored for north and
@@ -16,8 +16,8 @@
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
 // DANGLING where edges without triangles exist; HOLES to find the columns that look over one.
 //
-// A lane takes every LANES-th column of its group's. The strip that won its last column gives the
-// first bound for its next. With RAISE, results stay where an earlier window of a large field left
+// A lane takes every LANES-th column of its group. The strip that won the lane's last column gives
+// the first bound for its next. With RAISE, results stay where an earlier window of a large field left
 // higher ones.
 #version 430
 layout(local_size_x = LANES) in;
@@ -109,7 +109,7 @@ void face(Eye eye) {
     s_end = FORWARD ? lines.x - 1 : 0;
 }
 
-// Aim at column q; bin is that of its slope.
+// Aim at column q; bin is the bin of its slope.
 void aim(int q, out int bin) {
     vec2 own = texelFetch(aims, ivec2(min(q, width - 1), 0), 0).xy;
     REAL unturned = REAL(own.x) + REAL(own.y), shrunk = REAL(1) - unturned * turn_tan;
