@@ -141,8 +141,8 @@ def _ways(
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
         depth = held.enter_context(DepthRenderer(terrain, columns))
         yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
-    views = held.enter_context(HorizonRenderer(terrain, RenderConfig(width)))
-    yield _Way("horizon", width, f"W = {width}", batch, compared, views.render)
+    four_views = held.enter_context(HorizonRenderer(terrain, RenderConfig(width)))
+    yield _Way("horizon", width, f"W = {width}", batch, compared, four_views.render)
     for azimuths in (_STEPS, BINS):
         panorama = held.enter_context(PanoramaRenderer(terrain, azimuths))
         # Their azimuths count from grid north on.
