@@ -354,11 +354,13 @@ class ColumnRenderer(Renderer):
             **{name: "" for name, on in switches.items() if on},
         )
         columns_a_lane = self._columns_a_lane(len(eyes))
-        values = {"run": columns_a_lane, "first_row": group.rows.start}
-        _set_uniforms(program, values | self._uniforms(window, eyes, group.heading))
+        uniforms = self._uniforms(window, eyes, group.heading)
+        uniforms["run"] = columns_a_lane
+        uniforms["first_row"] = group.rows.start
         for unit, (name, texture) in enumerate(self._textures(window, group.heading).items()):
             texture.use(unit)
-            _set_uniforms(program, {name: unit})
+            uniforms[name] = unit
+        _set_uniforms(program, uniforms)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
