@@ -5,7 +5,7 @@
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
 // oracle of the benchmarks. Along the axis the heading faces the field is cut into strips, one row
 // of cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
-// the greatest height that rays of their slope can meet (skyline/terrain/mesh.py): one that
+// the greatest height that rays of their slope can meet (skyline/terrain/ray_mesh.py): one that
 // cannot rise above the best crossing so far is passed over whole.
 //
 // Frame: p counts along the heading's axis and grows away from the eye (mirrored for north and
@@ -16,8 +16,8 @@
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
 // DANGLING where edges without triangles exist; HOLES to find the columns that look over one.
 //
-// A lane takes every LANES-th column of its group's. The strip that won its last column gives the
-// first bound for its next. With RAISE, results stay where an earlier window of a large field left
+// A lane takes every LANES-th column of its group. The strip that won the lane's last column gives
+// the first bound for its next. With RAISE, results stay where an earlier window of a large field left
 // higher ones.
 #version 430
 layout(local_size_x = LANES) in;
@@ -52,7 +52,7 @@ uniform ivec3 rim_levels[4];
 uniform int top_level;
 uniform int bins;                 // of slopes, from -slope_max to slope_max
 uniform float slope_max;
-uniform sampler2D aims;           // by column: u, high and low part, and how far v may fall short
+uniform sampler2D aims;           // by column: u, high and low part
 uniform int width;
 uniform int run;                  // columns a lane takes
 uniform int first_eye;
@@ -79,7 +79,6 @@ int w_first, w_last;               // cells of the window, relative to iw
 int s_begin, s_end;                // strips of the window that lie ahead
 REAL k, rate, inverse_k, inverse_rate;
 float drop_per_strip2;
-float tolerance;                   // of the column's v
 float z_enter, z_leave;            // distances between which the ray is beside cells of the window
 
 struct Hit { REAL v, z; int line, family; };   // family: 0 row, 1 lateral, 2 diagonal
@@ -110,13 +109,11 @@ void face(Eye eye) {
     s_end = FORWARD ? lines.x - 1 : 0;
 }
 
-// Aim at column q; bin is that of its slope.
+// Aim at column q; bin is the bin of its slope.
 void aim(int q, out int bin) {
-    vec3 own = texelFetch(aims, ivec2(min(q, width - 1), 0), 0).xyz;
+    vec2 own = texelFetch(aims, ivec2(min(q, width - 1), 0), 0).xy;
     REAL unturned = REAL(own.x) + REAL(own.y), shrunk = REAL(1) - unturned * turn_tan;
     REAL u = clamp((unturned + turn_tan) / shrunk, REAL(-1), REAL(1));
-    // Of an angle: it grows with the inverse cosine of the column's azimuth.
-    tolerance = own.z * sqrt(float(REAL(1) + turn_tan * turn_tan)) / float(shrunk);
     k = REAL(HEADING < 2 ? 1 : -1) * u * REAL(metres_per_strip) / REAL(metres_across);
     rate = k - REAL(SIGN);
     inverse_k = REAL(1) / k;
@@ -334,7 +331,6 @@ uint higher_slabs(int s, int log_slab, int level, int bin, float best) {
     if (!FORWARD) { codes = codes.wzyx; codes = (codes >> 16) | (codes << 16); }
     float slab = float(1 << log_slab), z0 = float(s - ip) - float(fp);
     float base = code_m.x - (eye_high_m - slack_m);
-    best += tolerance * metres_per_strip;
     uint bits = 0u;
     float zn = max(z0, 0.0), best_n = best * zn;
 #define SLAB(code, bit, i) {                                                                       \

@@ -337,7 +337,7 @@ def horizons_of(
     def in_parts(field: HeightField) -> Horizons:
         """Render a field in parts, with a report of progress after each."""
         parts: list[Horizons] = []
-        with PanoramaRenderer(field, steps * every, curvature, tolerance_deg=0.0) as renderer:
+        with PanoramaRenderer(field, steps * every, curvature) as renderer:
             for start in range(0, len(eyes), _AT_ONCE):
                 part = slice(start, start + _AT_ONCE)
                 parts.append(renderer.render(eyes[part], to_grid_rad[part]))

@@ -25,7 +25,7 @@ def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
 
 def photographed_from(field, eye, **camera):
     """Return rays (u, v) of a camera at one eye on a field, columns as fine as a photo's."""
-    with HorizonRenderer(field, RenderConfig(1280, 0.0)) as renderer:
+    with HorizonRenderer(field, RenderConfig(1280)) as renderer:
         views = renderer.render(eye)
     tangent = np.tan(np.radians(views.elevation_deg()))
     return photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)

@@ -84,7 +84,7 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
     for path, (label, colour, marker) in _WAYS.items():
         mine = [row for row in rows if row["path"] == path and row.get("rms_px")]
         x, y = [row["ms_per_viewpoint"] for row in mine], [row["rms_px"] for row in mine]
-        line = "-" if path in ("horizon", "embree", "depth") else ""
+        line = "-" if path in ("embree", "depth") else ""
         axis.plot(x, y, color=colour, marker=marker, label=label, linestyle=line)
     axis.set(xscale="log", yscale="log", xlabel="ms a viewpoint, all cores")
     axis.set_ylabel("rms error (px of 640 columns over 90°)")

@@ -290,7 +290,7 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     with a finite predicted error.
     """
     eyes, others = _choose_eyes(field, viewpoints, seed)
-    with HorizonRenderer(field, RenderConfig(tolerance_px=0.0)) as renderer:
+    with HorizonRenderer(field, RenderConfig()) as renderer:
         views, rendered = renderer.render(eyes), renderer.render(others)
     shape = len(views), _DISPLACEMENTS
     # Rows of `rendered` run over eyes, moves, headings; pairs over eyes, headings, moves.

@@ -19,12 +19,7 @@ from skyline.cli.console import progress_bar
 from skyline.geodesy import Curvature, Frame
 from skyline.horizons import DEFAULT_STEP_DEG
 from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import (
-    DEFAULT_TOLERANCE_DEG,
-    HorizonRenderer,
-    PanoramaRenderer,
-    RenderConfig,
-)
+from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.skylines import DEFAULT_WIDTH, Horizons, Views, elevation_deg
 from skyline.store.places import BINS
 from skyline.terrain.dem import read_dem
@@ -122,7 +117,6 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
         {
             "path": way.path,
             "width": way.width,
-            "tolerance_px": None,
             "setting": way.setting,
             "ms_per_viewpoint": 1e3 * batch_time.seconds / len(way.viewpoints),
             **error,
@@ -148,18 +142,13 @@ def _ways(
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
         depth = held.enter_context(DepthRenderer(terrain, columns))
         yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
-    for tolerance_px in (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.25, 0.5, 1.0):
-        config = RenderConfig(width, tolerance_px)
-        exact = held.enter_context(HorizonRenderer(terrain, config))
-        name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
-        yield _Way("horizon", width, name, batch, compared, exact.render, details)
-    usual_deg = DEFAULT_TOLERANCE_DEG
-    for azimuths, off_deg in ((_STEPS, 0.0), (_STEPS, usual_deg), (BINS, usual_deg)):
-        panorama = held.enter_context(PanoramaRenderer(terrain, azimuths, tolerance_deg=off_deg))
-        name = f"{azimuths} azimuths, {off_deg:g} degrees"
+    four_views = held.enter_context(HorizonRenderer(terrain, RenderConfig(width)))
+    yield _Way("horizon", width, f"W = {width}", batch, compared, four_views.render)
+    for azimuths in (_STEPS, BINS):
+        panorama = held.enter_context(PanoramaRenderer(terrain, azimuths))
         # Their azimuths count from grid north on.
         from_north = partial(panorama.render, first_azimuth_rad=0.0)
-        yield _Way("all round", azimuths, name, batch, compared, from_north)
+        yield _Way("all round", azimuths, f"{azimuths} azimuths", batch, compared, from_north)
     if peers.has_embree():
         peer = peers.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
@@ -189,7 +178,6 @@ def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
     return {
         "path": "grass",
         "width": _STEPS,
-        "tolerance_px": None,
         "setting": "r.horizon",
         "ms_per_viewpoint": 1e3 * each_s,
         **_errors_px(found_deg - np.maximum(true_deg, 0.0)),
@@ -247,7 +235,7 @@ def large_dem(record: options.Record = None, quick: options.Quick = False) -> No
     middle = samples * spacing_m / 2.0
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
     eyes = stand_on(terrain, easting_m=middle + place[0], northing_m=-middle + place[1])
-    with HorizonRenderer(terrain, RenderConfig(tolerance_px=0.0)) as renderer:
+    with HorizonRenderer(terrain, RenderConfig()) as renderer:
         started = time.perf_counter()
         views = renderer.render(eyes)
         seconds = time.perf_counter() - started

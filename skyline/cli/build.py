@@ -161,14 +161,6 @@ def render(
     width: Annotated[
         int, of_terrain(metavar="N", help="Columns of a 90 degree view.")
     ] = _DEFAULTS.width,
-    tolerance_px: Annotated[
-        float,
-        of_terrain(
-            "--tolerance-px",
-            metavar="PX",
-            help="Pixels by which a skyline may lie too low; 0 is exact.",
-        ),
-    ] = _DEFAULTS.tolerance_px,
     k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
 ) -> None:
@@ -180,7 +172,7 @@ def render(
         suffix_of(drawn, [".png"])
     if depth_images is not None:
         check_folder(depth_images)
-    config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k))
+    config = RenderConfig(width, Curvature(refraction_k=k))
     corners = None if bounds is None else parse_bounds(bounds)
     of_planners = {
         "--candidate-spacing": candidate_spacing,

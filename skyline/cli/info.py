@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -120,30 +119,23 @@ def explain(
 def _describe_scene(terrain: HeightField, eye: Viewpoints) -> Facts:
     """Return the terrain modelled for one viewpoint, the terrain left out, and the error."""
     config = RenderConfig()
-    # Only a skyline rendered without a tolerance shows the error that the tolerance makes.
-    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
-    given = render_views(terrain, eye, config)
+    views = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
     place = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
     eye_m, reach_m = float(eye.eye_elevation_m[0]), terrain.reach_m(**place)
     sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
-    short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
-    depth_m = exact.depth_m
     return {
         **place,
         "eye_elevation_m": eye_m,
         "width": config.width,
-        "tolerance_px": config.tolerance_px,
-        "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
-        if np.isfinite(depth_m).any()
+        "skyline_depth_m": [float(v) for v in np.nanquantile(views.depth_m, [0.0, 0.5, 1.0])]
+        if np.isfinite(views.depth_m).any()
         else [],
-        "flagged_columns": float((exact.flags != 0).mean()),
+        "flagged_columns": float((views.flags != 0).mean()),
         "data_reach_m": reach_m,
         "sight_m": sight_m,
         "samples_beyond_sight": share_beyond(terrain, eye, sight_m),
         "curvature_bound_px": curvature_bound_px(reach_m, drop_per_m2, config.width),
-        "passed_over_bound_px": config.tolerance_px,
-        "passed_over_measured_px": float(short / pixel_size(config.width)),
     }
 
 

@@ -17,14 +17,16 @@ import queue
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from ctypes import POINTER, c_int, c_ubyte, c_uint, c_void_p
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
+from weakref import WeakValueDictionary
 
 import moderngl
 
@@ -59,9 +61,6 @@ _SHADERS = next(
 )
 """The folder of shaders in the wheel, or the one in the repository."""
 
-_URGENT, _USUAL, _LAST = range(3)
-"""Ranks of a render thread's tasks; the last one ends it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
@@ -75,11 +74,15 @@ class GlContext:
     device: str
     """Name of the backend's device."""
     vendor: str
+    """The driver's GL_VENDOR."""
     renderer: str
+    """The driver's GL_RENDERER."""
     version: str
-    """``vendor``, ``renderer``, ``version``: the driver's GL_VENDOR, GL_RENDERER and GL_VERSION."""
+    """The driver's GL_VERSION."""
     attempts: list[str]
     """All attempts in order: backend, device, and its OpenGL or its error."""
+    shared: WeakValueDictionary[Hashable, Any] = field(default_factory=WeakValueDictionary)
+    """What renderers of this context share, as long as one of them holds it."""
 
     @property
     def software(self) -> bool:
@@ -166,7 +169,8 @@ class _SharedContext:
 _shared = _SharedContext()
 
 
-acquire_context, release_context = _shared.acquire, _shared.release
+acquire_context = _shared.acquire
+release_context = _shared.release
 
 
 @atexit.register
@@ -398,6 +402,14 @@ class Renderer(Releasable):
         ctx.gc()
 
 
+class _Rank(IntEnum):
+    """Ranks of a render thread's tasks; the last one ends it."""
+
+    URGENT = 0
+    USUAL = 1
+    LAST = 2
+
+
 class RenderThread:
     """Runs tasks one after another on one thread, the urgent ones first.
 
@@ -423,7 +435,8 @@ class RenderThread:
         with self._closing:
             if self._closed:
                 raise ContextError("the render thread is closed; make another")
-            self._tasks.put((_URGENT if urgent else _USUAL, next(self._numbers), future, task))
+            rank = _Rank.URGENT if urgent else _Rank.USUAL
+            self._tasks.put((rank, next(self._numbers), future, task))
         return future.result()
 
     def close(self) -> None:
@@ -431,7 +444,7 @@ class RenderThread:
         with self._closing:
             if not self._closed:
                 self._closed = True
-                self._tasks.put((_LAST, next(self._numbers), Future(), None))
+                self._tasks.put((_Rank.LAST, next(self._numbers), Future(), None))
         self._thread.join()
 
     def __enter__(self) -> Self:

@@ -54,7 +54,8 @@ class DepthRenderer(Renderer):
         curvature: Curvature | None = None,
     ) -> None:
         super().__init__(f"depth {width} px")
-        self.field, self.width = field, check_width(width)
+        self.field = field
+        self.width = check_width(width)
         self.curvature = curvature or Curvature()
         ctx = self._context.ctx
         largest = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
@@ -83,7 +84,7 @@ class DepthRenderer(Renderer):
     def render(self, viewpoints: Viewpoints) -> Views:
         """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn.
 
-        Of the flags, `FLAG_OUT_OF_IMAGE` is set, and that of `raised_to_dip`.
+        Columns have the flag `FLAG_OUT_OF_IMAGE`, and the one that `raised_to_dip` sets.
         """
         eyes, headings = in_four_views(viewpoints)
         tan, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
@@ -111,43 +112,57 @@ class DepthRenderer(Renderer):
         The eye is subtracted in float64, so that nothing absolute reaches the GPU.
         """
         images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
-        field, ctx, program = self.field, self._context.ctx, self._terrain
-        easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
-        elevation = float(viewpoints.eye_elevation_m[index])
-        high = float(np.float32(elevation))
-        row, col = (float(place) for place in field.to_grid(easting_m=easting, northing_m=northing))
-        cell_row, cell_col = math.floor(row), math.floor(col)
+        field = self.field
+        place = {
+            "easting_m": viewpoints.easting_m[index],
+            "northing_m": viewpoints.northing_m[index],
+        }
+        row, col = (float(number) for number in field.to_grid(**place))
+        self._stand(row, col, float(viewpoints.eye_elevation_m[index]))
         near_m = _near_m(field, viewpoints, index)
-        far_m = 1.1 * field.reach_m(easting_m=easting, northing_m=northing) + field.spacing_m
-        program["field_size"] = (field.cols, field.rows)
-        program["spacing_m"] = (field.spacing_east_m, field.spacing_north_m)
-        program["eye_cell"] = (cell_col, cell_row)
-        program["eye_fraction"] = (col - cell_col, row - cell_row)
-        program["eye_elevation_m"] = (high, elevation - high)
-        program["drop_per_m2"] = self.curvature.drop_per_m2
-        program["heights_m"] = 0
+        far_m = 1.1 * field.reach_m(**place) + field.spacing_m
         for heading in HEADINGS:
-            tiles = _tiles_in_view(self._tiles, (col, row), field, heading)
-            program["camera"] = tuple(_camera_matrix(heading, near_m, far_m).ravel())
-            self._tile_buffer.write(tiles.tobytes())
-            self._heights.use(0)
-            self._depth_target.use()
-            self._depth_target.clear()
-            ctx.enable_only(moderngl.BLEND)
-            ctx.blend_func = moderngl.ONE, moderngl.ONE
-            ctx.blend_equation = moderngl.MAX, moderngl.MAX
-            self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
-            ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
-            ctx.enable_only(moderngl.NOTHING)
+            self._terrain["camera"] = tuple(_camera_matrix(heading, near_m, far_m).ravel())
+            self._draw(_tiles_in_view(self._tiles, (col, row), field, heading))
             inverse = np.frombuffer(self._depth.read(), dtype=np.float32)
             with np.errstate(divide="ignore"):
                 images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
         return images
 
+    def _stand(self, row: float, col: float, elevation_m: float) -> None:
+        """Set the shader's uniforms of the field, and of an eye in it."""
+        field = self.field
+        program = self._terrain
+        cell_row = math.floor(row)
+        cell_col = math.floor(col)
+        high_m = float(np.float32(elevation_m))
+        program["field_size"] = (field.cols, field.rows)
+        program["spacing_m"] = (field.spacing_east_m, field.spacing_north_m)
+        program["eye_cell"] = (cell_col, cell_row)
+        program["eye_fraction"] = (col - cell_col, row - cell_row)
+        program["eye_elevation_m"] = (high_m, elevation_m - high_m)
+        program["drop_per_m2"] = self.curvature.drop_per_m2
+        program["heights_m"] = 0
+
+    def _draw(self, tiles: NDArray[np.int32]) -> None:
+        """Draw the inverse depth of tiles; the greatest of a pixel stays."""
+        ctx = self._context.ctx
+        self._tile_buffer.write(tiles.tobytes())
+        self._heights.use(0)
+        self._depth_target.use()
+        self._depth_target.clear()
+        ctx.enable_only(moderngl.BLEND)
+        ctx.blend_func = moderngl.ONE, moderngl.ONE
+        ctx.blend_equation = moderngl.MAX, moderngl.MAX
+        self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
+        ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+        ctx.enable_only(moderngl.NOTHING)
+
 
 def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
     """Return east, up, south -> clip in pyrr's row-vector form, which is GL's memory layout."""
-    view, mirror = np.eye(4), np.diag([1.0, 1.0, -1.0])
+    view = np.eye(4)
+    mirror = np.diag([1.0, 1.0, -1.0])
     view[:3, :3] = mirror @ rotation(heading).T @ mirror
     projection = matrix44.create_perspective_projection(90.0, 1.0, near_m, far_m)
     return np.asarray(view @ projection, dtype=np.float64)
@@ -160,17 +175,18 @@ def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     times the cosine of its steepest slope; beyond, no nearer than a cell. A point nearer than
     the plane and inside a 90 degree view lies within sqrt(3) of the plane's distance.
     """
-    easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
-    row, col = field.to_grid(easting_m=easting, northing_m=northing)
-    top, left = max(int(row) - 1, 0), max(int(col) - 1, 0)
+    easting_m = viewpoints.easting_m[index]
+    northing_m = viewpoints.northing_m[index]
+    row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
+    top = max(int(row) - 1, 0)
+    left = max(int(col) - 1, 0)
     around = field.heights_m[top : top + 4, left : left + 4].astype(np.float64)
     steps = np.concatenate([np.diff(around, axis=0).ravel(), np.diff(around, axis=1).ravel()])
     steepest = np.hypot(*(2 * [np.nanmax(np.abs(steps), initial=0.0) / field.spacing_m]))
-    clearance = float(
-        viewpoints.eye_elevation_m[index] - field.height_at(easting_m=easting, northing_m=northing)
-    )
-    nearest = min(clearance / np.hypot(1.0, steepest), field.spacing_m)
-    return float(max(nearest / 2.0, 1e-6 * field.spacing_m))
+    ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)
+    clearance_m = float(viewpoints.eye_elevation_m[index] - ground_m)
+    nearest_m = min(clearance_m / np.hypot(1.0, steepest), field.spacing_m)
+    return float(max(nearest_m / 2.0, 1e-6 * field.spacing_m))
 
 
 def _tile_origins(field: HeightField) -> NDArray[np.int32]:
@@ -185,7 +201,8 @@ def _tile_triangles() -> NDArray[np.uint32]:
     stride = TILE_CELLS + 1
     row, col = np.mgrid[:TILE_CELLS, :TILE_CELLS].astype(np.uint32)
     north_west = row * stride + col
-    north_east, south_west = north_west + 1, north_west + stride
+    north_east = north_west + 1
+    south_west = north_west + stride
     south_east = south_west + 1
     corners = [north_west, north_east, south_east, north_west, south_east, south_west]
     return np.stack(corners, axis=-1).ravel()
@@ -194,7 +211,7 @@ def _tile_triangles() -> NDArray[np.uint32]:
 def _tiles_in_view(
     tiles: NDArray[np.int32], eye: tuple[float, float], field: HeightField, heading: int
 ) -> NDArray[np.int32]:
-    """Return the tiles that reach into the 90 degree wedge of a heading; eye: column, row."""
+    """Return the tiles that reach into a heading's view of 90 degrees; ``eye`` is column, row."""
     ends = np.stack([tiles, tiles + TILE_CELLS], axis=1).astype(np.float64)
     east = (ends[..., 0] - eye[0]) * field.spacing_east_m
     north = -(ends[..., 1] - eye[1]) * field.spacing_north_m

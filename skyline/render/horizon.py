@@ -15,7 +15,8 @@ from skyline.arrays import Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import RenderThread, acquire_context
-from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
+from skyline.render.windows import GpuLimits
 from skyline.skylines import (
     DEFAULT_WIDTH,
     HEADINGS,
@@ -30,12 +31,10 @@ from skyline.terrain.data_edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
-DEFAULT_TOLERANCE_DEG = 0.01
-
 _PIECE_COLUMNS = 12_000
 """Columns of the views that a scene renders in one piece: a few milliseconds without a GPU."""
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
@@ -47,32 +46,32 @@ class RenderConfig:
     ----------
     width : int
         Columns W of a view.
-    tolerance_px : float
-        Greatest amount by which a skyline may lie below the exact one; with 0 it is exact to
-        float32.
     curvature : Curvature
     """
 
     width: int = DEFAULT_WIDTH
-    tolerance_px: float = 0.05
     curvature: Curvature = field(default_factory=Curvature)
 
 
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
-    Raises `InputError` if the width or the tolerance is out of range or samples are much longer
-    than wide, and `ContextError` if no OpenGL context can be made.
+    Raises `InputError` if the width is out of range or samples are much longer than wide, and
+    `ContextError` if no OpenGL context can be made.
     """
 
-    def __init__(self, field: HeightField, config: RenderConfig) -> None:
-        width, tolerance_px = check_width(config.width), config.tolerance_px
-        pixel = pixel_size(width)
-        tolerance = np.full(width, check_tolerance(tolerance_px, "px") * pixel)
-        name = f"horizon {width} columns"
-        name += f", tolerance {tolerance_px:g} px" if tolerance_px else ""
-        near_error = NEAR_ERROR_PX * pixel
-        super().__init__(name, field, columns_u(width), tolerance, near_error, config.curvature)
+    def __init__(
+        self, field: HeightField, config: RenderConfig, limits: GpuLimits | None = None
+    ) -> None:
+        width = check_width(config.width)
+        super().__init__(
+            f"horizon {width} columns",
+            field,
+            columns_u(width),
+            NEAR_ERROR_PX * pixel_size(width),
+            config.curvature,
+            limits,
+        )
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
         """Render the skylines of N eyes, in order.
@@ -83,7 +82,8 @@ class HorizonRenderer(ColumnRenderer):
         if headings is None:
             eyes, heading = in_four_views(viewpoints)
         else:
-            eyes, heading = viewpoints, np.asarray(headings, dtype=np.uint8)
+            eyes = viewpoints
+            heading = np.asarray(headings, dtype=np.uint8)
         return self._skylines(eyes, heading, np.zeros(len(eyes)))
 
 
@@ -113,7 +113,8 @@ class RenderedScene:
         self.ground_m = ground_of(terrain)
         self.height_sd_m = terrain.height_sd_m
         """Expected standard deviation of the terrain model's heights."""
-        self._terrain, self._curvature = terrain, config.curvature
+        self._terrain = terrain
+        self._curvature = config.curvature
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
@@ -153,7 +154,7 @@ class RenderedScene:
             self._run(renderer.release)
         self._renderers.clear()
 
-    def _run(self, task: Callable[[], T], urgent: bool = False) -> T:
+    def _run(self, task: Callable[[], _T], urgent: bool = False) -> _T:
         if self._thread is not None:
             return self._thread.run(task, urgent)
         acquire_context()
@@ -163,9 +164,7 @@ class RenderedScene:
 class PanoramaRenderer(ColumnRenderer):
     """Renders the horizons of eyes on one height field, in B bins of azimuth, a multiple of 8.
 
-    ``tolerance_deg`` is the greatest angle by which a skyline level with the eye may lie too low;
-    above and below it the angle is smaller. With 0 the skyline is exact to float32. Raises as
-    `HorizonRenderer`, and `InputError` if the bins are out of range.
+    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
     """
 
     def __init__(
@@ -173,17 +172,20 @@ class PanoramaRenderer(ColumnRenderer):
         field: HeightField,
         bins: int,
         curvature: Curvature | None = None,
-        tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
+        limits: GpuLimits | None = None,
     ) -> None:
         if bins < 8 or bins % 8:
             raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
         self.bins = bins
-        self._azimuth_rad = azimuth = quadrant_azimuths_rad(bins)
-        tolerance = np.radians(check_tolerance(tolerance_deg, "degrees")) / np.cos(azimuth)
-        near_error = NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH)
-        name = f"horizon {bins} azimuths"
-        name += f", tolerance {tolerance_deg:g} degrees" if tolerance_deg else ""
-        super().__init__(name, field, np.tan(azimuth), tolerance, near_error, curvature)
+        self._azimuth_rad = quadrant_azimuths_rad(bins)
+        super().__init__(
+            f"horizon {bins} azimuths",
+            field,
+            np.tan(self._azimuth_rad),
+            NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH),
+            curvature,
+            limits,
+        )
 
     def render(
         self, viewpoints: Viewpoints, first_azimuth_rad: ArrayLike | None = None
@@ -191,19 +193,19 @@ class PanoramaRenderer(ColumnRenderer):
         """Render the horizons of N eyes, in order.
 
         ``first_azimuth_rad`` (N,) is the grid azimuth of each eye's bin 0: the negative of the
-        meridian convergence makes azimuths count from true north. By default it is that of
+        meridian convergence makes azimuths count from true north. By default the bins are those of
         `skyline.skylines.bin_azimuths_rad`.
         """
-        count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
-        first = np.full(count, 0.5 * step_rad)
+        step_rad = 2.0 * np.pi / self.bins
+        first_rad = np.full(len(viewpoints), 0.5 * step_rad)
         if first_azimuth_rad is not None:
-            first[:] = first_azimuth_rad
-        first_bin = np.floor(first / step_rad)
+            first_rad[:] = first_azimuth_rad
+        first_bin = np.floor(first_rad / step_rad)
         # Within half a step a column stays in its view of 90 degrees.
-        turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
+        turn_rad = np.repeat(first_rad - (first_bin + 0.5) * step_rad, len(HEADINGS))
         eyes, heading = in_four_views(viewpoints)
-        views = self._skylines(eyes, heading, turn)
-        cosine = np.cos(self._azimuth_rad + turn[:, np.newaxis]).astype(np.float32)
+        views = self._skylines(eyes, heading, turn_rad)
+        cosine = np.cos(self._azimuth_rad + turn_rad[:, np.newaxis]).astype(np.float32)
         bins = (np.arange(self.bins) + first_bin[:, np.newaxis]).astype(np.int64) % self.bins
         return Horizons(
             viewpoints.easting_m,

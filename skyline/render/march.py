@@ -7,6 +7,7 @@ only v, depth and flags of W columns a view come back.
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import moderngl
@@ -17,7 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import Renderer, compile_shaders
-from skyline.render.windows import SLOPE_BINS, Window, WindowTextures
+from skyline.render.windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -25,6 +26,7 @@ from skyline.terrain.viewpoints import Viewpoints
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 MAX_SPACING_RATIO = 64.0
+"""Greatest ratio of a field's two spacings."""
 
 NEAR_ERROR_PX = 0.02
 """Largest error of rounding near the eye, in pixels; float64 is used where float32 exceeds it."""
@@ -32,12 +34,14 @@ NEAR_ERROR_PX = 0.02
 _NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet, as in the shader."""
 
-_RESIDENT_SAMPLES = 1 << 25
-"""Number of samples whose windows stay on the GPU, at some 43 bytes a sample."""
+_ROUNDING = 3.0 * 2.0**-24
+"""Relative rounding error of a crossing's height in float32."""
 
 _MAX_GROUPS = 65_535
-_MAX_RESULT_BYTES = 1 << 26
+"""Work groups that every OpenGL starts at once."""
+
 _MANY_EYES = 16
+"""Eyes from which on a lane takes a long run of columns; fewer would leave cores without work."""
 
 _EYE_DTYPE = np.dtype(
     [
@@ -54,14 +58,24 @@ _EYE_DTYPE = np.dtype(
 may leave the view of 90 degrees.
 """
 
-_ROUNDING = 3.0 * 2.0**-24
-"""Relative rounding error of a crossing's height in float32."""
+
+@dataclass(frozen=True, slots=True)
+class EyeGroup:
+    """Eyes that one march takes together."""
+
+    rows: slice
+    """Their rows in sorted order."""
+    heading: int
+    """The heading that all of them face."""
+    is_double: bool
+    """Whether their crossings are computed in float64."""
 
 
 class Eyes:
     """The eyes of N views, sorted so that marches of one kind lie together.
 
     ``turn_rad`` (N,) is the angle by which all columns of an eye are turned clockwise.
+    ``near_error_tan`` is the greatest error of v that rounding may make.
     """
 
     def __init__(
@@ -69,27 +83,29 @@ class Eyes:
         field: HeightField,
         viewpoints: Viewpoints,
         heading: UInt8Array,
-        near_error: float,
+        near_error_tan: float,
         turn_rad: Float64Array,
     ) -> None:
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
         row, col = field.to_grid(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
-        double = _needs_double(field, viewpoints, row, col, near_error)
-        self._order = np.lexsort((double, heading))
-        self._double, self._heading = double[self._order], heading[self._order]
-        self._place = np.stack([row, col], axis=-1)[self._order]
+        is_double = _needs_double(field, viewpoints, row, col, near_error_tan)
+        self._order = np.lexsort((is_double, heading))
+        self._is_double = is_double[self._order]
+        self._heading = heading[self._order]
+        self._position = np.stack([row, col], axis=-1)[self._order]
         self._elevation_m = viewpoints.eye_elevation_m[self._order]
         self._turn_tan = np.tan(turn_rad)[self._order]
 
     def __len__(self) -> int:
         return len(self._order)
 
-    def groups(self) -> Iterator[tuple[slice, int, bool]]:
-        """Yield the sorted rows of each heading and precision that occurs; True is float64."""
-        kind = 2 * self._heading.astype(np.int64) + self._double
+    def groups(self) -> Iterator[EyeGroup]:
+        """Yield the eyes of each heading and precision that occurs."""
+        kind = 2 * self._heading.astype(np.int64) + self._is_double
         for value in np.unique(kind):
             rows = np.flatnonzero(kind == value)
-            yield slice(int(rows[0]), int(rows[-1]) + 1), int(value) // 2, bool(value % 2)
+            span = slice(int(rows[0]), int(rows[-1]) + 1)
+            yield EyeGroup(span, heading=int(value) // 2, is_double=bool(value % 2))
 
     def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
         """Put (N, ...) results of sorted views back into the order given."""
@@ -98,9 +114,9 @@ class Eyes:
     def relative_to(self, window: Window) -> NDArray[np.void]:
         """Return the sorted eyes (N,) as the shader reads them, placed in a window."""
         eyes = np.zeros(len(self), dtype=_EYE_DTYPE)
-        nearest = np.rint(self._place)
+        nearest = np.rint(self._position)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
-        eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)
+        eyes["offset"], eyes["offset_low"] = split_float(self._position - nearest)
         eyes["elevation_m"] = np.stack(split_float(self._elevation_m), axis=-1)
         eyes["turn_tan"] = np.stack(split_float(self._turn_tan), axis=-1)
         return eyes
@@ -109,8 +125,8 @@ class Eyes:
         """Sort windows by their distance from the eyes' middle."""
         if not len(self) or len(windows) == 1:
             return windows
-        middle = np.median(self._place, axis=0)
-        return sorted(windows, key=lambda window: float(np.hypot(*self._gap(window, middle))))
+        middle = np.median(self._position, axis=0)
+        return sorted(windows, key=lambda window: float(np.hypot(*self._gap_m(window, middle))))
 
     def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
         """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
@@ -121,7 +137,7 @@ class Eyes:
             [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
             dtype=np.float64,
         )
-        offset = np.array([window.row, window.col]) + corners - self._place[:, np.newaxis]
+        offset = np.array([window.row, window.col]) + corners - self._position[:, np.newaxis]
         south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
         turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
         ground = np.stack([east, -south], axis=-1)
@@ -130,19 +146,20 @@ class Eyes:
         one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
         aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
         # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
-        gap = self._gap(window, self._place)
-        nearest = np.maximum(forward.min(axis=1), np.hypot(gap[:, 0], gap[:, 1]) / np.sqrt(2.0))
+        gap_m = self._gap_m(window, self._position)
+        nearest = np.maximum(forward.min(axis=1), np.hypot(*gap_m.T) / np.sqrt(2.0))
         farthest = forward.max(axis=1)
+        drop_m = drop_per_m2 * (gap_m[:, 0] ** 2 + gap_m[:, 1] ** 2)
         # A metre covers all rounding.
-        up = highest_m - self._elevation_m + 1.0 - drop_per_m2 * (gap[:, 0] ** 2 + gap[:, 1] ** 2)
-        bound = up / np.maximum(np.where(up > 0.0, nearest, farthest), 1e-3)
+        up_m = highest_m - self._elevation_m + 1.0 - drop_m
+        bound = up_m / np.maximum(np.where(up_m > 0.0, nearest, farthest), 1e-3)
         return np.where(farthest < aside, -np.inf, bound)
 
-    def _gap(self, window: Window, place: Float64Array) -> Float64Array:
-        """Return the distances of places (..., 2) from a window, north-south and east-west."""
+    def _gap_m(self, window: Window, position: Float64Array) -> Float64Array:
+        """Return how far positions (..., 2) lie from a window, north-south and east-west."""
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
-        outside = np.maximum(np.maximum(first - place, place - last), 0.0)
+        outside = np.maximum(np.maximum(first - position, position - last), 0.0)
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
 
 
@@ -157,9 +174,9 @@ def _needs_double(
     viewpoints: Viewpoints,
     row: Float64Array,
     col: Float64Array,
-    near_error: float,
+    near_error_tan: float,
 ) -> BoolArray:
-    """Return which eyes see edges so near that float32 blurs v by more than ``near_error``, (N,).
+    """Mark the eyes (N,) near whose edges float32 blurs v by more than ``near_error_tan``.
 
     A crossing at depth z among heights up to H above or below the eye has v to within
     ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
@@ -178,7 +195,7 @@ def _needs_double(
     ground_m = field.height_at(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
-    blurred_to_m = _ROUNDING * relief_m / near_error
+    blurred_to_m = _ROUNDING * relief_m / near_error_tan
     lines = np.stack([row, col, col - row])
     offset = np.abs(lines - np.rint(lines))
     # An eye exactly on a line does not cross it.
@@ -187,11 +204,10 @@ def _needs_double(
 
 
 class ColumnRenderer(Renderer):
-    """Renders skylines of one height field in columns at any abscissas.
+    """Renders skylines of one height field in columns at any abscissas, exact to float32.
 
-    ``u`` and ``tolerance`` (W,) are each column's abscissa, of magnitude at most 1, and the
-    greatest amount by which its v may be too small; with 0 it is exact to float32. ``near_error``
-    is the largest rounding error of v near the eye; float64 is used where float32 exceeds it.
+    ``u`` (W,) are the columns' abscissas, of magnitude at most 1. ``near_error_tan`` is the largest
+    rounding error of v near the eye; float64 is used where float32 exceeds it.
 
     Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
     context can be made.
@@ -202,13 +218,18 @@ class ColumnRenderer(Renderer):
         name: str,
         field: HeightField,
         u: Float64Array,
-        tolerance: Float64Array,
-        near_error: float,
+        near_error_tan: float,
         curvature: Curvature | None,
+        limits: GpuLimits | None,
     ) -> None:
         super().__init__(name)
-        self.field, self.width, self.curvature = field, len(u), curvature or Curvature()
-        self._u, self._near_error = u, near_error
+        self.field = field
+        self.width = len(u)
+        self.curvature = curvature or Curvature()
+        self._limits = limits or GpuLimits()
+        self._u = u
+        self._widest_u = float(np.abs(u).max())
+        self._near_error_tan = near_error_tan
         self._spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
         if max(east, north) > MAX_SPACING_RATIO * min(east, north):
             raise InputError(
@@ -216,31 +237,34 @@ class ColumnRenderer(Renderer):
                 f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
             )
         self._ctx = self._context.ctx
-        self._is_exact, self._widest_u = not tolerance.any(), float(np.abs(u).max())
-        self._max_views = max(_MAX_RESULT_BYTES // (12 * self.width), 1)
         self._programs: dict[frozenset[tuple[str, str]], moderngl.ComputeShader] = {}
-        aims = np.stack([*split_float(u), tolerance.astype(np.float32)], axis=-1)
-        self._aims = self._ctx.texture((len(u), 1), 3, aims, dtype="f4", alignment=1)
+        aims = np.stack(split_float(u), axis=-1)
+        self._aims = self._ctx.texture((len(u), 1), 2, aims, dtype="f4", alignment=1)
         self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._results: tuple[moderngl.Buffer, ...] = ()
-        self._windows = Window.all_of(field)
+        self._windows = Window.all_of(field, self._limits)
         self._resident: dict[Window, WindowTextures] = {}
 
-    def release(self) -> None:  # noqa: D102  (as of the base)
-        self._results, self._programs, self._resident = (), {}, {}
+    def release(self) -> None:
+        """Free this renderer's memory on the GPU."""
+        self._results = ()
+        self._programs = {}
+        self._resident = {}
         super().release()
 
     @property
     def is_resident(self) -> bool:
         """Whether the whole field stays on the GPU; otherwise each rendering loads it anew."""
-        return sum(one.rows * one.cols for one in self._windows) <= _RESIDENT_SAMPLES
+        samples = sum(window.samples for window in self._windows)
+        return samples <= self._limits.resident_samples
 
     def _skylines(
         self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:
-        """Render N views, as of `Eyes`, in batches whose results fit the GPU."""
-        starts = range(0, max(len(viewpoints), 1), self._max_views)
-        parts = [slice(start, start + self._max_views) for start in starts]
+        """Render N views, turned as `Eyes` says, in batches whose results fit the GPU."""
+        at_once = max(self._limits.result_bytes // (12 * self.width), 1)
+        starts = range(0, max(len(viewpoints), 1), at_once)
+        parts = [slice(start, start + at_once) for start in starts]
         views = Views.concatenate(
             [self._batch(viewpoints[part], heading[part], turn_rad[part]) for part in parts]
         )
@@ -248,18 +272,20 @@ class ColumnRenderer(Renderer):
         return raised_to_dip(views, u, self.field.height_range_m[0], self.curvature)
 
     def _batch(self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array) -> Views:
-        eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
+        eyes = Eyes(self.field, viewpoints, heading, self._near_error_tan, turn_rad)
         self._reserve(len(eyes))
-        for place, window in enumerate(eyes.nearest_first(self._windows)):
-            if place == 0 or self._may_rise(window, eyes):
-                textures, near = self._load(window), eyes.relative_to(window)
-                for rows, facing, double in eyes.groups():
-                    self._march(facing, double, place == 0, textures, near, rows)
+        for index, window in enumerate(eyes.nearest_first(self._windows)):
+            if index == 0 or self._may_rise(window, eyes):
+                textures = self._load(window)
+                placed = eyes.relative_to(window)
+                for group in eyes.groups():
+                    self._march(textures, placed[group.rows], group, is_first=index == 0)
         tan, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
         )
-        missing, nan = tan == _NOTHING, np.float32(np.nan)
+        missing = tan == _NOTHING
+        nan = np.float32(np.nan)
         return Views(
             viewpoints.easting_m,
             viewpoints.northing_m,
@@ -303,68 +329,38 @@ class ColumnRenderer(Renderer):
     def _load(self, window: Window) -> WindowTextures:
         """Return a window's textures, which stay while there is room for them."""
         if window not in self._resident:
-            samples = sum(held.rows * held.cols for held in self._resident)
-            if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
+            held = sum(one.samples for one in self._resident)
+            if held + window.samples > self._limits.resident_samples:
                 self._resident.clear()
                 self._ctx.gc()
-            self._resident[window] = WindowTextures.shared(self._ctx, self.field, window)
+            self._resident[window] = WindowTextures.shared(self._context, self.field, window)
         return self._resident[window]
 
     def _march(
-        self,
-        heading: int,
-        double: bool,
-        first: bool,
-        window: WindowTextures,
-        near: NDArray[np.void],
-        rows: slice,
+        self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from the eyes ``near[rows]``, all of which face ``heading``.
+        """March over a window from the eyes of a group, as the shader reads them.
 
-        Crossings are computed in float64 where ``double``. ``first`` is whether no march has
-        written these rows of the results before.
+        ``is_first`` is whether no march has written these rows of the results before.
         """
-        eyes = near[rows]
-        slope_max, columns = window.slope_max[heading % 2], window.columns[heading % 2]
-        turned = bool(eyes["turn_tan"].any())
+        slope_max = window.slope_max[group.heading % 2]
         # No ray is as steep as slope_max, so at equal spacings it crosses at most two cells.
-        cells = math.ceil(slope_max * (1.0 if turned else self._widest_u)) + 1
-        switches = {"HOLES": bool(window.rims), "DANGLING": window.dangling, "RAISE": not first}
+        steepest = 1.0 if eyes["turn_tan"].any() else self._widest_u
+        switches = {"HOLES": bool(window.rims), "DANGLING": window.dangling, "RAISE": not is_first}
         program = self._program(
-            HEADING=str(heading),
-            CELLS=str(cells),
-            REAL="double" if double else "float",
+            HEADING=str(group.heading),
+            CELLS=str(math.ceil(slope_max * steepest) + 1),
+            REAL="double" if group.is_double else "float",
             **{name: "" for name, on in switches.items() if on},
         )
         columns_a_lane = self._columns_a_lane(len(eyes))
-        textures = {
-            "heights_m": window.heights,
-            "slabs": window.slabs.texture,
-            "columns_m": columns,
-            "aims": self._aims,
-        }
-        values: dict[str, Any] = {
-            "samples": (window.window.cols, window.window.rows),
-            "spacing_m": self._spacing_m,
-            "columns_end": (columns.width - 1, columns.height - 1),
-            "drop_per_m2": self.curvature.drop_per_m2,
-            "slack_m": self._slack_m(window, eyes),
-            "code_m": (window.lowest_m, window.code_step_m),
-            "levels": list(window.slabs.levels[heading]),
-            "top_level": window.top_level,
-            "bins": SLOPE_BINS,
-            "slope_max": slope_max,
-            "width": self.width,
-            "run": columns_a_lane,
-            "first_row": rows.start,
-        }
-        if window.rims:
-            textures["rims"] = window.rims.texture
-            values["rim_levels"] = list(window.rims.levels[heading])
-        for unit, (name, texture) in enumerate(textures.items()):
+        uniforms = self._uniforms(window, eyes, group.heading)
+        uniforms["run"] = columns_a_lane
+        uniforms["first_row"] = group.rows.start
+        for unit, (name, texture) in enumerate(self._textures(window, group.heading).items()):
             texture.use(unit)
-            values[name] = unit
-        _set_uniforms(program, values)
+            uniforms[name] = unit
+        _set_uniforms(program, uniforms)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
@@ -375,6 +371,40 @@ class ColumnRenderer(Renderer):
             program.run(min(at_once, len(eyes) - first_eye) * groups)
         self._ctx.memory_barrier()
 
+    def _uniforms(
+        self, window: WindowTextures, eyes: NDArray[np.void], heading: int
+    ) -> dict[str, Any]:
+        """Return the shader's uniforms of a window, and of eyes that face a heading."""
+        columns = window.columns[heading % 2]
+        uniforms: dict[str, Any] = {
+            "samples": (window.window.cols, window.window.rows),
+            "spacing_m": self._spacing_m,
+            "columns_end": (columns.width - 1, columns.height - 1),
+            "drop_per_m2": self.curvature.drop_per_m2,
+            "slack_m": self._slack_m(window, eyes),
+            "code_m": (window.lowest_m, window.code_step_m),
+            "levels": list(window.slabs.levels[heading]),
+            "top_level": window.top_level,
+            "bins": SLOPE_BINS,
+            "slope_max": window.slope_max[heading % 2],
+            "width": self.width,
+        }
+        if window.rims:
+            uniforms["rim_levels"] = list(window.rims.levels[heading])
+        return uniforms
+
+    def _textures(self, window: WindowTextures, heading: int) -> dict[str, moderngl.Texture]:
+        """Return the textures for a window and a heading, by their names in the shader."""
+        textures = {
+            "heights_m": window.heights,
+            "slabs": window.slabs.texture,
+            "columns_m": window.columns[heading % 2],
+            "aims": self._aims,
+        }
+        if window.rims:
+            textures["rims"] = window.rims.texture
+        return textures
+
     @property
     def _lanes(self) -> int:
         # On a CPU eight lanes fill a vector register and a long run makes good first bounds; a
@@ -383,8 +413,7 @@ class ColumnRenderer(Renderer):
 
     def _columns_a_lane(self, eyes: int) -> int:
         longest = 80 if self._context.software else 5
-        # With a tolerance the first bounds show in the result, which must not depend on the batch.
-        if self._is_exact and eyes < _MANY_EYES:
+        if eyes < _MANY_EYES:
             longest = max(longest // 8, 1)
         groups = math.ceil(self.width / (self._lanes * longest))
         return math.ceil(self.width / (self._lanes * groups))
@@ -404,15 +433,6 @@ class ColumnRenderer(Renderer):
         farthest = np.abs(eyes["nearest"]).max(axis=0) + samples
         reach = float(np.hypot(*(farthest * self._spacing_m[::-1])))
         return 1e-3 + 1e-6 * (high + self.curvature.drop_per_m2 * reach**2)
-
-
-def check_tolerance(tolerance: float, unit: str) -> float:
-    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
-    if not 0.0 <= tolerance < np.inf:
-        raise InputError(
-            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
-        )
-    return float(tolerance)
 
 
 def _set_uniforms(program: moderngl.ComputeShader, values: dict[str, Any]) -> None:

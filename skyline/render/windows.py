@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakValueDictionary
 
 import moderngl
 import numpy as np
@@ -17,30 +16,46 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array
 from skyline.errors import ContextError
+from skyline.render.context import GlContext
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, level_count, slab_levels
 from skyline.terrain.triangles import Triangles
 
-MAX_FIELD_CELLS = 5120
-"""Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""
-
-MAX_WINDOW_CELLS = 2048
-"""Cells along a side of the windows of larger fields."""
-
 SLOPE_BINS = 16
+"""Bins of rays' slopes, from the steepest left to the steepest right; each has its own bounds."""
 
 _COLUMN_APRON = 4
 """Empty columns beside the samples; COLUMN_APRON of the shader."""
 
 _MAX_CODE = 65535
+"""Greatest code of a height, in 16 bits."""
+
 _TEXELS_A_LINE = 16
+"""A texture's width is an odd multiple of this."""
+
 _TREES_A_STACK = 2
+"""Trees that lie one over the other in a texture."""
+
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
 
 _Tree = Sequence[tuple[NDArray[Any], int]]
 """By level: texels (bins, bands, blocks, components), and the blocks before column 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class GpuLimits:
+    """How much of the GPU's memory a renderer of columns takes."""
+
+    field_cells: int = 5120
+    """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""
+    window_cells: int = 2048
+    """Cells along a side of the windows of larger fields."""
+    resident_samples: int = 1 << 25
+    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample."""
+    result_bytes: int = 1 << 26
+    """Bytes of the results of the views that are rendered together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +67,16 @@ class Window:
     rows: int
     cols: int
 
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.rows * self.cols
+
     @classmethod
-    def all_of(cls, field: HeightField) -> list["Window"]:
+    def all_of(cls, field: HeightField, limits: GpuLimits) -> list["Window"]:
         """Cut a field into windows of about equal size."""
-        whole = max(field.rows, field.cols) <= MAX_FIELD_CELLS + 1
-        max_cells = MAX_FIELD_CELLS if whole else MAX_WINDOW_CELLS
+        is_one = max(field.rows, field.cols) <= limits.field_cells + 1
+        max_cells = limits.field_cells if is_one else limits.window_cells
         return [
             cls(row, col, rows, cols)
             for row, rows in _cuts(field.rows, max_cells)
@@ -80,53 +100,68 @@ class Trees:
     texture: moderngl.Texture
     """A texel holds the eight slabs of a band, for one bin of slopes and block of columns."""
     levels: tuple[tuple[tuple[int, int, int], ...], ...]
-    """4 tuples of `MAX_LEVELS` (int, int, int). By heading and level: first row in the texture,
-    rows a bin, blocks before column 0."""
-
-
-_shared: WeakValueDictionary[tuple[int, int, Window], "WindowTextures"] = WeakValueDictionary()
-"""Textures that renderers of one context and one field share, by their identities."""
+    """By heading, and by level up to `MAX_LEVELS`: first row in the texture, rows a bin, blocks
+    before column 0."""
 
 
 class WindowTextures:
     """The textures of one window that `horizon.comp` reads.
 
-    - ``heights``: float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
-    - ``columns``: the samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along
-      the axis.
-    - ``lowest_m``, ``highest_m``: lowest and highest sample; 0 where there are none.
-    - ``slabs``: upper bounds of the heights in 16 bits: code c stands for
-      ``lowest_m + c * code_step_m``.
-    - ``rims``: one bit per slab: whether the surface may begin again there, after a hole.
-    - ``slope_max``: greatest slope of a ray, cells across per strip, for headings 0, 2 and 1, 3.
-    - ``top_level``: coarsest level of the trees.
-    - ``dangling``: whether there are edges without triangles.
+    Attributes
+    ----------
+    window : Window
+    heights : moderngl.Texture
+        float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
+    columns : (2,) moderngl.Texture
+        The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
+    lowest_m : float
+        Lowest sample; 0 where there are none.
+    highest_m : float
+        Highest sample; 0 where there are none.
+    slabs : Trees
+        Upper bounds of the heights in 16 bits: code c stands for ``lowest_m + c * code_step_m``.
+    code_step_m : float
+    rims : Trees or None
+        One bit per slab: whether the surface may begin again there, after a hole. None where there
+        are no holes.
+    slope_max : (2,) float
+        Greatest slope of a ray, cells across per strip, for headings 0, 2 and 1, 3.
+    top_level : int
+        Coarsest level of the trees.
+    dangling : bool
+        Whether there are edges without triangles.
     """
 
     @classmethod
-    def shared(cls, ctx: moderngl.Context, field: HeightField, window: Window) -> "WindowTextures":
-        """Return the textures of a window, which renderers of one context share."""
-        key = id(ctx), id(field), window
-        if (textures := _shared.get(key)) is None:
-            textures = _shared[key] = cls(ctx, field, window)
+    def shared(cls, context: GlContext, field: HeightField, window: Window) -> "WindowTextures":
+        """Return the textures of a window, which renderers of one field share."""
+        # The textures hold their field, so that no other one can have its identity.
+        key = id(field), window
+        textures: WindowTextures | None = context.shared.get(key)
+        if textures is None:
+            textures = context.shared[key] = cls(context.ctx, field, window)
         return textures
 
     def __init__(self, ctx: moderngl.Context, field: HeightField, window: Window) -> None:
-        self._ctx, self._field, self.window = ctx, field, window
+        self._ctx = ctx
+        self._field = field
+        self.window = window
         ratio = field.spacing_north_m / field.spacing_east_m
         self.slope_max = (ratio, 1.0 / ratio)
         self._levels = level_count(max(window.rows, window.cols) - 1)
         self.top_level = self._levels - 1
         heights = _with_apron(field, window)
         holes = np.isnan(heights)
-        self.rims, self.dangling = None, False
+        self.rims: Trees | None = None
+        self.dangling = False
         if holes[1:-1, 1:-1].any() or min(window.rows, window.cols) < 2:
             triangles = Triangles.of(heights)
             holes |= ~triangles.samples
             self.dangling = triangles.has_dangling_edges
             self.rims = self._trees_of_rims(triangles)
         heights[holes] = EMPTY
-        inner, present = heights[1:-1, 1:-1], ~holes[1:-1, 1:-1]
+        inner = heights[1:-1, 1:-1]
+        present = ~holes[1:-1, 1:-1]
         self.lowest_m = float(inner.min(where=present, initial=np.float32(np.inf)))
         self.highest_m = float(inner.max(where=present, initial=np.float32(-np.inf)))
         if self.lowest_m > self.highest_m:
@@ -180,8 +215,9 @@ class WindowTextures:
 
 
 def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
-    """Put two or four trees into one texture. Of two trees each serves both headings of its axis.
+    """Put two or four trees into one texture.
 
+    Of two trees each serves both headings of its axis.
     The first two are stacked and the next two stand beside them, because a stack of four would be
     higher than a texture may be. A ray that leaves its own tree may meet the next; a mark or a
     bound too many costs time and changes nothing.
@@ -224,8 +260,10 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 def _with_apron(field: HeightField, window: Window) -> Float32Array:
     """Return a window's heights and one sample around them, NaN off the map."""
     heights = np.full((window.rows + 2, window.cols + 2), np.nan, dtype=np.float32)
-    top, left = window.row - 1, window.col - 1
-    row, col = max(top, 0), max(left, 0)
+    top = window.row - 1
+    left = window.col - 1
+    row = max(top, 0)
+    col = max(left, 0)
     part = field.heights_m[row : top + window.rows + 2, col : left + window.cols + 2]
     heights[row - top :, col - left :][: part.shape[0], : part.shape[1]] = part
     return heights

@@ -174,6 +174,10 @@ class StoreHeader:
         if "dem_options" in plain:
             # Options that earlier releases wrote and this one lacks distinguish no stores.
             plain["dem_options"] = asdict(DemOptions.from_json(plain["dem_options"]))
+        for name in ("tolerance_px", "tolerance_deg"):
+            # Earlier releases could render less exactly; what they rendered exactly is as today.
+            if plain.get(name) == 0.0:
+                del plain[name]
         object.__setattr__(self, "config", plain)
 
     @property

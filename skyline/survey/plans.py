@@ -11,12 +11,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
-from skyline.render.horizon import (
-    DEFAULT_TOLERANCE_DEG,
-    HorizonRenderer,
-    PanoramaRenderer,
-    RenderConfig,
-)
+from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
 from skyline.store.header import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
@@ -121,7 +116,6 @@ class PlacePlan:
             **spread,
             "bounds_deg": self.bounds_deg,
             "rasterizer": "panorama",
-            "tolerance_deg": DEFAULT_TOLERANCE_DEG,
         }
         return header_of(terrain, settings, self.curvature, holds=PLACES)
 
@@ -277,7 +271,6 @@ def rendering_header(
         **settings,
         "rasterizer": "horizon",
         "width": config.width,
-        "tolerance_px": config.tolerance_px,
         "keypoint_tolerance_px": _KEYPOINT_TOLERANCE_PX,
     }
     return header_of(terrain, about, config.curvature, width=config.width)

@@ -40,7 +40,7 @@ class _Scene:
 @pytest.fixture(scope="module")
 def scene():
     field = field_of(fractal(400, 400, relief_m=1500.0, seed=5, exponent=2.0), spacing_m=30.0)
-    with HorizonRenderer(field, RenderConfig(320, 0.0)) as renderer:
+    with HorizonRenderer(field, RenderConfig(320)) as renderer:
         yield _Scene(field, renderer)
 
 
@@ -166,7 +166,7 @@ def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
 def test_a_featureless_skyline_tells_no_place(scene):
     flat = field_of(np.zeros((100, 100)), spacing_m=30.0)
     u = np.linspace(-0.5, 0.5, 300)
-    with HorizonRenderer(flat, RenderConfig(320, 0.0)) as renderer:
+    with HorizonRenderer(flat, RenderConfig(320)) as renderer:
         some = poses(3, easting_m=1500.0 + np.arange(3) * 60.0, northing_m=-1500.0)
         found = Refinement(rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT).run(some)
     # The skyline is the same from everywhere.

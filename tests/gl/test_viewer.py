@@ -73,7 +73,7 @@ def test_a_sight_is_what_four_fine_views_show(
         sight = viewer.look(pose, query)
     terrain = matcher.terrain
     eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
-    config = RenderConfig(4096, 0.0, matcher.header.curvature)
+    config = RenderConfig(4096, matcher.header.curvature)
     with HorizonRenderer(terrain, config) as renderer:
         fine = sight_of(pose, query, renderer.render(eye[np.zeros(4, int)], HEADINGS))
     near = np.abs(fine.column_px - query.width_px / 2.0) < 0.5 * query.width_px

@@ -138,6 +138,26 @@ class TestHeader:
         )
         refuse_mismatch(now, before, "these", "no advice")
 
+    @pytest.mark.parametrize("name", ["tolerance_px", "tolerance_deg"])
+    def test_of_exact_skylines_are_alike_whether_or_not_they_name_a_tolerance(self, name):
+        """Releases up to 0.2 wrote by how much a skyline might lie too low."""
+        before = replace(PLACES_HEADER, config={**PLACES_HEADER.config, name: 0.0})
+        refuse_mismatch(before, PLACES_HEADER, "these", "no advice")
+
+    def test_of_less_exact_skylines_names_the_tolerance(self, tmp_path):
+        header = replace(VIEWS_HEADER, config={**VIEWS_HEADER.config, "tolerance_px": 0.05})
+        with open_store(write_rows(tmp_path / "a.h5", 0, 3, header)) as store:
+            assert store.header.config["tolerance_px"] == 0.05
+            assert_holds(store, np.arange(3))
+
+    def test_of_less_exact_skylines_is_joined_to_no_exact_one(self, tmp_path):
+        header = replace(VIEWS_HEADER, config={**VIEWS_HEADER.config, "tolerance_px": 0.05})
+        a = write_rows(tmp_path / "a.h5", 0, 3, header)
+        b = write_rows(tmp_path / "b.h5", 3, 6)
+        said = "tolerance_px is 0.05 in a.h5, 'absent' in b.h5; build both with the same settings"
+        with pytest.raises(StoreMismatchError, match=said):
+            merge_stores([a, b], tmp_path / "out.h5")
+
     def test_a_dem_in_another_frame_is_named(self, tmp_path):
         header = replace(PLACES_HEADER, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
         dem = write_dem(tmp_path / "dem.tif", np.ones((4, 4), np.float32))

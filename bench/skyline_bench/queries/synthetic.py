@@ -17,7 +17,7 @@ from scipy import ndimage
 from skyline.arrays import Float64Array, IntArray
 from skyline.camera import distorted
 from skyline.errors import InputError
-from skyline.geodesy import Curvature, Rectangle
+from skyline.geodesy import Rectangle
 from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.horizon import PanoramaRenderer
@@ -182,7 +182,7 @@ def _queries(
     eyes = stand_on(
         terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=config.eye_height_m
     )
-    with PanoramaRenderer(terrain, config.azimuths, Curvature(), 0.0) as renderer:
+    with PanoramaRenderer(terrain, config.azimuths) as renderer:
         rendered = renderer.render(eyes)
     for index, (some, drawn) in enumerate(zip(held, entropies, strict=True)):
         yield tuple(

@@ -252,7 +252,7 @@ DEPTH = RenderPath("depth", DepthRenderer, quantized_agreement)
 
 HORIZON = RenderPath(
     "horizon",
-    lambda field, width, curvature: HorizonRenderer(field, RenderConfig(width, 0.0, curvature)),
+    lambda field, width, curvature: HorizonRenderer(field, RenderConfig(width, curvature)),
     exact_agreement,
 )
 """The horizon rasterizer, exact but for 32-bit floats."""
