@@ -30,15 +30,12 @@ from skyline.render.horizon import RenderConfig
 from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path, is_whole, merged_rows, write_store
-from skyline.survey.cluster import Runner
-from skyline.survey.parts import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
+from skyline.survey.cluster import Opening, Runner, Tell
+from skyline.survey.parts import JobWriter, PartsFolder, PartSize, rows_an_eye
 from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
-
-_NAMED = 5
-"""Failed jobs that an error names."""
 
 _log = logging.getLogger(__name__)
 
@@ -139,11 +136,11 @@ def build_store(
     plan: Plan,
     runner: Runner | None = None,
     progress: Progress | None = None,
-    a_part_s: float = A_PART_S,
+    part_size: PartSize = PartSize(),  # noqa: B008  (it is frozen)
 ) -> BuildResult:
     """Render the missing rows of a store, here or by a runner, and merge all parts.
 
-    Every ``a_part_s`` seconds a part is written; otherwise as `build_places`.
+    Otherwise as `build_places`.
 
     Raises
     ------
@@ -170,14 +167,16 @@ def build_store(
     count = _Count(progress, kept, rows_an_eye(header.holds) * sum(sizes))
     rendered = 0
     opened = plan.opened(terrain) if runner is None and left else None
-    with nullcontext() if opened is None else opened.renderer:
+    with nullcontext() if opened is None else opened:
         started = time.perf_counter()
         try:
             if runner is not None:
-                written, rendered = _on_workers(runner, header, plan, folder, a_part_s, left, count)
+                written, rendered = _on_workers(
+                    runner, header, plan, folder, part_size, left, count
+                )
                 parts += written
             elif opened is not None:
-                writer = JobWriter(opened, folder, a_part_s, count.add)
+                writer = JobWriter(opened, folder, part_size, count.add)
                 writer.write(left)
                 parts += writer.written
                 rendered = writer.rendered
@@ -207,7 +206,9 @@ class _Count:
 
     def __init__(self, progress: Progress | None, done: int, total: int) -> None:
         """Begin with the rows that are ``done``; ``total`` is 0 until a plan expects some."""
-        self._progress, self._done, self._total = progress, done, total
+        self._progress = progress
+        self._done = done
+        self._total = total
 
     def add(self, rows: int, expected: int) -> None:
         """Report rows that were rendered, and about how many jobs are expected to render."""
@@ -298,39 +299,32 @@ def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], 
     return whole, rows
 
 
+def _opened_by_worker(plan: Plan, header: StoreHeader) -> JobRenderer:
+    """Read the DEM in a worker, and return the renderer of a plan's jobs.
+
+    The store's header has the DEM's files, by paths that are the same on every machine.
+    """
+    try:
+        terrain = header.read_dem()
+    except StoreMismatchError as error:
+        raise StoreMismatchError(
+            f"{error}; workers need the same files and the same releases of skyline and its "
+            "libraries"
+        ) from error
+    return plan.opened(terrain)
+
+
 def _write_job(
-    build: str,
-    plan: Plan,
-    header: StoreHeader,
     folder: PartsFolder,
-    a_part_s: float,
+    part_size: PartSize,
+    renderer: JobRenderer,
     job: tuple[int, Any],
     tell: Tell,
 ) -> tuple[list[Path], int]:
-    """Render a job in a worker and write it; return its parts, and the rows rendered for them.
-
-    The worker keeps terrain and renderer for the next job of a build, which has an identifier.
-    All calls in a process must come from one thread, which owns the OpenGL context. The store's
-    header has the DEM's files, by paths that are the same on every machine.
-    """
-    if build not in _open_renderer:
-        while _open_renderer:
-            _open_renderer.popitem()[1].renderer.release()
-        try:
-            terrain = header.read_dem()
-        except StoreMismatchError as error:
-            raise StoreMismatchError(
-                f"{error}; workers need the same files and the same releases of skyline and its "
-                "libraries"
-            ) from error
-        _open_renderer[build] = plan.opened(terrain)
-    writer = JobWriter(_open_renderer[build], folder, a_part_s, tell)
+    """Render a numbered job and write it; return its parts, and the rows rendered for them."""
+    writer = JobWriter(renderer, folder, part_size, tell)
     writer.write(dict([job]))
     return writer.written, writer.rendered
-
-
-_open_renderer: dict[str, JobRenderer] = {}
-"""The renderer that this worker keeps, by the build."""
 
 
 def _on_workers(
@@ -338,7 +332,7 @@ def _on_workers(
     header: StoreHeader,
     plan: Plan,
     folder: PartsFolder,
-    a_part_s: float,
+    part_size: PartSize,
     left: Mapping[int, Any],
     count: _Count,
 ) -> tuple[list[Path], int]:
@@ -351,13 +345,14 @@ def _on_workers(
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
-        plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
+        plan = replace(plan, viewpoints=plan.viewpoints[:0])
     names = [f"job {number}" for number in left]
     written: list[Path] = []
     rendered = 0
     failures: dict[str, SkylineError] = {}
-    write = partial(_write_job, uuid4().hex, plan, header, folder, a_part_s)
-    outcomes = runner(write, list(left.items()), names, count.add)
+    opening = Opening(uuid4().hex, partial(_opened_by_worker, plan, header))
+    write = partial(_write_job, folder, part_size)
+    outcomes = runner(write, opening, list(left.items()), names, count.add)
     for name, outcome in zip(names, outcomes, strict=True):
         if isinstance(outcome, SkylineError):
             failures[name] = outcome
@@ -370,9 +365,9 @@ def _on_workers(
         if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
             raise failures[names[0]]
         named = [f"{name} ({error})" for name, error in failures.items()]
-        more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+        more = f" and {len(named) - 5} more" if len(named) > 5 else ""
         raise BuildError(
-            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:_NAMED])}{more}. The "
+            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:5])}{more}. The "
             "others are kept: mend the cause and give the same command, which continues with the "
             "rest"
         )
