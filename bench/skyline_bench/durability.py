@@ -27,9 +27,9 @@ from skyline import cli
 from skyline.errors import SkylineError
 from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
+from skyline.store.check import examine, is_whole
 from skyline.store.header import PLACES
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import examine, is_whole
 from skyline.survey.build import build_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.parts import PartSize

@@ -23,7 +23,8 @@ from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS, Views
 from skyline.store.header import StoreHeader
-from skyline.store.write import check_store_path, sorted_once, write_store
+from skyline.store.merge import sorted_once
+from skyline.store.write import check_store_path, write_store
 from skyline.survey.build import BuildResult, finished_store
 from skyline.survey.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.terrain.eyes import Viewpoints, stand_on

@@ -15,7 +15,7 @@ Every job is rendered over the whole DEM, since terrain can rise into a skyline 
 import logging
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,9 +27,11 @@ from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
+from skyline.store.check import is_whole
 from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
+from skyline.store.merge import merged_rows
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import check_store_path, is_whole, merged_rows, write_store
+from skyline.store.write import check_store_path, write_store
 from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.survey.parts import JobWriter, PartsFolder, PartSize, rows_an_eye
 from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
@@ -151,11 +153,9 @@ def build_store(
     """
     path = Path(path).resolve()
     check_store_path(path)
-    jobs, header = plan.jobs(terrain), plan.header(terrain)
-    # Parts may be continued by another release, on a DEM that has moved.
-    build = replace(header, dem_files=(), package_version="")
-    subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
-    folder = PartsFolder(subfolder, header.holds, len(jobs))
+    jobs = plan.jobs(terrain)
+    header = plan.header(terrain)
+    folder = _folder_of(path, header, len(jobs))
     if path.exists() and (finished := finished_store(path, header)):
         # A build that was killed at its very end leaves parts beside a finished store.
         _remove(folder.path)
@@ -165,23 +165,19 @@ def build_store(
     left = {number: job for number, job in enumerate(jobs, 1) if number not in there}
     sizes = [len(job) for job in jobs if isinstance(job, Viewpoints)]
     count = _Count(progress, kept, rows_an_eye(header.holds) * sum(sizes))
-    rendered = 0
-    opened = plan.opened(terrain) if runner is None and left else None
-    with nullcontext() if opened is None else opened:
+    write = partial(_write_jobs, folder, part_size)
+    renderer = plan.opened(terrain) if runner is None and left else None
+    with nullcontext() if renderer is None else renderer:
         started = time.perf_counter()
+        written: list[Path] = []
+        rendered = 0
         try:
             if runner is not None:
-                written, rendered = _on_workers(
-                    runner, header, plan, folder, part_size, left, count
-                )
-                parts += written
-            elif opened is not None:
-                writer = JobWriter(opened, folder, part_size, count.add)
-                writer.write(left)
-                parts += writer.written
-                rendered = writer.rendered
+                written, rendered = _on_workers(runner, header, plan, write, left, count)
+            elif renderer is not None:
+                written, rendered = write(renderer, left, count.add)
             count.end()
-            rows = _merge_parts(parts, path)
+            rows = _merge_parts([*parts, *written], path)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists() or not (finished := finished_store(path, header)):
@@ -193,12 +189,24 @@ def build_store(
                 folder.path.parent.rmdir()
     _remove(folder.path)
     if not rows:
-        area = header.config.get("bounds_deg") or "all of the DEM"
-        raise InputError(
-            f"no place falls on the surface in the area ({area}); choose a larger area, more "
-            "places, or the spacing of a uniform grid"
-        )
+        raise _empty(header)
     return BuildResult(rows, rendered, time.perf_counter() - started)
+
+
+def _folder_of(path: Path, header: StoreHeader, jobs: int) -> PartsFolder:
+    """Return the folder for the parts of a build: one box, DEM and settings."""
+    # Parts may be continued by another release, on a DEM that has moved.
+    build = replace(header, dem_files=(), package_version="")
+    subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
+    return PartsFolder(subfolder, header.holds, jobs)
+
+
+def _empty(header: StoreHeader) -> InputError:
+    area = header.config.get("bounds_deg") or "all of the DEM"
+    return InputError(
+        f"no place falls on the surface in the area ({area}); choose a larger area, more "
+        "places, or the spacing of a uniform grid"
+    )
 
 
 class _Count:
@@ -231,18 +239,21 @@ def _merge_parts(parts: list[Path], path: Path) -> int:
 
     A store of other boxes at ``path`` is one more part of the new store, which replaces it.
     """
-    folder, others, held, was = parts[0].parent, list[Path](), 0, _inode(path)
-    if path.exists():
+    folder = parts[0].parent
+    before = _inode(path)
+    held = 0
+    if before is not None:
         with open_store(path) as store:
-            others, held = [path], len(store)
-    with merged_rows([*parts, *others], folder) as (header, columns, order):
+            held = len(store)
+    merging = parts if before is None else [*parts, path]
+    with merged_rows(merging, folder) as (header, columns, order):
         if len(columns[header.checksum]) == held:
             return 0
         # A name of its own, since another build of this path may merge now. A build that is killed
         # here leaves the file to `_remove`.
         merged = folder / f".{uuid4().hex[:12]}.partial"
         write_store(merged, header, columns, order)
-    if _inode(path) != was:
+    if _inode(path) != before:
         raise StoreError(
             f"another build wrote {path} meanwhile; run the same command again to add this area"
         )
@@ -276,7 +287,8 @@ def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], 
     Raises `StoreMismatchError` where another build of the same store has parts of other settings,
     which could not be joined.
     """
-    whole, rows = [], 0
+    whole: list[Path] = []
+    rows = 0
     for part in sorted(folder.path.parent.glob("*/*-of-*.h5")):
         # The other build may end now, and remove its parts.
         with suppress(StoreError, FileNotFoundError), open_store(part) as store:
@@ -314,16 +326,16 @@ def _opened_by_worker(plan: Plan, header: StoreHeader) -> JobRenderer:
     return plan.opened(terrain)
 
 
-def _write_job(
+def _write_jobs(
     folder: PartsFolder,
     part_size: PartSize,
     renderer: JobRenderer,
-    job: tuple[int, Any],
+    jobs: Mapping[int, Any],
     tell: Tell,
 ) -> tuple[list[Path], int]:
-    """Render a numbered job and write it; return its parts, and the rows rendered for them."""
+    """Render numbered jobs and write them; return their parts, and the rows rendered for them."""
     writer = JobWriter(renderer, folder, part_size, tell)
-    writer.write(dict([job]))
+    writer.write(jobs)
     return writer.written, writer.rendered
 
 
@@ -331,12 +343,11 @@ def _on_workers(
     runner: Runner,
     header: StoreHeader,
     plan: Plan,
-    folder: PartsFolder,
-    part_size: PartSize,
+    write: Callable[[JobRenderer, Mapping[int, Any], Tell], tuple[list[Path], int]],
     left: Mapping[int, Any],
     count: _Count,
 ) -> tuple[list[Path], int]:
-    """Render and write jobs by a runner; return their parts, and the rows rendered for them.
+    """Write each job by a runner; return their parts, and the rows rendered for them.
 
     Raises at the end the error of the jobs if all of them failed with the same one, and
     `BuildError` with the numbers of the first few otherwise.
@@ -351,8 +362,8 @@ def _on_workers(
     rendered = 0
     failures: dict[str, SkylineError] = {}
     opening = Opening(uuid4().hex, partial(_opened_by_worker, plan, header))
-    write = partial(_write_job, folder, part_size)
-    outcomes = runner(write, opening, list(left.items()), names, count.add)
+    jobs = [{number: job} for number, job in left.items()]
+    outcomes = runner(write, opening, jobs, names, count.add)
     for name, outcome in zip(names, outcomes, strict=True):
         if isinstance(outcome, SkylineError):
             failures[name] = outcome

@@ -24,9 +24,11 @@ from skyline import RenderConfig, read_dem, render_to_store, stand_on
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
+from skyline.store.check import check_store
+from skyline.store.merge import merge_stores
 from skyline.store.places import BINS, Places
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import check_store, merge_stores, write_store
+from skyline.store.write import write_store
 from skyline.survey import lattices, plans
 from skyline.survey.build import build_places, build_store
 from skyline.survey.cluster import runner_of
