@@ -21,7 +21,7 @@ from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.read import check_fov, photos_in, read_query
 from skyline.photo.skyline import Lens, PhotoSkyline
-from skyline.survey.cluster import Runner
+from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.tables import Row, Table, is_table, read_table
 
 _NUMBERS = (
@@ -35,8 +35,6 @@ _TOGETHER = {
 }
 """Columns of each field of a narrowing; a row fills either all columns of a field or none."""
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
-_Opening = tuple[Hashable, ...]
-"""The versions of the stores and models, followed by the arguments of `Matcher`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +161,7 @@ def match_here(matcher: Matcher, queries: Iterable[Query]) -> Iterator[MatchResu
     """Match queries in this process; yields the result of each, or the error that refuses it."""
     for query in queries:
         try:
-            yield _matched(matcher, query)
+            yield _match(matcher, query)
         except SkylineError as error:
             yield error
 
@@ -180,10 +178,12 @@ def match_many(
     stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
     # A worker that outlives this command must not take a file for the one it has replaced.
     models = (Path(name) for some in matcher[1:] if isinstance(some, tuple) for name in some)
-    opening = (tuple(map(version_of, [*stores, *models])), stores, *matcher[1:])
+    versions = tuple(map(version_of, [*stores, *models]))
+    given: Any = (stores, *matcher[1:])
+    opening = Opening((versions, *given), partial(Matcher, *given))
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
     names = [f"query-{index}" for index in range(len(jobs))]
-    matched = runner(partial(_match, opening), jobs, names)
+    matched = runner(_match, opening, jobs, names)
     for query, result in zip(queries, matched, strict=True):
         yield _named_as(query.path, result)
 
@@ -195,26 +195,9 @@ def _named_as(path: str, result: MatchResult | SkylineError) -> MatchResult | Sk
     return type(result)(str(result).replace(str(Path(path).absolute()), path))
 
 
-def _match(opening: _Opening, query: Query) -> MatchResult:
-    return _matched(_opened(*opening), query)
-
-
-def _matched(matcher: Matcher, query: Query) -> MatchResult:
+def _match(matcher: Matcher, query: Query, _: Tell | None = None) -> MatchResult:
     """Match one query; the result's seconds include reading it."""
     started = time.perf_counter()
     found = matcher.match(query.read(), narrowing=query.narrowing)
     seconds = time.perf_counter() - started
     return replace(found, seconds=seconds, name=query.path, id=query.label)
-
-
-_open_matcher: dict[_Opening, Matcher] = {}
-"""The one matcher that this process has open, by its opening."""
-
-
-def _opened(*opening: Hashable) -> Matcher:
-    if opening not in _open_matcher:
-        # Released first, so that two elevation models never take memory at once.
-        while _open_matcher:
-            _open_matcher.popitem()[1].release()
-        _open_matcher[opening] = Matcher(*opening[1:])  # type: ignore[arg-type]
-    return _open_matcher[opening]

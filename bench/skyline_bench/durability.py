@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from multiprocessing.context import ForkProcess
 from pathlib import Path
@@ -26,13 +27,13 @@ from skyline import cli
 from skyline.errors import SkylineError
 from skyline.geodesy import Bounds
 from skyline.render.horizon import RenderConfig
+from skyline.store.check import examine, is_whole
 from skyline.store.header import PLACES
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import examine, is_whole
-from skyline.survey import plans
 from skyline.survey.build import build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.plans import PlacePlan, Plan, RenderingPlan, map_bounds
+from skyline.survey.parts import PartSize
+from skyline.survey.plans import JobSize, PlacePlan, Plan, RenderingPlan, map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
@@ -43,9 +44,9 @@ from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
 """Of the area that is built again and again."""
-_PLACES_A_JOB, _VIEWPOINTS_A_JOB = 256, 16
-_PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE = 64, 4
-_A_PART_S = 0.05
+_JOB_OF_PLACES = JobSize(256, 64)
+_JOB_OF_VIEWS = JobSize(16, 4)
+_PART = PartSize(seconds=0.05)
 """Jobs and parts of a fraction of a second, so that builds are killed between many of them."""
 _LONGER = 1.3
 """A build is killed at some time within so many times what an unbroken one takes."""
@@ -67,12 +68,13 @@ _Plans = dict[str, tuple[Plan, int]]
 
 def _plans(terrain: HeightField, bounds_deg: Bounds) -> _Plans:
     """Return the plans of the stores that are built."""
+    places = PlacePlan(None, bounds_deg, job_size=_JOB_OF_PLACES)
     views = RenderingPlan.uniform(terrain, 400.0, bounds_deg, RenderConfig(width=160))
     return {
-        "planned places": (PlacePlan(None, bounds_deg, 400), 0),
-        "places of a grid": (PlacePlan(80.0, bounds_deg), 0),
-        "renderings": (views, 0),
-        "places of a grid, 2 workers": (PlacePlan(60.0, bounds_deg), 2),
+        "planned places": (replace(places, places=400), 0),
+        "places of a grid": (replace(places, spacing_m=80.0), 0),
+        "renderings": (replace(views, job_size=_JOB_OF_VIEWS), 0),
+        "places of a grid, 2 workers": (replace(places, spacing_m=60.0), 2),
     }
 
 
@@ -82,7 +84,7 @@ def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkPr
     def work() -> None:
         os.setsid()
         with runner_of(str(workers) if workers else None) as runner:
-            build_store(terrain, path, plan, runner, a_part_s=_A_PART_S)
+            build_store(terrain, path, plan, runner, part_size=_PART)
 
     process = _FORK.Process(target=work)
     process.start()
@@ -93,8 +95,6 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
     """Kill builds at random instants, and let the same command finish them."""
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
     generator = np.random.default_rng(0)
-    plans._PLACES_A_JOB, plans._VIEWPOINTS_A_JOB = _PLACES_A_JOB, _VIEWPOINTS_A_JOB
-    plans._PLACES_AT_ONCE, plans._VIEWPOINTS_AT_ONCE = _PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
         started = time.perf_counter()

@@ -18,8 +18,9 @@ from typer import Option
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.paper import reprojection
-from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem, Strategy
+from skyline.paper.strategies import PLANNERS, Candidates, Coverage, Planner, Problem
 from skyline.paper.verify import true_errors_px
+from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import DEFAULT_WIDTH, columns_u
 from skyline.terrain.dem import read_dem
@@ -56,8 +57,9 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
     rows = []
     for number, row in enumerate(TABLE_1, start=1):
         simulation = Simulation(row)
-        for name, strategy in STRATEGIES.items():
-            runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
+        for name in row.papers:
+            planner = load(PLANNERS, name)
+            runs = [simulate(simulation, planner, seed) for seed in range(seeds)]
             figures: dict[str, list[float]] = {
                 "A": [len(coverage.viewpoints) for coverage, _ in runs],
                 "B": [coverage.overlap for coverage, _ in runs],
@@ -222,11 +224,11 @@ def _crossings(
         view, edge, column, last = view[more], edge[more], column[more] + 1, last[more]
 
 
-def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> tuple[Coverage, float]:
-    """Run a strategy on a simulation until the row's coverage is reached.
+def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Coverage, float]:
+    """Run a planner on a simulation until the row's coverage is reached.
 
     Return the coverage, whose viewpoints are in the order rendered, the corners first, and the
-    processor time of the strategy with all it asked for: renderings and areas.
+    processor time of the planner with all it asked for: renderings and areas.
     """
     started = time.process_time()
     coverage = Coverage(simulation.candidates)
@@ -248,7 +250,7 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> tuple[Cov
     render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
     everywhere = simulation.candidates.valid
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
-    for asked in strategy(problem, np.random.default_rng(seed)):
+    for asked in planner(problem, np.random.default_rng(seed)):
         render(asked)
     return coverage, time.process_time() - started
 

@@ -28,7 +28,8 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import PlanConfig, build_planned
-from skyline.paper.strategies import STRATEGIES
+from skyline.paper.strategies import PLANNERS
+from skyline.plugins import names_of
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path
@@ -113,7 +114,7 @@ def render(
         str | None,
         Option(
             metavar="NAME",
-            help=f"Let one of the paper's planners choose viewpoints: {', '.join(STRATEGIES)}.",
+            help=f"Let a planner choose the viewpoints: {', '.join(names_of(PLANNERS))}.",
         ),
     ] = None,
     bounds: Bounds = None,

@@ -10,7 +10,7 @@ from typer import Argument, Option
 from skyline.cli.console import AsJson, Crs, Dems, print_line, read_terrain
 from skyline.errors import InputError, numbers_of, printable
 from skyline.geodesy import Frame
-from skyline.render.context import describe_context
+from skyline.render.context import acquire_context
 from skyline.render.horizon import RenderConfig, render_views
 from skyline.skylines import pixel_size
 from skyline.store.header import PLACES, SCHEMA_VERSION
@@ -36,7 +36,7 @@ def info(
     """Describe a DEM, a store, or the OpenGL in use."""
     if not path and not gl:
         raise InputError("nothing to describe; name a DEM or a store, or give --gl")
-    facts: Facts = {**describe_context()} if gl else {}
+    facts: Facts = {**acquire_context().facts()} if gl else {}
     if path:
         if len(path) == 1 and is_store(path[0]):
             facts |= _describe_store(path[0])

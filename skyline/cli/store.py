@@ -11,8 +11,9 @@ from typer import Argument
 
 from skyline.cli.console import AsJson, StoreFile, output_option, print_line
 from skyline.errors import InputError, printable
+from skyline.store.check import StoreReport, check_store
+from skyline.store.merge import merge_stores, repair_store
 from skyline.store.read import open_store
-from skyline.store.write import StoreReport, check_store, merge_stores, repair_store
 
 NewStore = Annotated[Path, output_option("The new store; must not exist.", "STORE.h5")]
 

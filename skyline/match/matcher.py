@@ -37,8 +37,8 @@ from skyline.pose import Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.header import StoreHeader
+from skyline.store.merge import open_joined
 from skyline.store.read import Store
-from skyline.store.write import open_joined
 from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
@@ -60,7 +60,7 @@ class Matcher(Releasable):
     ----------
     store : path or paths
         Several stores, of one DEM and configuration, are searched as one: they are merged into a
-        temporary file, as `skyline.store.write.merge_stores` does.
+        temporary file, as `skyline.store.merge.merge_stores` does.
     dem : path, paths or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot

@@ -7,22 +7,24 @@ batch. All random choices follow from the seed.
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
-from skyline.errors import InputError, StoreMismatchError, entry_named
+from skyline.errors import InputError, StoreMismatchError
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
-from skyline.paper.strategies import STRATEGIES, Candidates, Coverage, Problem
+from skyline.paper.strategies import PLANNERS, Candidates, Coverage, Planner, Problem
 from skyline.paper.verify import Verification, verify_coverage
+from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS, Views
 from skyline.store.header import StoreHeader
-from skyline.store.write import check_store_path, sorted_once, write_store
+from skyline.store.merge import sorted_once
+from skyline.store.write import check_store_path, write_store
 from skyline.survey.build import BuildResult, finished_store
 from skyline.survey.plans import lattice_m, map_bounds, rendering_columns, rendering_header
 from skyline.terrain.heightfield import HeightField, ground_of
@@ -43,12 +45,12 @@ Render = Callable[[Viewpoints, UInt8Array], Views]
 class PlanConfig:
     """Settings of a plan.
 
-    Raises `InputError` for a strategy that is not known, a coverage outside (0, 1], a threshold or
+    Raises `InputError` for a planner that is not known, a coverage outside (0, 1], a threshold or
     a spacing that is not positive, and spacings that do not fit each other.
     """
 
     strategy: str = "lpov"
-    """A name of `skyline.paper.strategies.STRATEGIES`."""
+    """The name of a planner: an entry point of `skyline.paper.strategies.PLANNERS`."""
     coarse_m: float = 1000.0
     """Distance between viewpoints of the coarse grid; a whole multiple of ``candidate_m``."""
     candidate_m: float = 50.0
@@ -60,7 +62,7 @@ class PlanConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        entry_named("strategy", self.strategy, STRATEGIES)
+        load(PLANNERS, self.strategy)
         for name, value, unit, most in (
             ("coverage", self.coverage, "", 1.0),
             ("threshold", self.threshold_px, " px", np.inf),
@@ -210,7 +212,7 @@ def plan(
 
 
 class _Heading:
-    """The views rendered along one heading, and a strategy at work in each square of it."""
+    """The views rendered along one heading, and a planner at work in each square of it."""
 
     def __init__(
         self,
@@ -225,19 +227,33 @@ class _Heading:
         self._field, self._config = field, config
         self._points: list[Float64Array] = []
         self._width = 0
-        self._strategies = []
+        self._planned: list[tuple[Problem, Iterator[Int64Array]]] = []
+        planner: Planner = load(PLANNERS, config.strategy)
         for number, square in enumerate(np.unique(squares[candidates.valid])):
             region = candidates.valid & (squares == square)
             problem = Problem(self.coverage, region, config.coverage, self.projected_areas)
             generator = np.random.default_rng([config.seed, heading, number])
-            self._strategies.append(STRATEGIES[config.strategy](problem, generator))
+            self._planned.append((problem, planner(problem, generator)))
 
     def requests(self) -> Int64Array:
-        """Return the candidates that strategies ask for; none where the heading is covered."""
+        """Return the candidates that planners ask for; none where the heading is covered."""
         asked = [np.zeros(0, dtype=np.int64)]
         if self.coverage.fraction() < self._config.coverage:
-            asked += [some for one in self._strategies if (some := next(one, None)) is not None]
+            for problem, chosen in self._planned:
+                some = next(chosen, None)
+                if some is not None:
+                    asked.append(self._checked(problem, some))
         return np.concatenate(asked)
+
+    def _checked(self, problem: Problem, chosen: Int64Array) -> Int64Array:
+        """Return what a planner chose; raises `InputError` unless it lies in the region."""
+        given = np.asarray(chosen)
+        if given.ndim != 1 or not np.isin(given, np.flatnonzero(problem.region)).all():
+            raise InputError(
+                f"planner {self._config.strategy!r} chose {chosen}; expected indices (n,) of "
+                "candidates in the problem's region"
+            )
+        return given.astype(np.int64, copy=False)
 
     def add(self, viewpoints: Int64Array, views: Views) -> None:
         """Add views (N) rendered at candidates (N)."""

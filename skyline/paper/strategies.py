@@ -8,11 +8,15 @@ whatever the heading.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
+
+PLANNERS = "skyline.planners"
+"""Group of the entry points that are planners."""
 
 _DRAWN = 10
 """Candidates that ROV and AROV draw for each viewpoint they select."""
@@ -115,10 +119,10 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """A region of one heading to cover. A strategy knows nothing else of terrain and views."""
+    """A region of one heading to cover. A planner knows nothing else of terrain and views."""
 
     coverage: Coverage
-    """Holds the views rendered so far whenever a strategy is resumed; strategies of one heading
+    """Holds the views rendered so far whenever a planner is resumed; the regions of one heading
     share it."""
     region: BoolArray
     """(rows, cols) bool. The candidates to cover, from which viewpoints are chosen."""
@@ -138,8 +142,20 @@ class Problem:
         return np.flatnonzero(self.coverage.uncovered & self.region)
 
 
-Strategy = Callable[[Problem, np.random.Generator], Iterator[Int64Array]]
-"""Yields candidates (n,) to render, and goes on once the problem's coverage holds their areas."""
+class Planner(Protocol):
+    """Chooses the viewpoints of a region, one after another, until it is covered.
+
+    A package offers a planner as an entry point of the group `PLANNERS`. ``skyline render
+    --planner`` then takes its name.
+    """
+
+    def __call__(self, problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
+        """Yield candidates (n,) of the problem's region to render, by their indices.
+
+        When the planner is resumed, ``problem.coverage`` has the tolerance areas of these views. It
+        ends when the region is covered. Whatever it draws comes from ``generator``, so that the
+        same seed gives the same plan.
+        """
 
 
 def rov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
@@ -312,12 +328,3 @@ def draw(generator: np.random.Generator, candidates: Int64Array, number: int) ->
     if len(candidates) <= number:
         return candidates
     return generator.choice(candidates, number, replace=False)
-
-
-STRATEGIES: dict[str, Strategy] = {
-    "rov": rov,
-    "arov": arov,
-    "hov": hov,
-    "sov": sov,
-    "lpov": lpov,
-}

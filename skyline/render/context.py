@@ -10,20 +10,18 @@ threads gives all its rendering to a `RenderThread`.
 """
 
 import atexit
-import ctypes
 import itertools
 import os
 import queue
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from ctypes import POINTER, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
 from weakref import WeakValueDictionary
@@ -31,6 +29,7 @@ from weakref import WeakValueDictionary
 import moderngl
 
 from skyline.errors import ContextError, InputError
+from skyline.render.osmesa import OsMesaContext
 
 T = TypeVar("T")
 
@@ -38,22 +37,11 @@ ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """The backends in the order of attempts, and Debian's packages for each."""
 
+_VERSION = (4, 3)
 _VERSION_CODE = 430
-_EGL_LIBRARY = "libEGL.so.1"
-_OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6")
-_BEYOND_ALL_DEVICES = 1 << 30
 _SOFTWARE = re.compile(
     r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software", re.IGNORECASE
 )
-
-# GL/gl.h and GL/osmesa.h of Mesa 12 and later.
-_GL_RGBA = 0x1908
-_GL_UNSIGNED_BYTE = 0x1401
-_OSMESA_FORMAT = 0x22
-_OSMESA_PROFILE = 0x33
-_OSMESA_CORE_PROFILE = 0x34
-_OSMESA_CONTEXT_MAJOR_VERSION = 0x36
-_OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
 _PACKAGE = Path(__file__).parents[1]
 _SHADERS = next(
@@ -62,9 +50,18 @@ _SHADERS = next(
 """The folder of shaders in the wheel, or the one in the repository."""
 
 
+@dataclass(frozen=True, slots=True)
+class GlLibraries:
+    """Names of the shared libraries in which OpenGL is looked for."""
+
+    egl: str = "libEGL.so.1"
+    osmesa: tuple[str, ...] = ("libOSMesa.so.8", "libOSMesa.so.6")
+    """The first that loads is used."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
-    """The process's OpenGL context, and the reason for its choice."""
+    """An OpenGL context, and the reason for its choice."""
 
     ctx: moderngl.Context
     native: Any
@@ -100,18 +97,24 @@ class GlContext:
             return "no GPU found through EGL; its software rasterizer comes next"
         return "EGL gave no context; OSMesa comes last"
 
+    def facts(self) -> dict[str, str | bool | list[str]]:
+        """Return the facts of the context, for JSON."""
+        names = ("backend", "device", "vendor", "renderer", "version", "software", "reason")
+        return {**{name: getattr(self, name) for name in names}, "tried": self.attempts}
 
-class _SharedContext:
-    """The process's one context, with the process and the thread that own it."""
 
-    def __init__(self) -> None:
+class SharedContext:
+    """One context for all renderers, with the process and the thread that own it."""
+
+    def __init__(self, libraries: GlLibraries = GlLibraries()) -> None:
+        self._libraries = libraries
         self._lock = threading.Lock()
         self._context: GlContext | None = None
         self._process: int | None = None
         self._thread = threading.current_thread()
 
     def acquire(self) -> GlContext:
-        """Return the process's OpenGL context, current in this thread; make it on first use.
+        """Return the context, current in this thread; make it on first use.
 
         Calling again is cheap: it makes the context current again where other code has put its own
         in place, and frees what has no holder any more. Raises `ContextError` if no backend gives
@@ -128,7 +131,7 @@ class _SharedContext:
             )
         with self._lock:
             if self._context is None:
-                self._context = _choose_context()
+                self._context = _choose_context(self._libraries)
                 self._process = os.getpid()
                 self._thread = threading.current_thread()
             elif self._thread is not threading.current_thread():
@@ -166,28 +169,32 @@ class _SharedContext:
             self._context = None
 
 
-_shared = _SharedContext()
+@cache
+def process_context() -> SharedContext:
+    """Return what all renderers of this process share; its context is released at exit."""
+    shared = SharedContext()
+
+    def release() -> None:
+        # A thread that outlives the interpreter may be rendering; the system then frees the
+        # context.
+        with suppress(ContextError):
+            shared.release()
+
+    atexit.register(release)
+    return shared
 
 
-acquire_context = _shared.acquire
-release_context = _shared.release
+def acquire_context() -> GlContext:
+    """Return the process's context; see `SharedContext.acquire`."""
+    return process_context().acquire()
 
 
-@atexit.register
-def _release_at_exit() -> None:
-    # A thread that outlives the interpreter may be rendering; the system then frees the context.
-    with suppress(ContextError):
-        _shared.release()
+def release_context() -> None:
+    """Release the process's context; see `SharedContext.release`."""
+    process_context().release()
 
 
-def describe_context() -> dict[str, str | bool | list[str]]:
-    """Return the facts of the context, for JSON; raises as `acquire_context`."""
-    context = acquire_context()
-    names = ("backend", "device", "vendor", "renderer", "version", "software", "reason")
-    return {**{name: getattr(context, name) for name in names}, "tried": context.attempts}
-
-
-def _choose_context() -> GlContext:
+def _choose_context(libraries: GlLibraries) -> GlContext:
     """Return a context on the best device of the first backend that gives one."""
     forced = os.environ.get(ENVIRONMENT_VARIABLE, "")
     if forced and forced not in BACKENDS:
@@ -200,7 +207,8 @@ def _choose_context() -> GlContext:
     # EGL's warnings about failing devices stay off stderr; the attempts hold the errors.
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     for backend in backends:
-        if (found := _best_device(backend, attempts)) is not None:
+        devices = _devices(backend, libraries)
+        if (found := best_device(backend, devices, attempts)) is not None:
             return found
     packages = " ".join(BACKENDS[backend] for backend in backends)
     raise ContextError(
@@ -209,10 +217,16 @@ def _choose_context() -> GlContext:
     )
 
 
-def _best_device(backend: str, attempts: list[str]) -> GlContext | None:
-    """Return a context on a backend's first GPU, else on its first software rasterizer."""
+def best_device(
+    backend: str, devices: Sequence[tuple[str, Callable[[], Any]]], attempts: list[str]
+) -> GlContext | None:
+    """Return a context on the first device that is a GPU, else on the first that is none.
+
+    Devices are names, each with a function that makes a native context there. Every attempt is
+    appended to ``attempts``. Contexts on other devices are destroyed.
+    """
     fallback: GlContext | None = None
-    for device, make in _devices(backend):
+    for device, make in devices:
         try:
             found = _wrap(make(), backend, device, attempts)
         except ContextError as error:
@@ -233,21 +247,23 @@ def _best_device(backend: str, attempts: list[str]) -> GlContext | None:
     return fallback
 
 
-def _devices(backend: str) -> list[tuple[str, Callable[[], Any]]]:
+def _devices(backend: str, libraries: GlLibraries) -> list[tuple[str, Callable[[], Any]]]:
     """Return the name of each device of a backend, and a function that makes a context on it."""
     if backend == "osmesa":
-        return [("Mesa off-screen library", _OsMesaContext)]
+        return [("Mesa off-screen library", partial(OsMesaContext, libraries.osmesa, _VERSION))]
     count = 1
     try:
-        _egl_context(_BEYOND_ALL_DEVICES)
+        _egl_context(libraries.egl, 1 << 30)
     except ContextError as error:
         # glcontext gives the number of devices only in its error for an index that is too large.
         if found := re.search(r"found (\d+) devices", str(error)):
             count = max(int(found[1]), 1)
-    return [(f"device {index}", partial(_egl_context, index)) for index in range(count)]
+    return [
+        (f"device {index}", partial(_egl_context, libraries.egl, index)) for index in range(count)
+    ]
 
 
-def _egl_context(device_index: int) -> Any:
+def _egl_context(library: str, device_index: int) -> Any:
     """Return glcontext's context on an EGL device; raises `ContextError` where it fails."""
     try:
         from glcontext import egl  # noqa: PLC0415  (glcontext has it on Linux alone)
@@ -255,8 +271,8 @@ def _egl_context(device_index: int) -> Any:
         return egl.create_context(
             mode="standalone",
             # EGL finds all functions of OpenGL, so that libGL need not be installed.
-            libgl=_EGL_LIBRARY,
-            libegl=_EGL_LIBRARY,
+            libgl=library,
+            libegl=library,
             glversion=_VERSION_CODE,
             device_index=device_index,
         )
@@ -283,67 +299,6 @@ def _destroy(context: GlContext) -> None:
     # EGL keeps a context alive while it is current.
     context.native.__exit__(None, None, None)
     context.ctx.release()
-
-
-class _OsMesaContext:
-    """OpenGL by Mesa's off-screen library: a native context for moderngl, current once made."""
-
-    def __init__(self) -> None:
-        library = _osmesa()
-        self._proc_address = _bind(library.OSMesaGetProcAddress, c_void_p, ctypes.c_char_p)
-        self._make_current = _bind(
-            library.OSMesaMakeCurrent, c_ubyte, c_void_p, c_void_p, c_uint, c_int, c_int
-        )
-        self._destroy = _bind(library.OSMesaDestroyContext, None, c_void_p)
-        # OSMesa makes a context current only with a framebuffer, though nothing is drawn there.
-        self._pixel = (c_ubyte * 4)()
-        major, minor = divmod(_VERSION_CODE // 10, 10)
-        wanted = (
-            *(_OSMESA_FORMAT, _GL_RGBA, _OSMESA_PROFILE, _OSMESA_CORE_PROFILE),
-            *(_OSMESA_CONTEXT_MAJOR_VERSION, major, _OSMESA_CONTEXT_MINOR_VERSION, minor, 0),
-        )
-        create = _bind(library.OSMesaCreateContextAttribs, c_void_p, POINTER(c_int), c_void_p)
-        self._context: int | None = create((c_int * len(wanted))(*wanted), None)
-        if not self._context:
-            raise ContextError(
-                f"OSMesaCreateContextAttribs gave no core profile of OpenGL {major}.{minor}"
-            )
-        self.__enter__()
-
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
-        return self._proc_address(name.encode()) or 0
-
-    def __enter__(self) -> Self:
-        if not self._make_current(self._context, self._pixel, _GL_UNSIGNED_BYTE, 1, 1):
-            raise ContextError("OSMesaMakeCurrent failed")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
-
-    def release(self) -> None:
-        """Destroy the context, which must not be current; harmless when repeated."""
-        if self._context:
-            self._destroy(self._context)
-            self._context = None
-
-
-def _osmesa() -> ctypes.CDLL:
-    errors = []
-    for name in _OSMESA_LIBRARIES:
-        try:
-            return ctypes.CDLL(name)
-        except OSError as error:
-            errors.append(str(error))
-    raise ContextError("; ".join(errors))
-
-
-def _bind(function: Any, result: Any, *arguments: Any) -> Any:
-    """Give a foreign function its C signature."""
-    function.restype = result
-    function.argtypes = arguments
-    return function
 
 
 def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:

@@ -68,6 +68,10 @@ _VIEWS_A_CHUNK = 32
 """Views of a chunk, 80 kB of skylines at W = 640. With half as many a store is 3 % larger, with
 four times as many 1 % smaller, but to read a single row a whole chunk is unpacked."""
 
+ROWS_AT_ONCE = 1024
+"""Rows that are read or written at once, whole chunks: a packed chunk that is written twice leaves
+dead bytes."""
+
 _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 """Packing of renderings: a skyline of W = 640 with its depths takes 2.7 kB instead of 5.1 on Davos.
 Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks

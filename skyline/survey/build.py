@@ -15,7 +15,7 @@ Every job is rendered over the whole DEM, since terrain can rise into a skyline 
 import logging
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,18 +27,17 @@ from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature
 from skyline.render.horizon import RenderConfig
+from skyline.store.check import is_whole
 from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
+from skyline.store.merge import merged_rows
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import check_store_path, is_whole, merged_rows, write_store
-from skyline.survey.cluster import Runner
-from skyline.survey.parts import A_PART_S, JobWriter, PartsFolder, Tell, rows_an_eye
+from skyline.store.write import check_store_path, write_store
+from skyline.survey.cluster import Opening, Runner, Tell
+from skyline.survey.parts import JobWriter, PartsFolder, PartSize, rows_an_eye
 from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-_NAMED = 5
-"""Failed jobs that an error names."""
 
 _log = logging.getLogger(__name__)
 
@@ -139,11 +138,11 @@ def build_store(
     plan: Plan,
     runner: Runner | None = None,
     progress: Progress | None = None,
-    a_part_s: float = A_PART_S,
+    part_size: PartSize = PartSize(),  # noqa: B008  (it is frozen)
 ) -> BuildResult:
     """Render the missing rows of a store, here or by a runner, and merge all parts.
 
-    Every ``a_part_s`` seconds a part is written; otherwise as `build_places`.
+    Otherwise as `build_places`.
 
     Raises
     ------
@@ -154,11 +153,9 @@ def build_store(
     """
     path = Path(path).resolve()
     check_store_path(path)
-    jobs, header = plan.jobs(terrain), plan.header(terrain)
-    # Parts may be continued by another release, on a DEM that has moved.
-    build = replace(header, dem_files=(), package_version="")
-    subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
-    folder = PartsFolder(subfolder, header.holds, len(jobs))
+    jobs = plan.jobs(terrain)
+    header = plan.header(terrain)
+    folder = _folder_of(path, header, len(jobs))
     if path.exists() and (finished := finished_store(path, header)):
         # A build that was killed at its very end leaves parts beside a finished store.
         _remove(folder.path)
@@ -168,21 +165,19 @@ def build_store(
     left = {number: job for number, job in enumerate(jobs, 1) if number not in there}
     sizes = [len(job) for job in jobs if isinstance(job, Viewpoints)]
     count = _Count(progress, kept, rows_an_eye(header.holds) * sum(sizes))
-    rendered = 0
-    opened = plan.opened(terrain) if runner is None and left else None
-    with nullcontext() if opened is None else opened.renderer:
+    write = partial(_write_jobs, folder, part_size)
+    renderer = plan.opened(terrain) if runner is None and left else None
+    with nullcontext() if renderer is None else renderer:
         started = time.perf_counter()
+        written: list[Path] = []
+        rendered = 0
         try:
             if runner is not None:
-                written, rendered = _on_workers(runner, header, plan, folder, a_part_s, left, count)
-                parts += written
-            elif opened is not None:
-                writer = JobWriter(opened, folder, a_part_s, count.add)
-                writer.write(left)
-                parts += writer.written
-                rendered = writer.rendered
+                written, rendered = _on_workers(runner, header, plan, write, left, count)
+            elif renderer is not None:
+                written, rendered = write(renderer, left, count.add)
             count.end()
-            rows = _merge_parts(parts, path)
+            rows = _merge_parts([*parts, *written], path)
         except (SkylineError, FileNotFoundError):
             # Another process may have built the same store meanwhile, and removed its parts.
             if not path.exists() or not (finished := finished_store(path, header)):
@@ -194,12 +189,24 @@ def build_store(
                 folder.path.parent.rmdir()
     _remove(folder.path)
     if not rows:
-        area = header.config.get("bounds_deg") or "all of the DEM"
-        raise InputError(
-            f"no place falls on the surface in the area ({area}); choose a larger area, more "
-            "places, or the spacing of a uniform grid"
-        )
+        raise _empty(header)
     return BuildResult(rows, rendered, time.perf_counter() - started)
+
+
+def _folder_of(path: Path, header: StoreHeader, jobs: int) -> PartsFolder:
+    """Return the folder for the parts of a build: one box, DEM and settings."""
+    # Parts may be continued by another release, on a DEM that has moved.
+    build = replace(header, dem_files=(), package_version="")
+    subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
+    return PartsFolder(subfolder, header.holds, jobs)
+
+
+def _empty(header: StoreHeader) -> InputError:
+    area = header.config.get("bounds_deg") or "all of the DEM"
+    return InputError(
+        f"no place falls on the surface in the area ({area}); choose a larger area, more "
+        "places, or the spacing of a uniform grid"
+    )
 
 
 class _Count:
@@ -207,7 +214,9 @@ class _Count:
 
     def __init__(self, progress: Progress | None, done: int, total: int) -> None:
         """Begin with the rows that are ``done``; ``total`` is 0 until a plan expects some."""
-        self._progress, self._done, self._total = progress, done, total
+        self._progress = progress
+        self._done = done
+        self._total = total
 
     def add(self, rows: int, expected: int) -> None:
         """Report rows that were rendered, and about how many jobs are expected to render."""
@@ -230,18 +239,21 @@ def _merge_parts(parts: list[Path], path: Path) -> int:
 
     A store of other boxes at ``path`` is one more part of the new store, which replaces it.
     """
-    folder, others, held, was = parts[0].parent, list[Path](), 0, _inode(path)
-    if path.exists():
+    folder = parts[0].parent
+    before = _inode(path)
+    held = 0
+    if before is not None:
         with open_store(path) as store:
-            others, held = [path], len(store)
-    with merged_rows([*parts, *others], folder) as (header, columns, order):
+            held = len(store)
+    merging = parts if before is None else [*parts, path]
+    with merged_rows(merging, folder) as (header, columns, order):
         if len(columns[header.checksum]) == held:
             return 0
         # A name of its own, since another build of this path may merge now. A build that is killed
         # here leaves the file to `_remove`.
         merged = folder / f".{uuid4().hex[:12]}.partial"
         write_store(merged, header, columns, order)
-    if _inode(path) != was:
+    if _inode(path) != before:
         raise StoreError(
             f"another build wrote {path} meanwhile; run the same command again to add this area"
         )
@@ -275,7 +287,8 @@ def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], 
     Raises `StoreMismatchError` where another build of the same store has parts of other settings,
     which could not be joined.
     """
-    whole, rows = [], 0
+    whole: list[Path] = []
+    rows = 0
     for part in sorted(folder.path.parent.glob("*/*-of-*.h5")):
         # The other build may end now, and remove its parts.
         with suppress(StoreError, FileNotFoundError), open_store(part) as store:
@@ -298,51 +311,43 @@ def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], 
     return whole, rows
 
 
-def _write_job(
-    build: str,
-    plan: Plan,
-    header: StoreHeader,
+def _opened_by_worker(plan: Plan, header: StoreHeader) -> JobRenderer:
+    """Read the DEM in a worker, and return the renderer of a plan's jobs.
+
+    The store's header has the DEM's files, by paths that are the same on every machine.
+    """
+    try:
+        terrain = header.read_dem()
+    except StoreMismatchError as error:
+        raise StoreMismatchError(
+            f"{error}; workers need the same files and the same releases of skyline and its "
+            "libraries"
+        ) from error
+    return plan.opened(terrain)
+
+
+def _write_jobs(
     folder: PartsFolder,
-    a_part_s: float,
-    job: tuple[int, Any],
+    part_size: PartSize,
+    renderer: JobRenderer,
+    jobs: Mapping[int, Any],
     tell: Tell,
 ) -> tuple[list[Path], int]:
-    """Render a job in a worker and write it; return its parts, and the rows rendered for them.
-
-    The worker keeps terrain and renderer for the next job of a build, which has an identifier.
-    All calls in a process must come from one thread, which owns the OpenGL context. The store's
-    header has the DEM's files, by paths that are the same on every machine.
-    """
-    if build not in _open_renderer:
-        while _open_renderer:
-            _open_renderer.popitem()[1].renderer.release()
-        try:
-            terrain = header.read_dem()
-        except StoreMismatchError as error:
-            raise StoreMismatchError(
-                f"{error}; workers need the same files and the same releases of skyline and its "
-                "libraries"
-            ) from error
-        _open_renderer[build] = plan.opened(terrain)
-    writer = JobWriter(_open_renderer[build], folder, a_part_s, tell)
-    writer.write(dict([job]))
+    """Render numbered jobs and write them; return their parts, and the rows rendered for them."""
+    writer = JobWriter(renderer, folder, part_size, tell)
+    writer.write(jobs)
     return writer.written, writer.rendered
-
-
-_open_renderer: dict[str, JobRenderer] = {}
-"""The renderer that this worker keeps, by the build."""
 
 
 def _on_workers(
     runner: Runner,
     header: StoreHeader,
     plan: Plan,
-    folder: PartsFolder,
-    a_part_s: float,
+    write: Callable[[JobRenderer, Mapping[int, Any], Tell], tuple[list[Path], int]],
     left: Mapping[int, Any],
     count: _Count,
 ) -> tuple[list[Path], int]:
-    """Render and write jobs by a runner; return their parts, and the rows rendered for them.
+    """Write each job by a runner; return their parts, and the rows rendered for them.
 
     Raises at the end the error of the jobs if all of them failed with the same one, and
     `BuildError` with the numbers of the first few otherwise.
@@ -351,13 +356,14 @@ def _on_workers(
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
-        plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
+        plan = replace(plan, viewpoints=plan.viewpoints[:0])
     names = [f"job {number}" for number in left]
     written: list[Path] = []
     rendered = 0
     failures: dict[str, SkylineError] = {}
-    write = partial(_write_job, uuid4().hex, plan, header, folder, a_part_s)
-    outcomes = runner(write, list(left.items()), names, count.add)
+    opening = Opening(uuid4().hex, partial(_opened_by_worker, plan, header))
+    jobs = [{number: job} for number, job in left.items()]
+    outcomes = runner(write, opening, jobs, names, count.add)
     for name, outcome in zip(names, outcomes, strict=True):
         if isinstance(outcome, SkylineError):
             failures[name] = outcome
@@ -370,9 +376,9 @@ def _on_workers(
         if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
             raise failures[names[0]]
         named = [f"{name} ({error})" for name, error in failures.items()]
-        more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+        more = f" and {len(named) - 5} more" if len(named) > 5 else ""
         raise BuildError(
-            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:_NAMED])}{more}. The "
+            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:5])}{more}. The "
             "others are kept: mend the cause and give the same command, which continues with the "
             "rest"
         )

@@ -7,22 +7,15 @@ died or the job failed, and returns its result or its error.
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 from uuid import uuid4
 
 from skyline.errors import BuildError, InputError, SkylineError, library
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-RETRIES = 2
-"""Further attempts at a job that raised an error. A job whose worker died is tried again on
-another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
 _CONNECT_S = 10
 
@@ -32,37 +25,89 @@ _LOG = "from skyline.errors import start_logging; start_logging()"
 
 _log = logging.getLogger(__name__)
 
-# One thread a process does all jobs: an OpenGL context belongs to the thread that made it, and
-# dask may run tasks on several.
-_job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
+
+class Tool(Protocol):
+    """What the jobs of a run work with: a renderer or a matcher."""
+
+    def release(self) -> None:
+        """Free its memory."""
+
+
+K = TypeVar("K", bound=Tool)
+T = TypeVar("T")
+R = TypeVar("R")
+
+Tell = Callable[..., object]
+"""Called by a job with numbers or texts, which reach the process that waits for the job."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opening(Generic[K]):
+    """Describes the tool of a run, for the workers that open it; it can be pickled."""
+
+    key: Hashable
+    """Equal for two openings of the same tool."""
+    open: Callable[[], K]
+
+
+class Bench:
+    """A worker's place for jobs: the one thread that does them, and the tool they left open.
+
+    One thread does all jobs, since an OpenGL context belongs to the thread that made it, and dask
+    may run tasks on several.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
+        self._key: Hashable = None
+        self._tool: Any = None
+
+    def do(self, work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, tell: Tell) -> R:
+        """Return the result of ``work(tool, item, tell)``, in the thread for jobs.
+
+        The tool stays open for the next job, and is released before another one is opened: two
+        elevation models never take memory at once.
+        """
+        return self._thread.submit(lambda: work(self._opened(opening), item, tell)).result()
+
+    def _opened(self, opening: Opening[K]) -> K:
+        if self._tool is None or self._key != opening.key:
+            if self._tool is not None:
+                self._tool.release()
+            self._tool = None
+            self._tool = opening.open()
+            self._key = opening.key
+        tool: K = self._tool
+        return tool
 
 
 @dataclass(frozen=True, slots=True)
 class Runner:
-    """Runs the same function on many items, on the workers of a dask client.
-
-    Work and items must be picklable.
-    """
+    """Runs the same function on many items, on the workers of a dask client."""
 
     client: Any
+    retries: int = 2
+    """Further attempts at a job that raised an error. A job whose worker died is tried again on
+    another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
     def __call__(
         self,
-        work: Callable[..., R],
+        work: Callable[[K, T, Tell], R],
+        opening: Opening[K],
         items: Sequence[T],
         names: Sequence[str],
-        listen: Callable[..., object] | None = None,
+        listen: Tell | None = None,
     ) -> Iterator[R | SkylineError]:
-        """Run ``work`` on every item; ``names`` are distinct names of the items.
+        """Call ``work`` with the opened tool and each item, all of which can be pickled.
 
         Yields results in the items' order, each as soon as those before it are done. A job that
         failed at its last attempt yields its error, as a `BuildError` unless it is a
-        `SkylineError`. With ``listen`` work is given a second argument, a function: what a job
-        calls it with, numbers or texts, ``listen`` is called with here, in this thread.
+        `SkylineError`. ``names`` are distinct names of the items. Whatever a job calls its third
+        argument with, ``listen`` is called with here, in this thread.
 
         Raises `BuildError` if the scheduler is lost.
         """
-        run, submit = uuid4().hex[:8], self.client.submit
+        run = uuid4().hex[:8]
         topic = f"skyline-{run}" if listen else None
         heard: SimpleQueue[Any] = SimpleQueue()
         if listen:
@@ -71,8 +116,12 @@ class Runner:
             # The viewpoints make the graph large, so it is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [
-                submit(
-                    _do_alone, work, item, topic, key=f"{name}-{run}", retries=RETRIES, pure=False
+                self.client.submit(
+                    _do_on_bench,
+                    *(work, opening, item, topic),
+                    key=f"{name}-{run}",
+                    retries=self.retries,
+                    pure=False,
                 )
                 for name, item in zip(names, items, strict=True)
             ]
@@ -152,16 +201,19 @@ def _distributed() -> Any:
     return distributed
 
 
-def _do_alone(work: Callable[..., R], item: T, topic: str | None) -> R:
-    """Do a job in the thread for jobs, with a function that tells the client if it listens."""
-    if topic is None:
-        return _job_thread.submit(work, item).result()
+def _do_on_bench(
+    work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, topic: str | None
+) -> R:
+    """Do a job in a dask worker; what it tells is an event of the topic, if there is one."""
     worker = _distributed().get_worker()
 
     def tell(*message: float | str) -> None:
-        worker.log_event(topic, message)
+        if topic is not None:
+            worker.log_event(topic, message)
 
-    return _job_thread.submit(work, item, tell).result()
+    # The worker keeps its bench. Of tasks that begin together, the first sets it for all.
+    bench: Bench = vars(worker).setdefault("skyline_bench", Bench())
+    return bench.do(work, opening, item, tell)
 
 
 def _outcome(future: Any) -> Any:

@@ -18,25 +18,29 @@ import numpy as np
 from skyline.arrays import Complex128Array
 from skyline.errors import StoreError
 from skyline.skylines import HEADINGS
+from skyline.store.check import is_whole
 from skyline.store.header import RENDERINGS, Columns, StoreHeader, explained
 from skyline.store.read import open_store
-from skyline.store.write import is_whole, write_store
+from skyline.store.write import write_store
 from skyline.survey.plans import JobRenderer
 from skyline.terrain.viewpoints import Viewpoints
-
-A_PART_S = 2.5
-"""Seconds of work after which a part is written, when the rendering in hand is done. A part takes
-twelve milliseconds to write and to merge, half a percent of that."""
-
-_A_PART_BYTES = 1 << 28
-"""Bytes of rows after which a part is written, however fast they were rendered: so much memory is
-taken by rows that wait."""
 
 _FINISHED = re.compile(r"[a-z]+-(\d+)-(\d+)-of-(\d+)\.h5")
 _BEGUN = re.compile(r"[a-z]+-(\d+)-from-(\d+)-of-(\d+)\.h5")
 
-Tell = Callable[[int, int], object]
+CountRows = Callable[[int, int], object]
 """Called with the number of rows just rendered, and `JobRenderer.expected`."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartSize:
+    """How much work a part keeps; it is written when the rendering in hand is done."""
+
+    seconds: float = 2.5
+    """Time of rendering. A part takes twelve milliseconds to write and to merge, half a percent of
+    the default."""
+    most_bytes: int = 1 << 28
+    """Greatest size of the rows that wait in memory, however fast they are rendered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +86,20 @@ class JobWriter:
     """
 
     def __init__(
-        self, renderer: JobRenderer, folder: PartsFolder, a_part_s: float, tell: Tell
+        self, renderer: JobRenderer, folder: PartsFolder, size: PartSize, tell: CountRows
     ) -> None:
         self.written: list[Path] = []
         self.rendered = 0
-        self._renderer, self._folder, self._tell = renderer, folder, tell
-        self._a_part_s = a_part_s
+        self._renderer = renderer
+        self._folder = folder
+        self._size = size
+        self._tell = tell
         self._finished: dict[int, Columns] = {}
         """The rows of finished jobs that follow each other, and that no part has yet."""
-        self._job, self._row = 0, 0
-        """The job in hand, and how many of its rows lie in begun parts."""
+        self._job = 0
+        """The job in hand."""
+        self._row = 0
+        """The number of its rows that lie in begun parts."""
         self._begun: Columns = {}
         """The rows in begun parts that the job has not called for yet."""
         self._rendered: list[Columns] = []
@@ -104,7 +112,8 @@ class JobWriter:
         for number, job in jobs.items():
             if self._finished and number - 1 not in self._finished:
                 self._keep()
-            self._job, self._row = number, 0
+            self._job = number
+            self._row = 0
             self._begun = self._read_begun(number)
             before = _eyes_of(self._renderer.begun, self._begun)
             rows = self._renderer.rows(job, self._look)
@@ -146,13 +155,14 @@ class JobWriter:
 
     @property
     def _is_due(self) -> bool:
-        return time.monotonic() >= self._due_s or self._bytes >= _A_PART_BYTES
+        return time.monotonic() >= self._due_s or self._bytes >= self._size.most_bytes
 
     def _count(self, rows: Columns) -> None:
         self._bytes += sum(values.nbytes for values in rows.values())
 
     def _restart(self) -> None:
-        self._due_s, self._bytes = time.monotonic() + self._a_part_s, 0
+        self._due_s = time.monotonic() + self._size.seconds
+        self._bytes = 0
 
     def _keep(self) -> None:
         """Write the rows that no part has yet."""

@@ -11,6 +11,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
+from skyline.render.context import Releasable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
@@ -32,12 +33,6 @@ DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
 the share of views that a plan loses: a small area gets fewer places, so that it loses the first
 share, and a large area more, so that it loses no more than the second."""
 
-_PLACES_A_JOB, _VIEWPOINTS_A_JOB = 4096, 1024
-"""Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
-_PLACES_AT_ONCE, _VIEWPOINTS_AT_ONCE = 512, 64
-"""Viewpoints that are rendered at once, between which parts can be written: up to a second of work
-without a GPU. Fewer take longer each: 64 places 16 % longer, 36 places 25 %."""
-
 _MOST_VIEWPOINTS = 50_000_000
 """Viewpoints of the largest uniform grid."""
 _LEAST_COVERED = 0.9
@@ -55,13 +50,23 @@ Look = Callable[[Viewpoints], Columns]
 
 
 @dataclass(frozen=True, slots=True)
-class JobRenderer:
+class JobSize:
+    """Numbers of viewpoints into which the work of a plan is cut."""
+
+    whole: int
+    """Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
+    at_once: int
+    """Viewpoints that are rendered at once, between which parts can be written: up to a second of
+    work without a GPU. Fewer take longer each: 64 places 16 % longer, 36 places 25 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class JobRenderer(Releasable):
     """Renders jobs of one plan.
 
     Attributes
     ----------
     renderer : ColumnRenderer
-        Frees its memory on the GPU, as a context manager at the end.
     header : StoreHeader
         Header of the store, with the renderer's name.
     look : callable
@@ -85,19 +90,24 @@ class JobRenderer:
     rows: Callable[[Any, Look], Columns]
     expected: int = 0
 
+    def release(self) -> None:
+        """Free the renderer's memory on the GPU."""
+        self.renderer.release()
+
 
 @dataclass(frozen=True, slots=True)
 class PlacePlan:
     """The plan of a store of places, on a uniform grid or as far apart as the skyline allows.
 
-    Its settings are the parameters of `skyline.build_places`. Raises `InputError` for both a
-    spacing and a number of places.
+    Its settings are the parameters of `skyline.build_places`; ``job_size`` changes no byte of the
+    store. Raises `InputError` for both a spacing and a number of places.
     """
 
     spacing_m: float | None = None
     bounds_deg: Bounds | None = None
     places: int | None = None
     curvature: Curvature = field(default_factory=Curvature)
+    job_size: JobSize = JobSize(4096, 512)
 
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
@@ -126,7 +136,7 @@ class PlacePlan:
         """
         area = _area_to_build(terrain, self.bounds_deg)
         if self.spacing_m is not None:
-            return _cut(uniform_grid(terrain, self.spacing_m, area), _PLACES_A_JOB)
+            return _cut(uniform_grid(terrain, self.spacing_m, area), self.job_size)
         if self.places is not None and self.places < 1:
             raise InputError(f"{self.places} places are asked for; expected at least 1")
         return blocks_of(area)
@@ -135,7 +145,7 @@ class PlacePlan:
         """Return a renderer of the jobs; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        at_once = _PLACES_AT_ONCE if renderer.is_resident else _PLACES_A_JOB
+        at_once = self.job_size.at_once if renderer.is_resident else self.job_size.whole
         if self.spacing_m is not None:
             half_m = self.spacing_m / 2.0
             return JobRenderer(
@@ -182,11 +192,14 @@ class RenderingPlan:
     settings : dict
         Description of the viewpoints, for the header.
     config : RenderConfig
+    job_size : JobSize
+        Changes no byte of the store.
     """
 
     viewpoints: Viewpoints
     settings: dict[str, object]
     config: RenderConfig = field(default_factory=RenderConfig)
+    job_size: JobSize = JobSize(1024, 64)
 
     @classmethod
     def given(cls, viewpoints: Viewpoints, config: RenderConfig) -> Self:
@@ -215,7 +228,7 @@ class RenderingPlan:
 
     def jobs(self, _: HeightField) -> list[Viewpoints]:
         """Return the jobs of the build: viewpoints to render."""
-        return _cut(self.viewpoints, _VIEWPOINTS_A_JOB)
+        return _cut(self.viewpoints, self.job_size)
 
     def opened(self, terrain: HeightField) -> JobRenderer:
         """Return a renderer of the jobs."""
@@ -226,7 +239,7 @@ class RenderingPlan:
             header,
             lambda eyes: rendering_columns(header, renderer.render(eyes)),
             header,
-            _VIEWPOINTS_AT_ONCE if renderer.is_resident else _VIEWPOINTS_A_JOB,
+            self.job_size.at_once if renderer.is_resident else self.job_size.whole,
             lambda eyes, look: look(eyes),
         )
 
@@ -377,5 +390,7 @@ def lattice_m(
     )
 
 
-def _cut(viewpoints: Viewpoints, size: int) -> list[Viewpoints]:
-    return [viewpoints[first : first + size] for first in range(0, len(viewpoints), size)]
+def _cut(viewpoints: Viewpoints, size: JobSize) -> list[Viewpoints]:
+    """Return the jobs of viewpoints, in order."""
+    starts = range(0, len(viewpoints), size.whole)
+    return [viewpoints[start : start + size.whole] for start in starts]

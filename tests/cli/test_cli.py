@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,8 +18,9 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import read_dem, stand_on
 from skyline.store.read import open_store
-from skyline.survey import plans
 from skyline.survey.build import build_store
+from skyline.survey.parts import PartSize
+from skyline.survey.plans import JobSize
 from skyline_bench.truth import oracle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -94,18 +96,19 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
 @pytest.mark.parametrize("command", ["build", "render"])
 def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monkeypatch, command):
     out, whole = tmp_path / "store.h5", tmp_path / "all.h5"
-    monkeypatch.setattr(plans, "_PLACES_AT_ONCE", 300)
-    monkeypatch.setattr(plans, "_VIEWPOINTS_AT_ONCE", 3)
+    size = JobSize(4096, 300) if command == "build" else JobSize(1024, 3)
     options = ("--spacing", 80) if command == "build" else ("--grid", 900, "--width", 64)
 
     def stop(done, _total):
         if done >= (600 if command == "build" else 24):
             raise KeyboardInterrupt
 
+    def build_until_stopped(terrain, path, plan, runner, _):
+        plan = replace(plan, job_size=size)
+        return build_store(terrain, path, plan, runner, stop, PartSize(seconds=0.0))
+
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "skyline.cli.build.build_store", lambda *given: build_store(*given[:-1], stop, 0.0)
-        )
+        patch.setattr("skyline.cli.build.build_store", build_until_stopped)
         done = run(command, dem, "-o", out, *options)
     assert done.code == 130
     assert "the same command continues" in done.err

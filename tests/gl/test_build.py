@@ -1,17 +1,20 @@
 """Builds: the store equals the renderings, on any workers and however often the build broke.
 
-Jobs are small here, and what was rendered is written at once (``a_part_s=0.0``) where a build is to
-be stopped.
+Jobs are small here, and what was rendered is written at once (`AT_ONCE`) where a build is to be
+stopped.
 """
 
 import os
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,13 +24,16 @@ from skyline import RenderConfig, read_dem, render_to_store, stand_on
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
+from skyline.store.check import check_store
+from skyline.store.merge import merge_stores
 from skyline.store.places import BINS, Places
 from skyline.store.read import open_store, parts_folder
-from skyline.store.write import check_store, merge_stores
-from skyline.survey import build, cluster, lattices, parts, plans
+from skyline.store.write import write_store
+from skyline.survey import lattices, plans
 from skyline.survey.build import build_places, build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.plans import PlacePlan, RenderingPlan, uniform_grid
+from skyline.survey.parts import PartSize
+from skyline.survey.plans import JobSize, RenderingPlan, uniform_grid
 
 SPACING_M = 120.0
 PLACES = 1500
@@ -36,12 +42,14 @@ BESIDE = lattices.NODES_AROUND * 6
 CONFIG = RenderConfig(width=64)
 
 
-@pytest.fixture(autouse=True)
-def small_jobs(monkeypatch):
-    monkeypatch.setattr(plans, "_PLACES_A_JOB", 400)
-    monkeypatch.setattr(plans, "_VIEWPOINTS_A_JOB", 30)
-    monkeypatch.setattr(plans, "_PLACES_AT_ONCE", 100)
-    monkeypatch.setattr(plans, "_VIEWPOINTS_AT_ONCE", 8)
+AT_ONCE = PartSize(seconds=0.0)
+AT_THE_END = PartSize(seconds=1e9)
+
+PlacePlan = partial(plans.PlacePlan, job_size=JobSize(400, 100))
+
+
+def rendering_plan(*given):
+    return replace(RenderingPlan.uniform(*given), job_size=JobSize(30, 8))
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +64,7 @@ def plan_of(terrain, kind):
         return PlacePlan(places=PLACES)
     if kind == "uniform":
         return PlacePlan(150.0)
-    return RenderingPlan.uniform(terrain, 700.0, None, CONFIG)
+    return rendering_plan(terrain, 700.0, None, CONFIG)
 
 
 @pytest.fixture(scope="module", params=["planned", "renderings"])
@@ -88,7 +96,7 @@ def begin(terrain, path, plan):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_store(terrain, path, plan, progress=stop, a_part_s=0.0)
+        build_store(terrain, path, plan, progress=stop, part_size=AT_ONCE)
     assert not path.exists()
     return parts_of(path)
 
@@ -106,12 +114,17 @@ def rows_in(parts):
     return total
 
 
-def test_a_first_part_that_cannot_be_written_leaves_nothing(terrain, tmp_path, monkeypatch):
-    def write_nothing(*_):
-        raise StoreError("no space left on device")
+@pytest.fixture
+def no_large_files():
+    """Let this process write no file of more than 4096 bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
-    monkeypatch.setattr(parts, "write_store", write_nothing)
-    with pytest.raises(StoreError, match="no space"):
+
+def test_a_first_part_that_cannot_be_written_leaves_nothing(terrain, tmp_path, no_large_files):
+    with pytest.raises(StoreError, match="cannot be written"):
         build_places(terrain, tmp_path / "s.h5", SPACING_M)
     assert not list(tmp_path.iterdir())
 
@@ -169,7 +182,7 @@ class TestAreas:
 
         def of(box):
             if kind == "renderings":
-                return RenderingPlan.uniform(terrain, 700.0, box, CONFIG)
+                return rendering_plan(terrain, 700.0, box, CONFIG)
             return replace(plan, bounds_deg=box)
 
         for name in ("a", "b", "ab", "ba"):
@@ -221,15 +234,14 @@ class TestAreas:
         path = tmp_path / "s.h5"
         begun = begin(terrain, path, west)
         with monkeypatch.context() as patch:
-            write = build.write_store
 
             def write_late(part, *given):
                 if part.suffix == ".partial":  # The rows are merged, and not yet the store.
                     patch.undo()
                     build_store(terrain, path, east)
-                return write(part, *given)
+                return write_store(part, *given)
 
-            patch.setattr(build, "write_store", write_late)
+            patch.setattr("skyline.survey.build.write_store", write_late)
             with pytest.raises(StoreError, match=r"another build wrote .* run the same command"):
                 build_store(terrain, path, west)
         assert all(part.exists() for part in begun[:2])
@@ -275,7 +287,7 @@ class TestBroken:
 
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
-                build_store(terrain, path, plan, progress=stop, a_part_s=0.0)
+                build_store(terrain, path, plan, progress=stop, part_size=AT_ONCE)
             assert steps[-1][0] == rows_in(parts_of(path)) < 600
         assert steps[-1] == steps[-2], "the second one stopped before it had rendered anything"
         build_store(terrain, path, plan, progress=lambda *step: steps.append(step))
@@ -285,28 +297,27 @@ class TestBroken:
         assert 0 <= rendered.min() < rendered.max() <= 100, "progress after each rendering"
         assert done.rows == pytest.approx(steps[0][1], rel=0.1), "about as many as expected"
 
-    def test_jobs_that_take_little_have_one_part(self, terrain, tmp_path, monkeypatch):
+    def test_jobs_that_take_little_have_one_part(self, terrain, tmp_path):
         path, found = tmp_path / "s.h5", []
 
         def look(done, total):
             if done == total:
                 found[:] = [part.name for part in parts_of(path)]
 
-        monkeypatch.setattr(plans, "_PLACES_A_JOB", 5)
+        plan = PlacePlan(700.0, job_size=JobSize(5, 5))
         number = -(-len(uniform_grid(terrain, 700.0)) // 5)
-        build_store(terrain, path, PlacePlan(700.0), progress=look, a_part_s=1e9)
+        build_store(terrain, path, plan, progress=look, part_size=AT_THE_END)
         assert found == [f"places-00001-{number:05d}-of-{number:05d}.h5"]
 
-    def test_rows_that_take_much_memory_are_written_at_once(self, terrain, tmp_path, monkeypatch):
+    def test_rows_that_take_much_memory_are_written_at_once(self, terrain, tmp_path):
         """However fast they were rendered: all but the last rendering of a job of 400."""
         path, found = tmp_path / "s.h5", set()
-        monkeypatch.setattr(parts, "_A_PART_BYTES", 1)
         build_store(
             terrain,
             path,
             PlacePlan(200.0),
             progress=lambda *_: found.update(part.name for part in parts_of(path)),
-            a_part_s=1e9,
+            part_size=PartSize(seconds=1e9, most_bytes=1),
         )
         assert {f"places-00001-from-{row}-of-00005.h5" for row in (0, 100, 200, 300)} < found
 
@@ -345,15 +356,20 @@ class TestBroken:
             import time
             from pathlib import Path
             from skyline import read_dem
-            from skyline.survey import build, plans
-            plans._PLACES_AT_ONCE = 60
+            from skyline.survey.build import build_store
+            from skyline.survey.parts import PartSize
+            from skyline.survey.plans import JobSize, PlacePlan
             terrain = read_dem({list(terrain.provenance.files)!r})
-            plan = plans.PlacePlan({plan.spacing_m}, places={plan.places})
+            plan = PlacePlan(
+                {plan.spacing_m}, places={plan.places}, job_size=JobSize(400, 60)
+            )
             def progress(done, total):
                 print(done, flush=True)
                 if done > int(sys.argv[1]):
                     time.sleep(600.0)
-            build.build_store(terrain, Path("s.h5"), plan, progress=progress, a_part_s=0.0)
+            build_store(
+                terrain, Path("s.h5"), plan, progress=progress, part_size=PartSize(seconds=0.0)
+            )
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
         folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
@@ -395,7 +411,7 @@ class TestBroken:
                 shutil.copy(other / "s.h5", path)
                 shutil.rmtree(parts_folder(path))
 
-        done = build_store(terrain, path, plan, progress=finish, a_part_s=0.0)
+        done = build_store(terrain, path, plan, progress=finish, part_size=AT_ONCE)
         with open_store(path) as store:
             assert done.rows == len(store)
         assert path.read_bytes() == (other / "s.h5").read_bytes()
@@ -419,33 +435,30 @@ class TestWorkers:
         assert held < steps[len(steps) // 2][0] < steps[-1][0]
         assert threads == {threading.get_ident()}
 
-    def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
-        plan, path = PlacePlan(300.0), tmp_path / "s.h5"
-        build_store(terrain, tmp_path / "here.h5", plan)
-        monkeypatch.setattr(build, "_write_job", dying)
-        build_store(terrain, path, plan, runner)
-        assert (parts_folder(path).with_name("died")).exists()
+    def test_that_die_lose_no_part(self, terrain, runner, tmp_path):
+        path, mark = tmp_path / "s.h5", tmp_path / "died"
+        build_store(terrain, tmp_path / "here.h5", PlacePlan(300.0))
+        plan = DyingPlan(300.0, job_size=JobSize(400, 100), mark=mark)
+        build_store(terrain, path, plan, runner, part_size=AT_ONCE)
+        assert mark.exists()
         assert path.read_bytes() == (tmp_path / "here.h5").read_bytes()
 
-    def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path, monkeypatch):
+    def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path):
         plan, path = PlacePlan(150.0), tmp_path / "s.h5"
-        monkeypatch.setattr(cluster, "RETRIES", 0)
-        monkeypatch.setattr(build, "_write_job", failing)
+        second = plan.jobs(terrain)[1][0]
+        failing = FailingPlan(150.0, job_size=plan.job_size, at_m=second.easting_m)
         message = r"1 of \d+ jobs failed: job 2 \(no room"
         with pytest.raises(BuildError, match=message) as failed:
-            build_store(terrain, path, plan, runner)
+            build_store(terrain, path, failing, replace(runner, retries=0))
         assert "\n" not in str(failed.value)
-        monkeypatch.undo()
-        monkeypatch.setattr(plans, "_PLACES_A_JOB", 400)
         done = build_store(terrain, path, plan)
         assert 0 < done.rendered <= 400
 
-    def test_with_another_dem_are_refused(self, terrain, runner, tmp_path, monkeypatch):
-        monkeypatch.setattr(cluster, "RETRIES", 0)
+    def test_with_another_dem_are_refused(self, terrain, runner, tmp_path):
         other = read_dem([write_dem(tmp_path / "dem.tif", fractal(60, 60, 200.0, seed=1))])
         write_dem(tmp_path / "dem.tif", fractal(60, 60, 200.0, seed=2))
         with pytest.raises(StoreMismatchError, match="workers need the same files"):
-            build_store(other, tmp_path / "s.h5", PlacePlan(80.0), runner)
+            build_store(other, tmp_path / "s.h5", PlacePlan(80.0), replace(runner, retries=0))
 
     def test_need_a_dem_in_files(self, runner, tmp_path):
         field = field_of(fractal(40, 40, 200.0, seed=1), 30.0)
@@ -454,24 +467,37 @@ class TestWorkers:
         assert list(tmp_path.iterdir()) == []
 
 
-write_job = build._write_job
+@dataclass(frozen=True)
+class DyingPlan(plans.PlacePlan):
+    """Its first worker dies after it has rendered 300 places."""
+
+    mark: Path = Path()
+
+    def opened(self, terrain):
+        renderer, rendered = super().opened(terrain), []
+
+        def look(eyes):
+            rendered.append(len(eyes))
+            if sum(rendered) > 300 and not self.mark.exists():
+                self.mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            return renderer.look(eyes)
+
+        return replace(renderer, look=look)
 
 
-def dying(build, plan, header, folder, a_part_s, job, tell):
-    """Write a job, but the first worker dies at the second one, after some of it."""
-    mark = folder.path.parents[1] / "died"
+@dataclass(frozen=True)
+class FailingPlan(plans.PlacePlan):
+    """The job that begins at an easting cannot be rendered."""
 
-    def die(rows, expected):
-        if rows and job[0] == 2 and not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        tell(rows, expected)
+    at_m: float = 0.0
 
-    return write_job(build, plan, header, folder, a_part_s, job, die)
+    def opened(self, terrain):
+        renderer = super().opened(terrain)
 
+        def rows(eyes, look):
+            if eyes.easting_m[0] == self.at_m:
+                raise StoreError("no room")
+            return renderer.rows(eyes, look)
 
-def failing(build, plan, header, folder, a_part_s, job, tell):
-    """Write a job, but one cannot be written."""
-    if job[0] == 2:
-        raise StoreError("no room")
-    return write_job(build, plan, header, folder, a_part_s, job, tell)
+        return replace(renderer, rows=rows)

@@ -14,13 +14,12 @@ from unittest.mock import MagicMock
 import pytest
 
 from skyline.errors import ContextError, InputError
-from skyline.render import context as context_module
-from skyline.render.context import acquire_context, release_context
+from skyline.render.context import GlContext, acquire_context, best_device, release_context
 
 
-def cleared() -> list[int]:
+def cleared(context: GlContext) -> list[int]:
     """Return the pixel of an image that is cleared to green."""
-    target = acquire_context().ctx.simple_framebuffer((1, 1), components=4)
+    target = context.ctx.simple_framebuffer((1, 1), components=4)
     target.clear(0.0, 1.0, 0.0, 1.0)
     return list(target.read(components=4))
 
@@ -30,12 +29,11 @@ GREEN = [0, 255, 0, 255]
 PRELUDE = f"""
 import json, os, sys, threading
 from skyline.errors import ContextError
-from skyline.render import context
-from skyline.render.context import acquire_context, describe_context, release_context
+from skyline.render.context import GlContext, GlLibraries, SharedContext, acquire_context
 
-def refusal():
+def refusal(acquire=acquire_context):
     try:
-        acquire_context()
+        acquire()
     except ContextError as error:
         return error
 
@@ -62,7 +60,7 @@ def test_one_context_is_shared_and_a_released_one_is_made_anew():
     release_context()
     after = acquire_context()
     assert after is not before
-    assert cleared() == GREEN
+    assert cleared(acquire_context()) == GREEN
 
 
 def test_another_thread_is_refused():
@@ -73,7 +71,7 @@ def test_another_thread_is_refused():
             pytest.raises(ContextError, match="'intruder_0'"),
         ):
             pool.submit(function).result()
-    assert cleared() == GREEN
+    assert cleared(acquire_context()) == GREEN
 
 
 def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone():
@@ -106,8 +104,12 @@ def test_an_unknown_backend_names_those_known(monkeypatch):
     ],
 )
 def test_osmesa_can_be_forced_and_comes_after_a_failing_egl(egl_library, environment, reason):
-    code = f"context._EGL_LIBRARY = {egl_library!r}\nprint(json.dumps(describe_context()))"
-    lines = run_python(f"{code}\nprint(cleared())", **environment)
+    code = f"""
+        context = SharedContext(GlLibraries(egl={egl_library!r})).acquire()
+        print(json.dumps(context.facts()))
+        print(cleared(context))
+    """
+    lines = run_python(code, **environment)
     described, pixel = map(json.loads, lines)
     assert described["backend"] == "osmesa"
     assert reason in described["reason"]
@@ -116,9 +118,8 @@ def test_osmesa_can_be_forced_and_comes_after_a_failing_egl(egl_library, environ
 
 def test_without_opengl_the_error_has_all_attempts_and_the_packages():
     (line,) = run_python("""
-        context._EGL_LIBRARY = "libNoEGL.so.1"
-        context._OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
-        print(refusal())
+        none = GlLibraries("libNoEGL.so.1", ("libNoOSMesa.so.8", "libNoOSMesa.so.6"))
+        print(refusal(SharedContext(none).acquire))
     """)
     assert line.startswith("no OpenGL context of version 4.3 or newer; tried egl, ")
     assert "libNoEGL.so.1 not loaded" in line
@@ -159,9 +160,8 @@ def test_a_gpu_is_preferred_among_devices(monkeypatch, devices, chosen):
         return context
 
     named = [(name, partial(make, name)) for name in devices]
-    monkeypatch.setattr(context_module, "_devices", lambda _: named)
-    monkeypatch.setattr(context_module.moderngl, "create_context", wrap)
-    best = context_module._best_device("egl", [])
+    monkeypatch.setattr("moderngl.create_context", wrap)
+    best = best_device("egl", named, [])
     assert (best and best.device) == chosen
     assert current[-1:] == [chosen] * bool(chosen)
     kept = [name for name, native in made.items() if not native.release.called]

@@ -7,8 +7,9 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.paper import plan as planning
 from skyline.paper.plan import PlanConfig, lay_out, plan
-from skyline.paper.strategies import STRATEGIES
+from skyline.paper.strategies import PLANNERS, arov
 from skyline.paper.verify import wilson_interval
+from skyline.plugins import names_of
 from skyline.skylines import Views
 from skyline.survey.plans import uniform_grid
 from skyline_bench.paper import TABLE_1, Simulation, simulate
@@ -16,7 +17,7 @@ from skyline_bench.paper import TABLE_1, Simulation, simulate
 SPACING = {"coarse_m": 300.0, "candidate_m": 30.0}
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", names_of(PLANNERS))
 def test_the_same_seed_plans_the_same(terrain, name):
     first, again = (run_plan(terrain, views_at, name).views for _ in range(2))
     np.testing.assert_array_equal(first.easting_m, again.easting_m)
@@ -26,7 +27,7 @@ def test_the_same_seed_plans_the_same(terrain, name):
 def test_areas_of_table_1_are_as_large_as_the_papers():
     """Its mean tolerance areas follow from its (A) and (B): 44, about 195 and 82 cells."""
     for row, size in zip(TABLE_1, (44.0, 195.0, 82.0), strict=True):
-        areas = simulate(Simulation(row), STRATEGIES["arov"], seed=0)[0].areas
+        areas = simulate(Simulation(row), arov, seed=0)[0].areas
         assert np.count_nonzero(areas) / len(areas) == pytest.approx(size, rel=0.2)
 
 
@@ -60,7 +61,7 @@ def run_plan(terrain, render, name="lpov"):
     return plan(terrain, render, PlanConfig(name, **SPACING, coverage=0.9))
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", names_of(PLANNERS))
 def test_holes_and_the_border_are_never_chosen(terrain, name):
     done = run_plan(terrain, views_at, name)
     assert done.coverage >= 0.9

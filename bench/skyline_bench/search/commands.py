@@ -18,7 +18,8 @@ from skyline.errors import InputError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
-from skyline.paper.strategies import STRATEGIES
+from skyline.paper.strategies import PLANNERS
+from skyline.plugins import names_of
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import read_dem
@@ -299,7 +300,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         ] = None,
         strategy: Annotated[
             Names,
-            Option(help=f"Of the paper's plans, of {', '.join(STRATEGIES)}; by default lpov."),
+            Option(help=f"Planners of the paper's plans: {', '.join(names_of(PLANNERS))} [lpov]."),
         ] = None,
         store: Annotated[
             list[Path] | None,
