@@ -68,9 +68,9 @@ def rotation(heading: int) -> Float64Array:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
+def elevation_deg(v: Float64Array, u: Float64Array) -> Float64Array:
     """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
-    return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
+    return np.degrees(np.arctan(v * np.cos(np.arctan(u))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class Views(Rows):
         The eye, in the DEM's frame and above its datum.
     heading : (N,) uint8
         0, 1, 2, 3 = grid north, east, south, west.
-    elevation_tan : (N, W) float32 (float64 from the oracle)
+    v : (N, W) float32 (float64 from the oracle)
         Image-plane ordinate v of the skyline; NaN where a column meets no data.
     depth_m : (N, W) float32 (float64 from the oracle)
         Forward distance of the skyline; NaN where a column meets no data.
@@ -95,14 +95,14 @@ class Views(Rows):
     northing_m: Float64Array
     eye_elevation_m: Float64Array
     heading: UInt8Array
-    elevation_tan: FloatArray
+    v: FloatArray
     depth_m: FloatArray
     flags: UInt8Array
 
     @property
     def width(self) -> int:
         """Number of columns W."""
-        return int(self.elevation_tan.shape[1])
+        return int(self.v.shape[1])
 
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
@@ -115,14 +115,12 @@ class Views(Rows):
 
     def elevation_deg(self) -> Float64Array:
         """Return elevation angles of the skyline, shape (N, W), degrees."""
-        return elevation_deg(self.elevation_tan.astype(np.float64), columns_u(self.width))
+        return elevation_deg(self.v.astype(np.float64), columns_u(self.width))
 
     def skyline_points_m(self) -> Float64Array:
         """Return the skyline's 3-D points X_i, shape (N, W, 3): east, up, north minus the eye."""
         depth = self.depth_m.astype(np.float64)
-        camera = np.stack(
-            [columns_u(self.width) * depth, self.elevation_tan * depth, depth], axis=-1
-        )
+        camera = np.stack([columns_u(self.width) * depth, self.v * depth, depth], axis=-1)
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
 
@@ -141,18 +139,18 @@ def raised_to_dip(
     """
     if curvature.drop_per_m2 <= 0.0:
         return views
-    kind, below_m = views.elevation_tan.dtype, np.maximum(views.eye_elevation_m - lowest_m, 0.0)
+    kind, below_m = views.v.dtype, np.maximum(views.eye_elevation_m - lowest_m, 0.0)
     away_m = np.sqrt(below_m / curvature.drop_per_m2)[:, np.newaxis]
     stretch = np.hypot(1.0, abscissa)
     dip_tan = (-2.0 * curvature.drop_per_m2 * away_m * stretch).astype(kind)
     depth_m = (away_m / stretch).astype(kind)
     # Samples of a sea that reaches the horizon lie up to a spacing nearer, and a little lower.
-    is_lower = (views.elevation_tan < dip_tan) & (views.depth_m < _NEARER * depth_m)
+    is_lower = (views.v < dip_tan) & (views.depth_m < _NEARER * depth_m)
     if not is_lower.any():
         return views
     return replace(
         views,
-        elevation_tan=np.where(is_lower, dip_tan, views.elevation_tan),
+        v=np.where(is_lower, dip_tan, views.v),
         depth_m=np.where(is_lower, depth_m, views.depth_m),
         flags=views.flags | np.where(is_lower, np.uint8(FLAG_TRUNCATED), np.uint8(0)),
     )
@@ -192,7 +190,7 @@ def quadrants(
     position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
     left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
     share, cosine = (position - left).astype(dtype), np.cos(azimuth).astype(dtype)
-    v = np.where(views.flags & unusable, np.nan, views.elevation_tan).astype(dtype)
+    v = np.where(views.flags & unusable, np.nan, views.v).astype(dtype)
     # v is linear between columns (exactly so along a straight edge); depth may jump.
     y = (v[:, left] * (1 - share) + v[:, left + 1] * share) * cosine
     return y, left + (share > 0.5), cosine

@@ -127,7 +127,7 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints) -> Facts:
     place = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
     eye_m, reach_m = float(eye.eye_elevation_m[0]), terrain.reach_m(**place)
     sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
-    short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
+    short = np.nanmax(exact.v - given.v, initial=0.0)
     depth_m = exact.depth_m
     return {
         **place,
