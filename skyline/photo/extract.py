@@ -44,12 +44,12 @@ _SAMPLES = 500
 """Least number of pixels sampled from a row; shorter rows are read whole."""
 
 TRUST_THRESHOLD = 0.7
-"""Columns of lower confidence are masked; `skyline-bench sky-masks` measures how many are, and how
+"""Columns of lower trust are masked; `skyline-bench sky-masks` measures how many are, and how
 many of the others are right."""
 _MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""
 _SMOOTHED_PX = 9
-"""Working columns over which confidence is averaged."""
+"""Working columns over which trust is averaged."""
 
 STEPS = (8, 0.1, 3.0)
 """Arguments ``reach``, ``price_per_row`` and ``jump_price`` of `shortest_path` at working size."""
@@ -107,7 +107,7 @@ def extract_skyline(image: UInt8Array) -> PhotoSkyline:
     or shows no skyline.
     """
     extraction = Extraction.of(image)
-    query = extraction.query(extraction.row_px, extraction.confidence)
+    query = extraction.query(extraction.row_px, extraction.trust)
     content = extraction.content
     share = float(query.trusted[content.left : content.right].mean())
     if share < _MIN_TRUSTED_SHARE:
@@ -135,21 +135,21 @@ class Content:
         return image[self.top : self.bottom, self.left : self.right]
 
     def skyline(
-        self, row_px: Float64Array, confidence: Float64Array, crests: Float64Array | None = None
+        self, row_px: Float64Array, trust: Float64Array, crests: Float64Array | None = None
     ) -> PhotoSkyline:
         """Return the skyline of the image from the rows (w,) and crests (3, w) of its photo.
 
         Columns without a row (NaN) and columns beside the photo are masked.
         """
-        rows, confidences = np.full(self.width, np.nan), np.zeros(self.width)
+        rows, trusts = np.full(self.width, np.nan), np.zeros(self.width)
         inside = slice(self.left, self.right)
         rows[inside] = row_px + self.top
-        confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
+        trusts[inside] = np.where(np.isfinite(row_px), trust, 0.0)
         whole = None
         if crests is not None:
             whole = np.full((_CRESTS, self.width), np.nan)
             whole[:, inside] = crests + self.top
-        return PhotoSkyline(rows, confidences, self.width, self.height, crests=whole)
+        return PhotoSkyline(rows, trusts, self.width, self.height, crests=whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ class Evidence:
     """(h, w) float32. Cost of a path through the pixel: a full edge is worth a factor e in
     probability."""
 
-    def confidence(self, row: IntArray) -> Float64Array:
+    def trust(self, row: IntArray) -> Float64Array:
         """Return the probability (w,) that the skyline runs along a path (w,)."""
         height, width = self.share.shape
         summed = np.vstack([np.zeros((1, width)), np.cumsum(self.share, axis=0, dtype=np.float64)])
@@ -204,8 +204,8 @@ class Extraction:
     path: IntArray
     """(w,) intp. The cheapest path at working size."""
     row_px: Float64Array
-    confidence: Float64Array
-    """``row_px``, ``confidence``: (W,) float64. Row and confidence of every column of the photo,
+    trust: Float64Array
+    """``row_px``, ``trust``: (W,) float64. Row and trust of every column of the photo,
     trusted or not."""
 
     @classmethod
@@ -215,22 +215,22 @@ class Extraction:
         photo = content.crop(image)
         evidence = gather_evidence(photo)
         path = shortest_path(evidence.cost, *STEPS)
-        row_px, confidence = on_photo(photo, evidence, path)
-        return cls(content, photo, evidence, path, row_px, confidence)
+        row_px, trust = on_photo(photo, evidence, path)
+        return cls(content, photo, evidence, path, row_px, trust)
 
-    def query(self, row_px: Float64Array, confidence: Float64Array) -> PhotoSkyline:
+    def query(self, row_px: Float64Array, trust: Float64Array) -> PhotoSkyline:
         """Return rows of the photo's columns as a query of the image, with doubtful ones masked."""
-        trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
+        trusted_px = np.where(trust >= TRUST_THRESHOLD, row_px, np.nan)
         scale = len(self.evidence.cost) / len(self.photo)
         crests = (self.evidence.crests() + 0.5) / scale - 0.5
         at = np.rint(to_work_columns(self.photo.shape[1], self.evidence)).astype(np.intp)
-        return self.content.skyline(trusted_px, confidence, crests[:, at])
+        return self.content.skyline(trusted_px, trust, crests[:, at])
 
 
 def on_photo(
     photo: UInt8Array, evidence: Evidence, path: IntArray, columns: slice = slice(None)
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the rows of a working path, refined on the photo, and their confidence, 0 to 1.
+    """Return the rows of a working path, refined on the photo, and their trust, 0 to 1.
 
     Both arrays cover the given columns of the photo.
     """
@@ -239,7 +239,7 @@ def on_photo(
     at_work, whole = to_work_columns(photo.shape[1], evidence)[columns], np.arange(len(path))
     scale = len(evidence.cost) / len(photo)
     row = (np.interp(at_work, whole, path) + 0.5) / scale - 0.5
-    sure = evidence.confidence(path)
+    sure = evidence.trust(path)
     smooth = uniform_filter1d(sure, _SMOOTHED_PX, mode="nearest")
     smooth = np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0))
     refined = _refined(photo[:, columns], row, scale)

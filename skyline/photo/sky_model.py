@@ -36,7 +36,7 @@ _LONGEST_PX = 1024
 _MULTIPLE_PX = 32
 _STEP_SHARE = 0.012
 """Distance above and below the border, as a share of all rows, over which the fall is measured."""
-_MIN_CONFIDENCE = 0.5
+_MIN_TRUST = 0.5
 """Least fall of the probability across the border; columns below it are masked."""
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
@@ -59,7 +59,7 @@ def load_sky_model(path: str | Path) -> Any:
 def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
-    A column's skyline is its topmost crossing of one half; its confidence is the fall of the
+    A column's skyline is its topmost crossing of one half; its trust is the fall of the
     probability there within a hundredth of the rows. Raises `InputError` if the model breaks the
     contract, or no column has sky above ground. ``session`` is the file of a model, or as of
     `load_sky_model`.
@@ -69,7 +69,7 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     content = content_of(image)
     photo = content.crop(image)
     probability = _probability(photo, session)
-    row_px, confidence = _border(probability)
+    row_px, trust = _border(probability)
     row_px = (row_px + 0.5) * len(photo) / len(probability) - 0.5
     at = (np.arange(photo.shape[1]) + 0.5) * len(row_px) / photo.shape[1] - 0.5
     at = np.clip(at, 0.0, len(row_px) - 1.0)
@@ -77,7 +77,7 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     right = np.minimum(left + 1, len(row_px) - 1)
     # Beside a masked column the row is NaN, since there is nothing to interpolate to.
     row = np.interp(at, np.arange(len(row_px)), row_px)
-    query = content.skyline(row, np.minimum(confidence[left], confidence[right]))
+    query = content.skyline(row, np.minimum(trust[left], trust[right]))
     if not query.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")
     return query
@@ -115,16 +115,16 @@ def _probability(photo: UInt8Array, session: Any) -> Float64Array:
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return row and confidence of each column's border; NaN and 0 if there is none."""
+    """Return row and trust of each column's border; NaN and 0 if there is none."""
     height, width = probability.shape
     row_px, first = topmost_border(probability, 0.5)
     columns = np.arange(width)
     step = max(1, round(_STEP_SHARE * height))
     sky = probability[np.maximum(first - 1 - step, 0), columns]
     ground = probability[np.minimum(first + step, height - 1), columns]
-    confidence = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
-    trusted = confidence >= _MIN_CONFIDENCE
-    return np.where(trusted, row_px, np.nan), np.where(trusted, confidence, 0.0)
+    trust = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
+    trusted = trust >= _MIN_TRUST
+    return np.where(trusted, row_px, np.nan), np.where(trusted, trust, 0.0)
 
 
 def _line(error: Exception) -> str:

@@ -111,31 +111,31 @@ class Correction:
         found = self._mask if start is None else start
         content, (height, width) = self._extraction.content, self._extraction.photo.shape[:2]
         left, top = content.left, content.top
-        row_px, confidence = self._extraction.row_px.copy(), self._extraction.confidence.copy()
+        row_px, trust = self._extraction.row_px.copy(), self._extraction.trust.copy()
         if found is not None:
             check_of_image(found, (content.height, content.width))
             row_px = found.row_px[left : content.right] - top
-            confidence = found.confidence[left : content.right].copy()
+            trust = found.trust[left : content.right].copy()
         inside = [
             replace(one, points_px=tuple((x - left, y - top) for x, y in one.points_px))
             for one in strokes
         ]
         labels = _labels(inside, self._extraction)
         if labels.any():
-            self._solve_again(labels, row_px, confidence)
+            self._solve_again(labels, row_px, trust)
         for stroke in inside:
             columns = _columns(stroke, width)
             if stroke.kind is StrokeKind.LINE:
                 row_px[columns] = np.clip(_along(stroke, columns), -0.5, height - 0.5)
-                confidence[columns] = 1.0
+                trust[columns] = 1.0
             elif stroke.kind is StrokeKind.ERASE:
-                confidence[columns] = 0.0
+                trust[columns] = 0.0
             else:
                 touched = columns[np.isfinite(row_px[columns])]
                 # A person has looked at them.
-                confidence[touched] = np.maximum(confidence[touched], TRUST_THRESHOLD)
+                trust[touched] = np.maximum(trust[touched], TRUST_THRESHOLD)
         known = np.isfinite(row_px)
-        query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
+        query = self._extraction.query(row_px, np.where(known, trust, 0.0))
         if found is not None:
             # A mask or a trace may have rows in the borders beside the photo; they are kept.
             beside = np.ones(query.width_px, dtype=bool)
@@ -143,14 +143,12 @@ class Correction:
             query = replace(
                 query,
                 row_px=np.where(beside, found.row_px, query.row_px),
-                confidence=np.where(beside, found.confidence, query.confidence),
+                trust=np.where(beside, found.trust, query.trust),
             )
         return self._photo.described(query)
 
-    def _solve_again(
-        self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array
-    ) -> None:
-        """Update the rows and the confidence of the columns that painted pixels change."""
+    def _solve_again(self, labels: UInt8Array, row_px: Float64Array, trust: Float64Array) -> None:
+        """Update the rows and the trust of the columns that painted pixels change."""
         extraction, evidence = self._extraction, self._extraction.evidence
         cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
         path = shortest_path(cost, *STEPS)
@@ -160,9 +158,9 @@ class Correction:
         )
         columns = np.flatnonzero(changed[near])
         around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
-        rows, confidences = on_photo(extraction.photo, evidence, path, around)
+        rows, trusts = on_photo(extraction.photo, evidence, path, around)
         row_px[columns] = rows[columns - around.start]
-        confidence[columns] = confidences[columns - around.start]
+        trust[columns] = trusts[columns - around.start]
 
 
 def _columns(stroke: Stroke, width: int) -> IntArray:

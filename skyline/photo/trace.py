@@ -59,7 +59,7 @@ def read_trace(
     deviation as a share of it), ``eye_height_m=`` and ``projection=``; the arguments override a
     field of view and a projection noted in the file. Consecutive points are joined unless they are
     more than a tenth of the width apart or a row with an empty or ``nan`` ``row_px`` stands between
-    them. Drawn columns have confidence 1.
+    them. Drawn columns have trust 1.
 
     Raises
     ------

@@ -126,12 +126,12 @@ class PagePhoto:
         return held.getvalue()
 
     def lines(self) -> bytes:
-        """Return the skyline's rows, its confidences and the rows of other crests, as float32.
+        """Return the skyline's rows, its trust and the rows of other crests, as float32.
 
         Columns that are not trusted have NaN and 0, those without another crest NaN.
         """
         query = self.query
-        lines = np.stack([query.row_px, query.confidence, query.other_crest_px()])
+        lines = np.stack([query.row_px, query.trust, query.other_crest_px()])
         return lines.astype("<f4").tobytes()
 
     @property
@@ -153,7 +153,7 @@ class PagePhoto:
 
 def version_of(query: PhotoSkyline) -> str:
     """Return a digest that distinguishes a skyline from others of the same photo."""
-    return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
+    return hashlib.sha256(query.row_px.tobytes() + query.trust.tobytes()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=_KEPT)

@@ -35,7 +35,7 @@ def stroke(kind, columns, rows, radius_px=0.0):
 
 def same(one, other):
     return np.array_equal(one.row_px, other.row_px, equal_nan=True) and np.array_equal(
-        one.confidence, other.confidence
+        one.trust, other.trust
     )
 
 
@@ -62,7 +62,7 @@ def test_painted_ground_and_sky_are_on_their_sides(correction, kind, away_px):
     assert after.trusted[inner].all()
     far = np.r_[0:300, 620:WIDTH]
     np.testing.assert_array_equal(after.row_px[far], before.row_px[far])
-    np.testing.assert_array_equal(after.confidence[far], before.confidence[far])
+    np.testing.assert_array_equal(after.trust[far], before.trust[far])
 
 
 def test_a_line_is_taken_as_it_is(correction):
@@ -70,7 +70,7 @@ def test_a_line_is_taken_as_it_is(correction):
     assert after.row_px[100] == 300.0
     assert after.row_px[125] == pytest.approx(310.25)
     assert after.row_px[200] == 280.0
-    assert (after.confidence[100:201] == 1.0).all()
+    assert (after.trust[100:201] == 1.0).all()
     back = correction.solve([stroke("line", [100, 140, 120], [300.0, 300.0, 200.0])])
     assert back.row_px[120] == 200.0
 
@@ -123,7 +123,7 @@ def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
     mask = skyline_of_mask(image)
     assert mask.trusted[60:].all()
     assert same(Correction(photo_of(image)).solve(), replace(mask, fov_deg=60.0))
-    trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
+    trace = replace(mask, row_px=np.full(WIDTH, 77.0), trust=np.ones(WIDTH))
     assert same(Correction(photo_of(image)).solve(start=trace), trace)
 
 
