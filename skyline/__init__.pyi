@@ -13,7 +13,6 @@ from .geodesy import Curvature as Curvature
 from .geodesy import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
-from .horizons import sky_view_factor as sky_view_factor
 from .location import locate as locate
 from .match.confidence import MatchConfig as MatchConfig
 from .match.matcher import Matcher as Matcher
@@ -50,6 +49,7 @@ from .report.maps import ReliefTiles as ReliefTiles
 from .report.match_page import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
+from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.header import StoreHeader as StoreHeader
 from .store.places import Places as Places
