@@ -27,12 +27,12 @@ from .orientation import orient as orient
 from .peaks import Peaks as Peaks
 from .peaks import read_peaks as read_peaks
 from .photo.exif import NotedPlace as NotedPlace
-from .photo.read import Photo as Photo
-from .photo.read import read_photo as read_photo
+from .photo.extract import Correction as Correction
+from .photo.photo import Photo as Photo
+from .photo.photo import read_photo as read_photo
 from .photo.read import read_query as read_query
 from .photo.skyline import Lens as Lens
 from .photo.skyline import PhotoSkyline as PhotoSkyline
-from .photo.strokes import Correction as Correction
 from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace

@@ -28,7 +28,9 @@ from skyline.files import (
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
-from skyline.photo.read import check_fov, photos_in, read_query
+from skyline.photo.image import photos_in
+from skyline.photo.photo import check_fov
+from skyline.photo.read import read_query
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Runner
 

@@ -11,7 +11,8 @@ from PIL import Image
 
 from skyline import batch
 from skyline.errors import InputError
-from skyline.photo.read import read_query, write_overlay
+from skyline.photo.overlay import write_overlay
+from skyline.photo.read import read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
 
