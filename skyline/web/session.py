@@ -231,7 +231,7 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
         "candidates": [candidate_json(one, engine) for one in result.candidates],
         "answered": result.answer is not None,
         "within": result.within_m,
-        "chance": result.confidence,
+        "confidence": result.confidence,
         "refusal": result.refusal,
         "notes": [note for note in (result.exif_in_words(), lens, result.beyond) if note],
         "seconds": result.seconds,
@@ -250,7 +250,7 @@ def candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
         "refined": candidate.refined,
         "covariance": candidate.covariance_m2,
         "convergence": candidate.convergence_deg,
-        "apart": candidate.residual_in_words,
+        "residual": candidate.residual_in_words,
     }
 
 
