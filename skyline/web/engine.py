@@ -51,12 +51,14 @@ class Engine:
         photos: Sequence[Path],
         peaks: Path | None,
     ) -> None:
-        self.stores, self.photos = stores, photos
+        self.stores = stores
+        self.photos = photos
         self.thread = RenderThread()
         try:
             self.matcher = Matcher(stores, dem, render_thread=self.thread)
             self.peaks = None if peaks is None else read_peaks(peaks, self.matcher.frame)
-            self.relief, self._viewer = None, None
+            self.relief = None
+            self._viewer = None
             if self.matcher.terrain is not None:
                 curvature = self.matcher.header.curvature
                 self.relief = ReliefTiles(self.matcher.terrain)
@@ -98,7 +100,7 @@ class Engine:
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:
-        """Return the terrain's height at a place, metres; None off the map or without terrain."""
+        """Return the terrain's height at a position, metres; None where it is not known."""
         terrain = self.matcher.terrain
         if terrain is None:
             return None
@@ -106,7 +108,7 @@ class Engine:
         return height if np.isfinite(height) else None
 
     def eye_height_m(self, pose: Pose) -> float | None:
-        """Return the height of a pose's eye above the ground as `Viewer.pose` takes it, metres.
+        """Return the height of a pose's eye above the ground, as `Viewer.pose` takes it.
 
         An eye below the surface counts as on it. Without terrain the height is None.
         """
