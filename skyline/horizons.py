@@ -1,4 +1,7 @@
-"""Horizons of named places: elevation angle and distance by azimuth from true north."""
+"""Horizons of named places: elevation angles and distances by azimuth.
+
+Azimuths are degrees from true north.
+"""
 
 import io
 import logging
@@ -303,7 +306,7 @@ def horizons_of(
     surface: HeightField | None = None,
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
-    """Return the horizons of eyes, as `horizon`; the surface is a height field."""
+    """Return the horizons of eyes; the arguments are those of `horizon`."""
     steps = steps_a_turn(step_deg)
     if not len(eyes):
         raise InputError("no place was given; give the longitude and latitude of one or more")

@@ -1,4 +1,4 @@
-"""The sky view factor: how much of the sky's light a horizon leaves to a surface."""
+"""Sky view factors: the share of the sky's light left by horizons."""
 
 import math
 
@@ -16,7 +16,7 @@ def sky_view_factor(
     tilt_deg: float = 0.0,
     facing_deg: float = 180.0,
 ) -> Float64Array:
-    """Return sky view factors: how much of the sky's light reaches a surface.
+    """Return how much of the sky's light reaches a surface.
 
     A factor is the light of the visible sky as a share of an unobstructed sky's. Source: Dozier and
     Frew, Rapid calculation of terrain parameters for radiation modeling from digital elevation
@@ -72,6 +72,6 @@ def sky_view_factor(
     # Angles from the zenith down to the lower and the upper end of the sky.
     low = 0.5 * np.pi - np.clip(np.maximum(horizon, own_plane), 0.0, 0.5 * np.pi)
     zenith = np.stack([low, np.clip(-0.5 * np.pi - own_plane, 0.0, low)])
-    sine, cosine = np.sin(zenith), np.cos(zenith)
-    light = np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * cosine)
+    sine = np.sin(zenith)
+    light = np.cos(tilt) * sine**2 + np.sin(tilt) * away * (zenith - sine * np.cos(zenith))
     return np.asarray((light[0] - light[1]).mean(axis=-1), dtype=np.float64)

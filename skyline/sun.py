@@ -28,7 +28,7 @@ Interval = tuple[datetime, datetime]
 
 
 def day_of(given: date | str) -> date:
-    """Return a date, read from a text such as 2026-12-21 if it is one.
+    """Return a date, given or in a text such as 2026-12-21.
 
     Raises `InputError` for anything else, and for years before 1583 or after 9998.
     """
@@ -51,7 +51,7 @@ def sun_above(
     azimuth_deg: Float64Array,
     elevation_deg: FloatArray,
 ) -> list[Interval]:
-    """Return the intervals during which part of the sun's disc is above a horizon.
+    """Return when part of the sun's disc is above a horizon.
 
     The day is the 24 hours around noon of the mean sun at the eye. Refraction is that of the
     standard atmosphere at the eye's elevation. An interval shorter than a minute may be missed.
@@ -101,7 +101,7 @@ def sun_above(
 
 
 def _crossing(above_deg: Callable[[datetime], float], low: datetime, high: datetime) -> datetime:
-    """Return the time between two others at which a function changes sign, by bisection."""
+    """Return the time at which a function changes sign, by bisection."""
     before = above_deg(low) > 0.0
     while high - low > _RESOLUTION:
         middle = low + (high - low) / 2
@@ -113,7 +113,10 @@ def _crossing(above_deg: Callable[[datetime], float], low: datetime, high: datet
 
 
 def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Float64Array]:
-    """Return a function that gives the sun's azimuth, refracted elevation and radius, degrees."""
+    """Return a function of time: the sun's azimuth, elevation and radius.
+
+    They are in degrees; the elevation is refracted.
+    """
     ephem = library("ephem", "the sun's position")
     observer = ephem.Observer()
     observer.lon = np.radians(lon)

@@ -1,4 +1,4 @@
-"""The part of an image that is photo, inside uniform borders and caption bars."""
+"""The photo in an image, inside uniform borders and caption bars."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from skyline.photo.skyline import PhotoSkyline
 
 @dataclass(frozen=True, slots=True)
 class _Bars:
-    """What is taken for a border or a caption bar, and what for a photo."""
+    """What is taken for a border or a caption bar."""
 
     least_content_px: int = 32
     """Smallest width and height in which a skyline is looked for."""
@@ -37,7 +37,9 @@ _BARS = _Bars()
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """The part of an image that is photo; rows and columns are half-open ranges.
+    """The part of an image that is photo.
+
+    Rows and columns are half-open ranges.
 
     Attributes
     ----------
@@ -61,9 +63,10 @@ class Content:
     def skyline(
         self, row_px: Float64Array, trust: Float64Array, crests: Float64Array | None = None
     ) -> PhotoSkyline:
-        """Return the skyline of the image from the rows (w,) and crests (K, w) of its photo.
+        """Return the image's skyline from the rows of its photo.
 
-        Columns without a row (NaN) and columns beside the photo are masked.
+        The rows and the trust are (w,), the crests (K, w). Columns without a row (NaN) and columns
+        beside the photo are masked.
         """
         inside = slice(self.left, self.right)
         image_row_px = np.full(self.width, np.nan)
@@ -107,7 +110,7 @@ def content_of(image: UInt8Array) -> Content:
 
 
 def _bar_length(image: UInt8Array) -> int:
-    """Return the number of rows at the start of the image that form a bar."""
+    """Return how many rows at the image's start form a bar."""
     longest = int(_BARS.longest_share * len(image))
     if longest < 1:
         return 0

@@ -1,4 +1,4 @@
-"""The place and the heading that a photo's EXIF notes, and the height that a drone's XMP notes.
+"""The place and the heading that a photo notes in EXIF and XMP.
 
 Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
 meaning of a number is missing, the number is left aside, with a sentence that gives the reason.
@@ -36,7 +36,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class NotedPlace:
-    """The place and the heading that a photo notes; None for what it does not note.
+    """The place and the heading that a photo notes.
+
+    A value is None where the photo does not note it.
 
     Attributes
     ----------
@@ -82,7 +84,7 @@ class _UnusableError(Exception):
 
 
 def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
-    """Return the place that a photo's GPS directory notes, with the height in XMP."""
+    """Return the place noted in a photo's GPS directory and XMP."""
     left_aside: list[str] = []
 
     def noted(name: str, read: Callable[[Tags], T | None]) -> T | None:
@@ -108,7 +110,10 @@ def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
 
 
 def _takeoff_height_m(xmp: Xmp) -> float | None:
-    """Return the height above the take-off in XMP; None if it notes no possible one."""
+    """Return the height above the take-off in XMP.
+
+    It is None if XMP notes none, or an impossible one.
+    """
     height_m = leading_number(xmp.first(*_ABOVE_TAKEOFF) or "")
     is_possible = height_m is not None and abs(height_m) <= _MOST_TAKEOFF_M
     return height_m if is_possible else None
@@ -143,7 +148,7 @@ def _lonlat_deg(gps: Tags) -> tuple[float, float] | None:
 
 
 def _angle_deg(gps: Tags, name: str, tag: int, side_tag: int, sides: str, most_deg: float) -> float:
-    """Return an angle from degrees, minutes and seconds, and its sign from one of two letters."""
+    """Return a coordinate, read from degrees, minutes, seconds and a letter."""
     parts = gps.get(tag)
     numbers = [number_of(part) for part in parts] if isinstance(parts, tuple) else []
     known = [one for one in numbers if one is not None]

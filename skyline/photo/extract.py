@@ -1,4 +1,4 @@
-"""From a photo to its skyline: the likeliest path through the columns, refined along its edge.
+"""From a photo to its skyline: the likeliest path through the columns.
 
 A skyline is one border row per column. A network gives the odds of the border in every pixel. A
 path is cheap where the network expects the skyline and where there is an edge, and if it is not
@@ -31,7 +31,7 @@ from skyline.photo.strokes import Stroke, StrokeKind, forbidden, painted
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """The search for a path at working size, and its refinement on the full photo."""
+    """The search for a path, and its refinement on the photo."""
 
     pixels: int = 400_000
     """Working size of photos. It grows with the aspect of panoramas as the network's input does."""
@@ -162,7 +162,7 @@ class Correction:
     def _find_again(
         self, strokes: Sequence[Stroke], row_px: Float64Array, trust: Float64Array
     ) -> None:
-        """Update the rows and the trust of the columns that painted pixels change."""
+        """Update rows and trust of the columns that painted pixels change."""
         extraction = self._extraction
         labels = painted(strokes, extraction.photo.shape[:2], extraction.cost.shape)
         if not labels.any():
@@ -194,7 +194,7 @@ class Correction:
 
 
 class _Extraction:
-    """A photo's skyline, with the probabilities, the costs and the path from which it was found.
+    """A photo's skyline, with all from which it was found.
 
     Attributes
     ----------
@@ -237,14 +237,14 @@ class _Extraction:
         return np.asarray(at_work, dtype=np.float64)
 
     def nearest_work_columns(self) -> IntArray:
-        """Return the column at working size that is nearest to each photo column, (W,)."""
+        """Return the working column that is nearest to each photo column, (W,)."""
         nearest = np.rint(self._work_columns()).astype(np.intp)
         return nearest.clip(0, self.cost.shape[1] - 1)
 
     def on_photo(
         self, path: IntArray, columns: slice = slice(None)
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the rows of a working path, refined on the photo, and their trust, 0 to 1.
+        """Return the rows of a working path, refined, and their trust.
 
         Both arrays cover the given columns of the photo.
         """
@@ -260,7 +260,7 @@ class _Extraction:
         return refined, np.interp(at_work, whole, smooth)
 
     def skyline(self, row_px: Float64Array, trust: Float64Array) -> PhotoSkyline:
-        """Return the skyline of the image, without the columns whose trust is too low."""
+        """Return the image's skyline, without columns of too low a trust."""
         trusted_px = np.where(trust >= _TRUST.least, row_px, np.nan)
         return self.content.skyline(trusted_px, trust, self._crests)
 
@@ -292,7 +292,10 @@ def _lab_of(rgb: UInt8Array) -> Float32Array:
 
 
 def _edges(lab: Float32Array) -> Float32Array:
-    """Return edges (h, w), 0 where smooth and 1 on nearly the sharpest edge up and down from it."""
+    """Return edges (h, w): 0 where smooth, 1 on the sharpest edges.
+
+    An edge is sharp if none up or down from it is much sharper.
+    """
     across = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
     down = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
     steepness = np.sqrt((across**2 + down**2).sum(axis=2))

@@ -1,4 +1,4 @@
-"""The frame that a camera took, and the part of it that a file shows.
+"""The frame of a camera, and the part that a file shows.
 
 A file of the frame's shape was at most resized, which changes nothing. A file of another shape was
 cropped, and shows at most the frame. A file of a shape that no camera takes was cropped too, even
@@ -33,7 +33,7 @@ class _Shapes:
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The field of view of a crop, as a share of the greatest possible.
+    """The field of view of a crop, over the greatest possible.
 
     It is taken to lie evenly between half and all of that.
     """
@@ -53,11 +53,12 @@ CROP = Crop()
 def frames_of(
     tags: Tags, size_px: tuple[int, int], sensor: Sensor | None
 ) -> tuple[Size | None, Size]:
-    """Return the frame that the camera noted, if it did, and the frame taken.
+    """Return the frame that the camera noted, and the frame taken.
 
-    For a photo taken upright, some cameras note the frame upright and some lying. Of the two the
-    better fit to the file is taken; if neither fits, the frame of which the file shows the wider
-    part. A file of a shape that no camera takes is a part of the sensor's shape.
+    The first is None if the camera noted none. For a photo taken upright, some cameras note the
+    frame upright and some lying. Of the two the better fit to the file is taken; if neither fits,
+    the frame of which the file shows the wider part. A file of a shape that no camera takes is a
+    part of the sensor's shape.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))
@@ -82,7 +83,7 @@ def frames_of(
 
 
 def cropped_width(size_px: tuple[int, int], frame: Size) -> float:
-    """Return the width of the largest part of a frame that has a file's shape.
+    """Return the width of the largest part with a file's shape.
 
     It is in the frame's pixels.
     """
@@ -97,5 +98,5 @@ def is_whole(size_px: tuple[int, int], frame: Size, tolerance: float = _SHAPES.t
 
 
 def is_unscaled(size_px: tuple[int, int], frame: Size) -> bool:
-    """Return whether a file has all columns or all rows of the frame, and no more."""
+    """Return whether a file has all columns, or all rows, of a frame."""
     return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0

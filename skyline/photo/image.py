@@ -1,4 +1,4 @@
-"""Image files: which files are photos, and how one is opened and decoded.
+"""Image files: which are photos, and how one is decoded.
 
 Pillow decodes, not OpenCV: it returns EXIF along with the pixels, refuses a truncated JPEG
 (OpenCV fills the rest with grey, which has a skyline), reports through exceptions rather than on
@@ -96,7 +96,7 @@ def photos_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False
 
 
 def _is_photo(path: Path) -> bool:
-    """Return whether a file of a folder is a photo, even if it cannot be decoded."""
+    """Return whether a file is a photo, even a damaged one."""
     suffix = path.suffix.lower()
     is_named_so = suffix in _PHOTO_SUFFIXES
     # A camera's thumbnail of a video is a JPEG named .thm.
@@ -120,7 +120,9 @@ def _is_heif(path: Path) -> bool:
 
 @contextmanager
 def opened_image(picture: Picture) -> Iterator[Image.Image]:
-    """Open a picture; an error of decoding in the ``with`` block becomes an `InputError`.
+    """Open a picture for the ``with`` block.
+
+    An error of decoding in the block becomes an `InputError`.
 
     Raises `MissingFileError` where there is no such file, and `InputError` where it is no image, or
     an array is not (H, W), (H, W, 3) or (H, W, 4) uint8.
@@ -169,7 +171,7 @@ def _opened_file(path: Path) -> Iterator[Image.Image]:
 
 
 def _why_unidentified(path: Path) -> str:
-    """Return the reason that a file is no image, and what to do."""
+    """Return why a file is no image, and what to do."""
     if str(path) != STANDARD and _is_heif(path):
         return (
             "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
@@ -181,7 +183,7 @@ def _why_unidentified(path: Path) -> str:
 
 @contextmanager
 def _decoded(name: str) -> Iterator[None]:
-    """Turn any error of decoding in the ``with`` block into an `InputError` of one line."""
+    """Turn errors of decoding in the ``with`` block into `InputError`."""
     try:
         yield
     except (InputError, UnidentifiedImageError):
@@ -206,7 +208,7 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
-    """Let Pillow decode a large JPEG smaller; refuse other large images and raw files.
+    """Let a large JPEG be decoded smaller, and refuse other large images.
 
     A raw file is a TIFF whose first picture is a preview, of which NewSubfileType is 1. Raises
     `InputError`.

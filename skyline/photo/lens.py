@@ -1,4 +1,4 @@
-"""The field of view that a photo's EXIF and XMP note, from the values in them that agree.
+"""The field of view that a photo notes, from values that agree.
 
 EXIF notes a lens in up to three ways: the 35 mm equivalent (CIPA DCG-001 compares diagonals), the
 focal length with the resolution of the focal plane, and the focal length with the camera's model,
@@ -90,7 +90,7 @@ class _FocalLength:
         return abs(self.longer_by(other))
 
     def longer_by(self, other: "_FocalLength") -> float:
-        """Return how much the logarithm of this focal length is above another one's."""
+        """Return the logarithm of this focal length over another."""
         return log(self.diagonals / other.diagonals)
 
 
@@ -99,12 +99,15 @@ _Source = tuple[_FocalLength, ...]
 
 
 def _fov_deg(width: float, diagonals: float) -> float:
-    """Return the field of view of a width of the frame; width and focal length in diagonals."""
+    """Return the field of view of a part of the frame.
+
+    Its width and the focal length are in diagonals of the frame.
+    """
     return 2.0 * degrees(atan(width / 2.0 / diagonals))
 
 
 def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
-    """Return the projection and the lens that a photo notes in EXIF and XMP.
+    """Return the projection and the lens that a photo notes.
 
     ``tags`` and ``size_px`` are those of `lens_of`.
     """
@@ -156,7 +159,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
 
 
 def _on_sensor(tags: Tags, frame: Size, sensor: Sensor | None) -> _FocalLength | None:
-    """Return the focal length on a camera's whole sensor, if both are known."""
+    """Return the focal length on a camera's sensor, if both are known."""
     focal_mm = positive(tags.get(Base.FocalLength))
     if focal_mm is None or sensor is None:
         return None
@@ -165,9 +168,9 @@ def _on_sensor(tags: Tags, frame: Size, sensor: Sensor | None) -> _FocalLength |
 
 
 def _digital_zoom(tags: Tags) -> float:
-    """Return how many times a digital zoom has enlarged the frame; 1 for none.
+    """Return how many times a digital zoom enlarged the frame.
 
-    EXIF's 0 stands for none, too, and impossible values count as none.
+    It is 1 without a zoom. EXIF's 0 stands for none, too, and impossible values count as none.
     """
     zoom = positive(tags.get(Base.DigitalZoomRatio)) or 1.0
     return zoom if 1.0 < zoom <= _FOCAL.most_zoom else 1.0
@@ -179,7 +182,7 @@ def _focal_lengths(
     noted: Size | None,
     known: _FocalLength | None,
 ) -> tuple[list[_Source], list[str]]:
-    """Return the focal lengths that EXIF notes, and the reasons against those left aside.
+    """Return the focal lengths in EXIF, and reasons against those left aside.
 
     ``noted`` is the frame whose size the camera noted, ``known`` the focal length on the sensor.
     """
@@ -214,9 +217,10 @@ def _focal_lengths(
 
 
 def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Source:
-    """Return what a value may mean, with a digital zoom counted in it or not.
+    """Return what a value may mean beside a digital zoom.
 
-    A reading counts if there could be such a lens, without the zoom.
+    The zoom may be counted in it or not. A reading counts if there could be such a lens, without
+    the zoom.
     """
     lenses = dict.fromkeys((noted.diagonals / zoom, noted.diagonals))
     possible = [diagonals for diagonals in lenses if _is_lens(diagonals, focal_mm)]
@@ -227,7 +231,7 @@ def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Sour
 
 
 def _agree(one: _Source, other: _Source) -> bool:
-    """Return whether a reading of one source agrees with a reading of another."""
+    """Return whether some readings of two sources agree."""
     return any(a.log_ratio(b) <= _FOCAL.agree_log for a, b in product(one, other))
 
 
@@ -238,10 +242,10 @@ def _is_crop(
     noted: Size,
     tags: Tags,
 ) -> bool:
-    """Return whether a focal plane may be the part of a sensor that a crop mode reads.
+    """Return whether a focal plane may be a crop mode's.
 
-    A program that reduces a photo and notes its new size leaves a small focal plane, too, but few
-    pixels, or a later time of change.
+    A crop mode reads the middle of the sensor. A program that reduces a photo and notes its new
+    size leaves a small focal plane, too, but few pixels, or a later time of change.
     """
     if _agree(film, (known,)) or noted[0] * noted[1] < _FOCAL.least_pixels or _was_edited(tags):
         return False
@@ -249,20 +253,26 @@ def _is_crop(
 
 
 def _was_edited(tags: Tags) -> bool:
-    """Return whether a file says that it was changed after its photo was taken."""
+    """Return whether a file was changed after its photo was taken."""
     taken, changed = (time_of(tags, tag) for tag in (Base.DateTimeOriginal, Base.DateTime))
     return taken is not None and changed is not None and abs(changed - taken) > _FOCAL.exposure
 
 
 def _is_reduced(plane: _Source, film: _Source, noted: Size) -> bool:
-    """Return whether a focal plane seems to be of a picture reduced since."""
+    """Return whether a photo seems to have been reduced since.
+
+    The focal plane of such a photo is too small.
+    """
     if not film:
         return noted[0] * noted[1] < _FOCAL.least_pixels
     return min(one.longer_by(other) for one, other in product(plane, film)) > _FOCAL.agree_log
 
 
 def _combined(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
-    """Return the focal length on which most sources agree, or else one that covers them all."""
+    """Return the focal length on which most sources agree.
+
+    Where none agree, it covers them all.
+    """
     every = [*sources, *([(known,)] if known else [])]
     pairs = [pair for two in combinations(every, 2) for pair in product(*two)]
     agreeing = [pair for pair in pairs if _agree(pair[:1], pair[1:])]
@@ -285,7 +295,7 @@ def _combined(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalL
 
 
 def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -> _FocalLength:
-    """Return a focal length that covers all sources, no two of which agree.
+    """Return a focal length that covers sources that do not agree.
 
     A photo shows no more than its camera's whole sensor, and may show less.
     """
@@ -310,7 +320,7 @@ def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -
 
 
 def _covering(source: str, diagonals: Sequence[float], least_sd: float = ALONE_SD) -> _FocalLength:
-    """Return the middle of focal lengths, all of which lie within about a deviation."""
+    """Return the middle of focal lengths, with a deviation that covers them."""
     short = min(diagonals)
     long = max(diagonals)
     sd = max(0.5 * log(long / short), least_sd)
@@ -318,14 +328,17 @@ def _covering(source: str, diagonals: Sequence[float], least_sd: float = ALONE_S
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Return whether there may be a lens of a focal length, in diagonals of its frame."""
+    """Return whether a lens may have a focal length.
+
+    It is in diagonals of the frame.
+    """
     if 2.0 * degrees(atan(0.5 / diagonals)) > _FOCAL.widest_deg:
         return False
     return focal_mm is None or _FOCAL.sensor_mm[0] <= focal_mm / diagonals <= _FOCAL.sensor_mm[1]
 
 
 def _pixels_per_mm(tags: Tags) -> float | None:
-    """Return the resolution of the focal plane; None if EXIF does not note it."""
+    """Return the focal plane's pixels per mm; None if not noted."""
     unit_mm = _MM_PER_UNIT.get(int(positive(tags.get(Base.FocalPlaneResolutionUnit)) or 2))
     across = positive(tags.get(Base.FocalPlaneXResolution))
     return None if unit_mm is None or across is None else across / unit_mm

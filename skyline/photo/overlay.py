@@ -1,4 +1,4 @@
-"""A photo with its skyline drawn on it, to check what was found."""
+"""A photo with its skyline drawn, to check what was found."""
 
 import io
 from pathlib import Path
@@ -19,11 +19,11 @@ _OTHER_CREST_RGB = (255, 160, 0)
 
 
 def write_overlay(rgb: UInt8Array, skyline: PhotoSkyline, path: str | Path) -> None:
-    """Write a photo as PNG with the skyline's trusted columns drawn on it.
+    """Write a photo as PNG with its skyline drawn on it.
 
-    Other crests that may be the skyline are drawn in another colour. The pixels are (H, W, 3)
-    uint8. Raises `InputError` if the skyline belongs to an image of another size, the file is not
-    named .png, or it cannot be written.
+    The trusted columns are drawn. Other crests that may be the skyline are drawn in another colour.
+    The pixels are (H, W, 3) uint8. Raises `InputError` if the skyline belongs to an image of
+    another size, the file is not named .png, or it cannot be written.
     """
     suffix_of(path, OVERLAYS)
     check_of_image(skyline, rgb.shape)

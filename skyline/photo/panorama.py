@@ -1,4 +1,4 @@
-"""The projection and the field of view that EXIF and XMP note for a panorama."""
+"""Panoramas: the projection and the field of view that files note."""
 
 import re
 from math import degrees, sqrt
@@ -28,13 +28,13 @@ _SWEPT_SD = 0.12
 
 
 def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
-    """Return the panorama that XMP notes: projection and field of view; None for none.
+    """Return the projection and field of view of a panorama in XMP.
 
-    ``size_px`` is the width and the height of the file's pixels, upright. XMP notes the size of the
-    panorama when it was made and the width of a full turn. A file of that shape shows the whole
-    panorama. A file with all its rows or all its columns was cropped to its own size. Any other
-    file shows at least its pixels at the panorama's scale, and at most the largest part of its
-    shape.
+    It is None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
+    pixels, upright. XMP notes the size of the panorama when it was made and the width of a full
+    turn. A file of that shape shows the whole panorama. A file with all its rows or all its columns
+    was cropped to its own size. Any other file shows at least its pixels at the panorama's scale,
+    and at most the largest part of its shape.
     """
     if _NAMES_PANORAMA.search(xmp.broken):
         reason = "XMP speaks of a panorama, and is damaged: its projection is not known"
@@ -63,7 +63,7 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
 def _panorama_lens(
     size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
 ) -> Lens:
-    """Return the field of view of the part of a panorama that a file shows."""
+    """Return the field of view of a file's part of a panorama."""
     kept_px = width if height is None else cropped_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:

@@ -1,4 +1,4 @@
-"""The cheapest path through the columns of an image, from left to right."""
+"""The cheapest path through an image's columns, from left to right."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from skyline.arrays import Float32Array, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Prices of the steps of a path from one column to the next.
+    """Prices of a path's steps from one column to the next.
 
     Attributes
     ----------

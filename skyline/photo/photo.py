@@ -1,4 +1,4 @@
-"""A photo as read: its pixels, and the notes on place and camera in its file."""
+"""A photo as read: its pixels, and its file's notes."""
 
 from dataclasses import dataclass, replace
 
@@ -46,13 +46,13 @@ class Photo:
 
     @property
     def blank(self) -> PhotoSkyline:
-        """The photo without a skyline, which is enough to see what a pose shows."""
+        """The photo without a skyline, enough to see what poses show."""
         height, width = self.rgb.shape[:2]
         unknown = np.full(width, np.nan)
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
 
     def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
-        """Return a skyline of this photo with the file's notes on the camera."""
+        """Return a skyline of this photo with the file's notes."""
         return replace(
             skyline,
             fov_deg=self.fov_deg,
@@ -65,7 +65,7 @@ class Photo:
 def read_photo(
     path: Picture, fov_deg: float | None = None, *, projection: Projection | None = None
 ) -> Photo:
-    """Read a photo or a sky mask, with its file's notes on the camera.
+    """Read a photo or a sky mask, with its file's notes.
 
     Parameters
     ----------
@@ -113,10 +113,11 @@ def read_photo(
 
 
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:
-    """Return the width and height of a file's pixels, upright, before they were shrunk.
+    """Return the upright width and height of a file's pixels.
 
-    Decoders differ: some have already turned the pixels, some the size as well, and each leaves
-    other tags. The upright picture shows whether the file's size is upright.
+    They are those before the picture was shrunk. Decoders differ: some have already turned the
+    pixels, some the size as well, and each leaves other tags. The upright picture shows whether the
+    file's size is upright.
     """
     width, height = full_px
     is_turned = (upright.width < upright.height) != (width < height)
@@ -135,6 +136,6 @@ def read_noted_place(path: Picture) -> NotedPlace:
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
-    """Raise `InputError` for an impossible field of view, before any file is read."""
+    """Raise `InputError` for an impossible field of view."""
     if fov_deg is not None:
         Projection(projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)

@@ -1,4 +1,4 @@
-"""The skyline of any picture: a photo, a sky mask or a trace."""
+"""The skyline of a photo, a sky mask or a trace."""
 
 import logging
 from pathlib import Path
@@ -27,7 +27,7 @@ def read_query(
     projection: Projection | None = None,
     sky_model: Any = None,
 ) -> PhotoSkyline:
-    """Read the skyline of a trace (``.csv``), a sky mask or a photo.
+    """Read the skyline of a trace, a sky mask or a photo.
 
     A picture that is nearly black and white is a sky mask.
 
@@ -55,10 +55,10 @@ def read_query(
 
 
 def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
-    """Find the skyline in a photo or a sky mask, with the file's notes on the camera.
+    """Find the skyline in a photo or a sky mask.
 
-    A warning is logged for a wide photo that notes no lens and no panorama. Raises `InputError`
-    where no skyline is found.
+    It has the file's notes on the camera. A warning is logged for a wide photo that notes no lens
+    and no panorama. Raises `InputError` where no skyline is found.
     """
     height, width = photo.rgb.shape[:2]
     is_noted = photo.fov_deg is not None or photo.projection.is_panorama
@@ -83,7 +83,9 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:
-    """Return the pixels of a photo, (H, W, 3) uint8 RGB; None for a trace or a sky mask.
+    """Return the pixels of a photo; None for a trace or mask.
+
+    They are (H, W, 3) uint8 RGB.
 
     Raises as `read_photo`.
     """

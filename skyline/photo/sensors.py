@@ -32,25 +32,31 @@ class Sensor:
 
     @property
     def shape(self) -> float:
-        """Width over height: 3:2 for full frame, APS and 1 inch, 4:3 for all others."""
+        """Width over height.
+
+        It is 3:2 for full frame, APS and 1 inch, 4:3 for all others.
+        """
         is_3_to_2 = 24.0 < self.diagonal_mm < 46.0 or 15.0 < self.diagonal_mm < 17.0
         return 3 / 2 if is_3_to_2 else 4 / 3
 
     def cropped_mm(self, frame: tuple[float, float]) -> float:
-        """Return the diagonal of the largest part that has the shape of a frame."""
+        """Return the diagonal of the largest part of a frame's shape."""
         kept = max(frame) / min(frame)
         height_mm = self.diagonal_mm / hypot(self.shape, 1.0) * min(self.shape / kept, 1.0)
         return height_mm * hypot(kept, 1.0)
 
 
 def sensor_of(model: str) -> Sensor | None:
-    """Return the sensor of a camera's model; None unless the model is known to have one."""
+    """Return the sensor of a camera's model.
+
+    It is None unless the model is known to have one sensor.
+    """
     return _sensors_by_model().get(_model_key(model))
 
 
 @cache
 def _sensors_by_model() -> dict[str, Sensor]:
-    """Return the cameras of one known sensor by the keys of their models."""
+    """Return the sensors of models that have one, by their keys."""
     found = defaultdict(list)
     with suppress(ImportError):  # There are no wheels for some machines.
         for one in import_module("lensfunpy").Database().cameras:

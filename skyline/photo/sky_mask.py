@@ -1,4 +1,4 @@
-"""Sky masks, white for sky and black for ground, and the borders in them."""
+"""Sky masks: white for sky, black for ground."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from skyline.photo.skyline import PhotoSkyline
 
 @dataclass(frozen=True, slots=True)
 class _Mask:
-    """What is taken for a sky mask, and what for one drawn the wrong way."""
+    """What is taken for a sky mask, and for a wrong one."""
 
     nearly: int = 24
     """Levels within which a pixel counts as black or white: masks saved as JPEG ring."""
@@ -37,10 +37,10 @@ _MASK = _Mask()
 
 
 def is_sky_mask(image: UInt8Array) -> bool:
-    """Return whether an RGB image is grey, nearly all black or white, in few areas.
+    """Return whether an image is a sky mask.
 
-    About five hundred rows and columns of the image, (H, W, 3) uint8, are sampled. A dithered photo
-    is no mask.
+    A mask is grey, nearly all black or white, in few areas. About five hundred rows and columns of
+    the image, (H, W, 3) uint8, are sampled. A dithered photo is no mask.
     """
     step_down, step_across = (max(1, side // _MASK.samples) for side in image.shape[:2])
     sample = image[::step_down, ::step_across].astype(np.int16)
@@ -53,12 +53,12 @@ def is_sky_mask(image: UInt8Array) -> bool:
 
 
 def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
-    """Return the border above each column's topmost ground; NaN if it has no sky above ground.
+    """Return the border above each column's topmost ground.
 
-    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, if more
-    columns begin with black above white than have a skyline, or if white ground in a white frame is
-    taken for sky.
+    The row is NaN in a column without sky above ground. A smoothed border is found to a fraction of
+    a pixel, halfway from white to black. Raises `InputError` if no column of the mask, (H, W, 3)
+    uint8, has sky (white) above ground, if more columns begin with black above white than have a
+    skyline, or if white ground in a white frame is taken for sky.
     """
     sky = image[:, :, 1].astype(np.float64)
     row_px, first = topmost_border(sky, _MASK.middle)
@@ -73,7 +73,10 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
 
 
 def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> str:
-    """Return what shows that a picture is no mask of sky above ground; empty if it is one."""
+    """Return what shows that a picture is no mask of sky.
+
+    It is empty for a mask.
+    """
     drawn = np.isfinite(row_px)
     white = np.count_nonzero(sky >= _MASK.middle, axis=0)
     begins_black = sky[0] < _MASK.middle
@@ -93,7 +96,7 @@ def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> 
 
 
 def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
-    """Return the row at which each column of a sky image first falls below a middle.
+    """Return the row where each column first falls below a middle.
 
     The row (w,) is fractional, NaN if the column of the image (h, w) never falls or starts below
     the middle. The second array is the row of the first pixel of ground.

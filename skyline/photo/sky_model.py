@@ -1,4 +1,4 @@
-"""Skylines of sky segmentation models, which a user may bring in place of the built-in network.
+"""Skylines of sky segmentation models that a user brings.
 
 A model, in ONNX, must have one input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is
 (1, 1, h', w'), (1, h', w') or (1, 2, h', w'), the sky's probability or logits; if it has two
@@ -103,7 +103,10 @@ def _probability(photo: UInt8Array, session: Any) -> Float64Array:
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return the row and the trust of each column's border; NaN and 0 if there is none."""
+    """Return the row and the trust of each column's border.
+
+    They are NaN and 0 where there is none.
+    """
     height, width = probability.shape
     row_px, first = topmost_border(probability, 0.5)
     columns = np.arange(width)

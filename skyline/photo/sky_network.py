@@ -1,4 +1,4 @@
-"""The network that gives the odds of the skyline in every pixel of a photo.
+"""The network that gives the odds of the skyline in each pixel.
 
 Its weights are in ``sky.onnx.gz``, written by ``python -m skyline_training sky-model``. Its encoder
 was trained on real photographs (ImageNet), and then all of it on drawn mountains, clouds, trees and
@@ -58,12 +58,15 @@ def network_odds(photo: UInt8Array) -> Float32Array:
 
 
 def aspect_scale(height: int, width: int) -> float:
-    """Return the factor on the size at which a photo of an aspect is looked at."""
+    """Return the factor on the network's input for a photo's aspect."""
     return float(np.clip(max(width / height, height / width) / 1.5, *_INPUT.aspect_scale))
 
 
 def levelled(rgb: UInt8Array) -> Float32Array:
-    """Return (H, W, 3) from -1 to 1, each channel scaled to its own range, which removes a tint."""
+    """Return (H, W, 3) from -1 to 1, without a tint.
+
+    Each channel is scaled to its own range.
+    """
     low, high = np.percentile(rgb.reshape(-1, 3), _INPUT.levels, axis=0).astype(np.float32)
     share = (rgb - low) / np.maximum(high - low, np.float32(1.0))
     return np.asarray(2.0 * np.clip(share, 0.0, 1.0) - 1.0, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Strokes of a brush over a photo, by which a person corrects its skyline."""
+"""Strokes over a photo, by which a person corrects its skyline."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -64,7 +64,7 @@ class Stroke:
             raise InputError(f"a brush has a radius of {self.radius_px:g} px; expected 0 or more")
 
     def seen_from(self, column: int, row: int) -> Self:
-        """Return the stroke in an image whose first pixel has this column and row here."""
+        """Return the stroke as seen from a pixel of its image."""
         return replace(self, points_px=tuple((x - column, y - row) for x, y in self.points_px))
 
     def columns(self, width: int) -> IntArray:
@@ -75,7 +75,10 @@ class Stroke:
         return np.arange(first, last + 1)
 
     def rows_at(self, columns: IntArray) -> Float64Array:
-        """Return the rows of a line at columns; where it turns back, the later row counts."""
+        """Return the rows of a line at columns.
+
+        Where the line turns back, the later row counts.
+        """
         rows: dict[int, float] = {}
         before = self.points_px[0]
         for here in self.points_px:
@@ -94,7 +97,9 @@ class Stroke:
 def painted(
     strokes: Sequence[Stroke], photo_shape: tuple[int, ...], shape: tuple[int, ...]
 ) -> UInt8Array:
-    """Return the painted pixels of a reduced photo, (h, w) uint8: 0 none, 1 sky, 2 ground.
+    """Return the painted pixels of a reduced photo, (h, w) uint8.
+
+    Their values are 0 for none, 1 for sky and 2 for ground.
 
     Parameters
     ----------
@@ -117,7 +122,10 @@ def painted(
 
 
 def forbidden(labels: UInt8Array) -> BoolArray:
-    """Return the pixels (h, w) closed to the skyline: painted sky and above, ground and below."""
+    """Return the pixels (h, w) that are closed to the skyline.
+
+    They are painted sky and all above it, painted ground and all below it.
+    """
     sky = labels == _LABELS[StrokeKind.SKY]
     ground = labels == _LABELS[StrokeKind.GROUND]
     sky_here_or_below = np.logical_or.accumulate(sky[::-1], axis=0)[::-1]

@@ -21,9 +21,10 @@ def text_of(tags: Tags, tag: int) -> str:
 
 
 def number_of(value: object) -> float | None:
-    """Return a value as a number; None if it is none, or is not finite, as the rational 0/0.
+    """Return a value as a number; None if it is none.
 
-    EXIF has numbers and rationals, XMP texts of them.
+    A number that is not finite, as the rational 0/0, is none. EXIF has numbers and rationals, XMP
+    texts of them.
     """
     if isinstance(value, str) and (rational := _RATIONAL.fullmatch(value)):
         return float(rational[1]) / float(rational[2])
@@ -35,19 +36,19 @@ def number_of(value: object) -> float | None:
 
 
 def leading_number(text: str) -> float | None:
-    """Return the number with which a text begins, as one before a unit; None if there is none."""
+    """Return the number with which a text begins; None without one."""
     number = _NUMBER.match(text)
     return None if number is None else number_of(number[0])
 
 
 def positive(value: object) -> float | None:
-    """Return a value as a number if it is above 0, else None."""
+    """Return a number if it is above 0, else None."""
     number = number_of(value)
     return number if number is not None and number > 0.0 else None
 
 
 def time_of(tags: Tags, tag: int) -> datetime | None:
-    """Return the time in a tag, of the camera's clock; None if there is none."""
+    """Return the camera's time in a tag; None without one."""
     try:
         return datetime.strptime(text_of(tags, tag), "%Y:%m:%d %H:%M:%S")
     except ValueError:

@@ -26,7 +26,10 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:
-    """Return horizons as CSV: one row per place and azimuth; unknown values are empty."""
+    """Return horizons as CSV: a row per place and azimuth.
+
+    Unknown values are empty.
+    """
     written = _columns(horizons)
     bins = horizons.azimuth_deg.shape[1]
     columns = [np.repeat(horizons.lon, bins), np.repeat(horizons.lat, bins)]

@@ -13,7 +13,7 @@ POSE = {
 
 
 def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
-    """Return the candidates of a search or a fit, and its verdict, as JSON for the page."""
+    """Return the candidates and the verdict of a search or fit."""
     lens = "" if result.query.lens is None else result.query.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],
@@ -27,7 +27,7 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
 
 
 def candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
-    """Return a candidate as JSON for the page; `POSE` gives the names of its numbers."""
+    """Return a candidate; `POSE` has the names of its numbers."""
     return {name: getattr(candidate, field) for name, field in POSE.items()} | {
         "distortion": candidate.distortion,
         "wander": candidate.wander,

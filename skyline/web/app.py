@@ -44,9 +44,10 @@ class TooLargeError(InputError):
 
 
 class PageApp:
-    """The web application of an engine; ``started`` is called once it answers requests.
+    """The web application of an engine.
 
-    ``machine`` names the machine to which the photos of others go, None if there are no others.
+    ``started`` is called once it answers requests. ``machine`` names the machine to which the
+    photos of others go, None if there are no others.
     """
 
     def __init__(self, engine: Engine, machine: str | None, started: Callable[[], None]) -> None:
@@ -150,7 +151,7 @@ class PageApp:
     async def _opened(
         self, session: Session, name: str, write: Callable[[Path], object]
     ) -> Response:
-        """Add a photo to a session; ``write`` writes it to the session's own file."""
+        """Add a photo, which ``write`` writes to the session's own file."""
         path = session.path_for(name)
         try:
             await self._engine.work("photos", write, path)
@@ -197,7 +198,7 @@ class PageApp:
         return _lines(photo)
 
     async def _match(self, request: Request) -> Response:
-        """Match a photo; the response comes when the match has ended or was cancelled."""
+        """Match a photo, and answer when the match has ended."""
         photo = self._photo(request)
         asked = await _json(request)
         if photo.match is not None and not photo.match.done:
@@ -259,7 +260,7 @@ def _lines(photo: PagePhoto) -> Response:
 
 
 def _copy(given: Path, path: Path) -> None:
-    """Copy a photo of the user's, which may change while the page shows it."""
+    """Copy a user's photo, which may change while the page shows it."""
     try:
         shutil.copyfile(given, path)
     except OSError as error:
@@ -304,7 +305,7 @@ async def _json(request: Request) -> Mapping[str, Any]:
 
 
 async def _body(request: Request, limit: int, name: str, advice: str) -> bytearray:
-    """Return the body of a request; raises `TooLargeError` beyond a limit, in bytes."""
+    """Return a request's body; raises `TooLargeError` beyond a limit of bytes."""
     declared = request.headers.get("content-length", "0")
     size = int(declared) if declared.isdecimal() else 0
     body = bytearray()

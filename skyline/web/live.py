@@ -1,4 +1,4 @@
-"""The live channel to an open page: poses in, skylines and the progress of matches out."""
+"""The live channel: poses in, skylines and progress of matches out."""
 
 import asyncio
 import contextlib
@@ -102,7 +102,10 @@ class LiveChannel:
             return {**same, "error": str(error)}
 
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the skyline rendered at a pose, its gap to the photo's, and the summits."""
+        """Return the skyline at a pose, its gaps, and the summits.
+
+        The gaps are those to the photo's skyline.
+        """
         viewer = self._engine.viewer
         photo = self._session.photo(str(asked.get("photo")))
         pose = pose_of(asked.get("pose"), viewer)

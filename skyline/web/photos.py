@@ -35,7 +35,7 @@ _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.
 
 
 class PagePhoto:
-    """A photo on the page, with its skyline, its strokes and its results.
+    """A photo on the page, with its skyline, strokes and results.
 
     Its file at ``path`` is the session's own, never changed; ``name`` is the user's name of it.
     Raises `InputError` if the file cannot be used.
@@ -104,7 +104,7 @@ class PagePhoto:
         return held.getvalue()
 
     def lines(self) -> bytes:
-        """Return the skyline's rows and trust, and the rows of other crests, as float32.
+        """Return the skyline's rows, trust and other crests, as float32.
 
         Columns that are not trusted have NaN and 0, those without another crest NaN.
         """
@@ -119,24 +119,24 @@ class PagePhoto:
         return self.result if searched and searched["skyline"] == version_of(self.skyline) else None
 
     def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
-        """Return the result of a search, None unless the same one would be made now."""
+        """Return a search's result, unless another search would be made now."""
         searched = self.result_json
         return self.current_result if searched and searched["asked"] == asked else None
 
     def cancel(self) -> None:
-        """End the photo's match, if one runs, at its next report of progress."""
+        """End the photo's match at its next report of progress."""
         if self.match is not None:
             self.match.cancelled.set()
 
 
 def version_of(skyline: PhotoSkyline) -> str:
-    """Return a digest that distinguishes a skyline from others of the same photo."""
+    """Return a digest that distinguishes skylines of one photo."""
     return hashlib.sha256(skyline.row_px.tobytes() + skyline.trust.tobytes()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=_IN_MEMORY)
 def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
-    """Return a photo and its correction, from memory or else from its file.
+    """Return a photo and its correction, from memory or its file.
 
     Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
     """
@@ -154,7 +154,10 @@ class _CancelledError(Exception):
 
 
 class Match:
-    """One match of one photo, run in a thread; ``asked`` is the page's request."""
+    """A match of a photo, run in a thread.
+
+    ``asked`` is the page's request.
+    """
 
     def __init__(
         self,
@@ -174,7 +177,7 @@ class Match:
         self.done = False
 
     def run(self, engine: Engine) -> None:
-        """Match, and leave the result in the photo or a message in ``error``."""
+        """Match, and leave the result in the photo or an ``error``."""
         try:
             self._check()
             result = engine.matcher.match(

@@ -27,7 +27,10 @@ _RANGES = {
 
 
 def number(asked: Mapping[str, Any], name: str) -> float:
-    """Return a number of a request; raises `InputError` if it is no number or out of range."""
+    """Return a number of a request.
+
+    Raises `InputError` if it is no number, or out of range.
+    """
     value: Any = asked.get(name)
     low, high = _RANGES[name]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -56,7 +59,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
 
 
 def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what the user knows, in the form of a request for a search."""
+    """Return what the user knows, as in a request for a search."""
     known = asked.get("known", {})
     if not isinstance(known, Mapping):
         raise InputError("what is known is no JSON object; reload the page")
@@ -102,7 +105,7 @@ def pose_of(asked: Any, viewer: Viewer) -> Pose:
 
 
 def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> MatchResult:
-    """Return the result whose first candidate is the pose that a request chooses.
+    """Return the result that begins with the pose that a request chooses.
 
     It is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate with
     the index ``rank``, 0 by default.

@@ -25,7 +25,10 @@ KINDS = {
 
 
 def trace_of(photo: PagePhoto, path: Path) -> bytes:
-    """Return a photo's skyline as a trace; it is written to ``path`` and read back."""
+    """Return a photo's skyline as a trace.
+
+    It is written to ``path`` and read back.
+    """
     try:
         write_trace(photo.skyline, path)
         return path.read_bytes()
@@ -34,9 +37,9 @@ def trace_of(photo: PagePhoto, path: Path) -> bytes:
 
 
 def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, folder: Path) -> bytes:
-    """Return a file of one of `KINDS`, which is written in a folder and read back.
+    """Return a file of one of `KINDS`.
 
-    The first candidate of the result is the pose to save.
+    It is written in a folder and read back. The first candidate of the result is the pose to save.
     """
     path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
     beside = path.with_suffix("")
@@ -61,7 +64,7 @@ def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, fold
 
 
 def _named(engine: Engine, photo: PagePhoto, pose: Pose) -> bytes:
-    """Return the photo with the names of the summits in it, as PNG."""
+    """Return the photo with the names of its summits, as PNG."""
     if engine.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
     picture = opened(photo)[0]

@@ -1,4 +1,4 @@
-"""Sessions of the page: each has photos, and a folder of its own for their files."""
+"""Sessions of the page: each has photos and a folder of its own."""
 
 import asyncio
 import secrets
@@ -30,7 +30,7 @@ class GoneError(InputError):
 
 
 class Session:
-    """The photos and matches of one user; the folder of the photos is made here."""
+    """The photos and matches of one user, and their folder."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
@@ -43,7 +43,10 @@ class Session:
         self.closed_at = time.monotonic()
 
     def path_for(self, name: str) -> Path:
-        """Return the path of a new file: a random name with the suffix of the given name."""
+        """Return a new file's path: a random name with a suffix.
+
+        The suffix is that of the given name.
+        """
         suffix = Path(name).suffix.lower()
         plain = suffix if suffix[1:].isalnum() and len(suffix) <= 6 else ""
         return self.folder / (secrets.token_hex(12) + plain)
@@ -72,12 +75,15 @@ class Session:
 
     @property
     def unattended_s(self) -> float:
-        """Time since the last page was closed; 0 while a page is open."""
+        """Time since the last page closed; 0 while one is open."""
         return 0.0 if self.pages else time.monotonic() - self.closed_at
 
 
 class Sessions:
-    """All sessions; their folders lie in one temporary folder that is deleted with the server."""
+    """All sessions.
+
+    Their folders lie in one temporary folder that is deleted with the server.
+    """
 
     def __init__(self, patience: Patience = Patience()) -> None:
         self._patience = patience
@@ -97,7 +103,7 @@ class Sessions:
         return self._sessions[session_id]
 
     def sweep(self) -> None:
-        """End matches that no open page awaits, and sessions that were closed long ago."""
+        """End matches that no page awaits, and sessions closed long ago."""
         for session in list(self._sessions.values()):
             if session.unattended_s > self._patience.unattended_s:
                 for photo in list(session.photos.values()):
