@@ -143,7 +143,7 @@ class Correction:
             check_of_image(given, (content.height, content.width))
             row_px = given.row_px[content.left : content.right] - content.top
             trust = given.trust[content.left : content.right].copy()
-        inside = [stroke.seen_from(content.left, content.top) for stroke in strokes]
+        inside = [stroke.in_crop(content.left, content.top) for stroke in strokes]
         self._find_again(inside, row_px, trust)
         for stroke in inside:
             self._apply(stroke, row_px, trust)

@@ -63,8 +63,8 @@ class Stroke:
         if not 0.0 <= self.radius_px < np.inf:
             raise InputError(f"a brush has a radius of {self.radius_px:g} px; expected 0 or more")
 
-    def seen_from(self, column: int, row: int) -> Self:
-        """Return the stroke as seen from a pixel of its image."""
+    def in_crop(self, column: int, row: int) -> Self:
+        """Return the stroke in a crop that begins at a pixel."""
         return replace(self, points_px=tuple((x - column, y - row) for x, y in self.points_px))
 
     def columns(self, width: int) -> IntArray:
