@@ -13,7 +13,6 @@ from .geodesy import Curvature as Curvature
 from .geodesy import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
-from .horizons import sky_view_factor as sky_view_factor
 from .location import locate as locate
 from .match.confidence import MatchConfig as MatchConfig
 from .match.matcher import Matcher as Matcher
@@ -28,12 +27,12 @@ from .orientation import orient as orient
 from .peaks import Peaks as Peaks
 from .peaks import read_peaks as read_peaks
 from .photo.exif import NotedPlace as NotedPlace
-from .photo.read import Photo as Photo
-from .photo.read import read_photo as read_photo
+from .photo.extract import Correction as Correction
+from .photo.photo import Photo as Photo
+from .photo.photo import read_photo as read_photo
 from .photo.read import read_query as read_query
 from .photo.skyline import Lens as Lens
 from .photo.skyline import PhotoSkyline as PhotoSkyline
-from .photo.strokes import Correction as Correction
 from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
@@ -50,6 +49,7 @@ from .report.maps import ReliefTiles as ReliefTiles
 from .report.match_page import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
+from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.header import StoreHeader as StoreHeader
 from .store.places import Places as Places

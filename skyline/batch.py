@@ -19,7 +19,9 @@ from skyline.files import REPORT_PAGE, STANDARD, is_own_page, version_of
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
-from skyline.photo.read import check_fov, photos_in, read_query
+from skyline.photo.image import photos_in
+from skyline.photo.photo import check_fov
+from skyline.photo.read import read_query
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.tables import Row, Table, is_table, read_table

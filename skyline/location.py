@@ -11,7 +11,8 @@ from skyline.geodesy import Bounds, Frame
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
-from skyline.photo.read import Picture, name_of, read_noted_place
+from skyline.photo.image import Picture, name_of
+from skyline.photo.photo import read_noted_place
 from skyline.terrain.dem_files import Paths
 
 NOTED_KM, _NEEDED_KM = 10.0, 5.0

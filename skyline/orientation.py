@@ -44,7 +44,7 @@ from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.exif import NotedPlace
-from skyline.photo.read import Picture
+from skyline.photo.image import Picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
 from skyline.render.context import Releasable

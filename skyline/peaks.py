@@ -1,4 +1,4 @@
-"""Named summits: gazetteers in CSV or GeoJSON, and the summits that an eye can see.
+"""Named summits: gazetteers of them, and those that an eye sees.
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
@@ -36,7 +36,8 @@ SUMMIT_RADIUS_M = 150.0
 not hide the summit."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
-_FOOT_M, _INCH_M = 0.3048, 0.0254
+_FOOT_M = 0.3048
+_INCH_M = 0.0254
 _METRES = {
     **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
@@ -52,7 +53,9 @@ _Point = tuple[str, float, float, object]
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
 S = TypeVar("S", bound="Sighting")
-_FROM_LEFT, _FROM_RIGHT = "\N{LEFT-TO-RIGHT MARK}", ("R", "AL")
+_FROM_LEFT = "\N{LEFT-TO-RIGHT MARK}"
+_FROM_RIGHT = ("R", "AL")
+"""Bidirectional classes of letters that are written from right to left."""
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
@@ -108,12 +111,13 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
 
 
 def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
-    """Check that peaks lie on a map: log a warning if none of them does.
+    """Log a warning if no peak lies on the map.
 
     Raises `InputError` if eastings and northings are degrees: in a frame around the model they
     would lie in its middle.
     """
-    frame, places_m = terrain.frame, (peaks.easting_m, peaks.northing_m)
+    frame = terrain.frame
+    places_m = peaks.easting_m, peaks.northing_m
     in_degrees = is_on_map(terrain, *frame.from_lonlat(*places_m))
     if in_degrees.any():
         raise InputError(
@@ -135,7 +139,9 @@ def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
 
 
 def find_place(path: str | Path, name: str) -> tuple[float, float]:
-    """Return longitude and latitude of a gazetteer's place; capitals in its name do not count.
+    """Return longitude and latitude of a place that a gazetteer names.
+
+    Capitals do not count.
 
     Raises `InputError` for a name that is not there or there several times, for a gazetteer in a
     frame's metres, and as `read_peaks`.
@@ -157,7 +163,10 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Return printable names, coordinates with heights (3, N), and whether they are in degrees."""
+    """Read a gazetteer's names, and its coordinates with heights, (3, N).
+
+    The third item is whether the coordinates are in degrees. Names are printable.
+    """
     is_lonlat = True
     if Path(path).suffix.lower() in GEOJSON:
         points = _of_geojson(path)
@@ -210,7 +219,10 @@ def _of_geojson(path: str | Path) -> list[_Point]:
 
 
 def _check_degrees(path: str | Path, read: Any) -> None:
-    """Raise `InputError` if GeoJSON names a coordinate system that is not in degrees (GJ2008)."""
+    """Raise `InputError` if GeoJSON names a system that is not in degrees.
+
+    GeoJSON of 2008 could name a coordinate reference system.
+    """
     try:
         name = str(read["crs"]["properties"]["name"])
         crs = CRS.from_user_input(name)
@@ -224,9 +236,13 @@ def _check_degrees(path: str | Path, read: Any) -> None:
 
 
 def _named_point(feature: Any) -> _Point | None:
-    """Return a feature's name, longitude, latitude and ``ele``; None unless it is a named point."""
+    """Return a feature's name, longitude, latitude and ``ele``.
+
+    It is None unless the feature is a named point.
+    """
     try:
-        properties, geometry = feature["properties"], feature["geometry"]
+        properties = feature["properties"]
+        geometry = feature["geometry"]
         lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
         name = " ".join(str(properties["name"] or "").split())
         ele = properties.get("ele")
@@ -238,14 +254,15 @@ def _named_point(feature: Any) -> _Point | None:
 
 
 def height_of_ele(ele: object) -> float:
-    """Return the height in metres of OpenStreetMap's ``ele``; NaN if it is no height.
+    """Return the metres in OpenStreetMap's ``ele``; NaN if it is no height.
 
     A number has a decimal point and no separator of thousands. It is in metres, or in the unit that
     follows it after an optional space; feet and inches are also written as 14505'3" (wiki, Key:ele
     and Map features/Units). Other forms are ambiguous, like 1,234, and are no height; neither is a
     height that no place on Earth has.
     """
-    text, height_m = str(ele).strip().lower(), math.nan
+    text = str(ele).strip().lower()
+    height_m = math.nan
     if (read := _WITH_UNIT.fullmatch(text)) and read[2] in _METRES:
         height_m = float(read[1]) * _METRES[read[2]]
     elif read := _FEET_INCHES.fullmatch(text):
@@ -283,7 +300,7 @@ class Sighting:
 
     @property
     def elevation_m(self) -> float:
-        """Height in the gazetteer; where it has none, that of the summit on the terrain."""
+        """Height in the gazetteer, or else the summit's height on the terrain."""
         return self.surface_m if math.isnan(self.height_m) else self.height_m
 
 
@@ -350,13 +367,17 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S
 def _summit(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
-    """Return easting, northing and height of the highest sample near a place, if there is one."""
+    """Return easting, northing and height of the highest sample near a place.
+
+    It is None off the terrain, and where there is no sample.
+    """
     row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
         return None
     reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
     reach_cols = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_east_m)
-    top, left = max(0, math.ceil(row - reach_rows)), max(0, math.ceil(col - reach_cols))
+    top = max(0, math.ceil(row - reach_rows))
+    left = max(0, math.ceil(col - reach_cols))
     near = terrain.heights_m[
         top : math.floor(row + reach_rows) + 1, left : math.floor(col + reach_cols) + 1
     ]
@@ -375,10 +396,11 @@ def highest_between_deg(
     near_m: Float64Array,
     far_m: Float64Array,
 ) -> Float64Array:
-    """Return the highest elevation angle of the terrain on K rays of one eye; -90 without data.
+    """Return the highest elevation angle of the terrain on each ray.
 
-    It lies where a ray, followed along its grid azimuth between two distances (K,), crosses an edge
-    of the surface, which is a plane between two edges.
+    The K rays are those of one eye. The angle is -90 without data. It lies where a ray, followed
+    along its grid azimuth between two distances (K,), crosses an edge of the surface, which is a
+    plane between two edges.
     """
     away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
     up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
@@ -392,9 +414,10 @@ def ground_elevation_deg(
     grid_rad: Float64Array,
     distance_m: Float64Array,
 ) -> Float64Array:
-    """Return elevation angles of the ground on K rays of one eye, (K, D); -90 without data.
+    """Return elevation angles of the ground along rays of one eye, (K, D).
 
-    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D).
+    The angle is -90 without data. The rays have grid azimuths (K,); the horizontal distances are
+    (D,) or (K, D).
     """
     ground_m = terrain.height_at(
         easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],

@@ -1,4 +1,4 @@
-"""Skylines of many eyes, in 90 degree views and all the way round, and their keypoints.
+"""Skylines of many eyes, in 90 degree views or all the way round.
 
 A view is that of an ideal pin-hole camera, as in the paper's section 4.1. World axes are X = east,
 Y = up, Z = north; camera axes are x = right, y = up, z = forward. Both are left-handed, so every
@@ -42,7 +42,7 @@ _NEARER = 0.9
 
 
 def check_width(width: int) -> int:
-    """Return ``width`` if it is a usable number of columns, else raise `InputError`."""
+    """Return ``width``, or raise `InputError` if it is not usable."""
     if not 2 <= width <= MAX_WIDTH:
         raise InputError(
             f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"
@@ -51,12 +51,15 @@ def check_width(width: int) -> int:
 
 
 def columns_u(width: int) -> Float64Array:
-    """Return the image-plane abscissa u of each column centre, shape (width,), in (-1, 1)."""
+    """Return the abscissa u of each column's centre, (width,).
+
+    It is from -1 to 1.
+    """
     return (2.0 * np.arange(width) + 1.0) / width - 1.0
 
 
 def pixel_size(width: int) -> float:
-    """Return the size of one pixel in units of u or v: 1 px = 2 / width."""
+    """Return the size of a pixel in u or v."""
     return 2.0 / width
 
 
@@ -68,9 +71,9 @@ def rotation(heading: int) -> Float64Array:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
+def elevation_deg(v: Float64Array, u: Float64Array) -> Float64Array:
     """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
-    return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
+    return np.degrees(np.arctan(v * np.cos(np.arctan(u))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +86,7 @@ class Views(Rows):
         The eye, in the DEM's frame and above its datum.
     heading : (N,) uint8
         0, 1, 2, 3 = grid north, east, south, west.
-    elevation_tan : (N, W) float32 (float64 from the oracle)
+    v : (N, W) float32 (float64 from the oracle)
         Image-plane ordinate v of the skyline; NaN where a column meets no data.
     depth_m : (N, W) float32 (float64 from the oracle)
         Forward distance of the skyline; NaN where a column meets no data.
@@ -95,14 +98,14 @@ class Views(Rows):
     northing_m: Float64Array
     eye_elevation_m: Float64Array
     heading: UInt8Array
-    elevation_tan: FloatArray
+    v: FloatArray
     depth_m: FloatArray
     flags: UInt8Array
 
     @property
     def width(self) -> int:
         """Number of columns W."""
-        return int(self.elevation_tan.shape[1])
+        return int(self.v.shape[1])
 
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
@@ -115,14 +118,15 @@ class Views(Rows):
 
     def elevation_deg(self) -> Float64Array:
         """Return elevation angles of the skyline, shape (N, W), degrees."""
-        return elevation_deg(self.elevation_tan.astype(np.float64), columns_u(self.width))
+        return elevation_deg(self.v.astype(np.float64), columns_u(self.width))
 
     def skyline_points_m(self) -> Float64Array:
-        """Return the skyline's 3-D points X_i, shape (N, W, 3): east, up, north minus the eye."""
+        """Return the skyline's points X_i from the eye, (N, W, 3).
+
+        The three coordinates are east, up and north.
+        """
         depth = self.depth_m.astype(np.float64)
-        camera = np.stack(
-            [columns_u(self.width) * depth, self.elevation_tan * depth, depth], axis=-1
-        )
+        camera = np.stack([columns_u(self.width) * depth, self.v * depth, depth], axis=-1)
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
 
@@ -130,7 +134,7 @@ class Views(Rows):
 def raised_to_dip(
     views: Views, abscissa: Float64Array, lowest_m: float, curvature: Curvature
 ) -> Views:
-    """Return views whose skylines are nowhere below the horizon of the lowest ground.
+    """Return views with skylines raised to the horizon of the lowest ground.
 
     Past the border of a DEM the Earth goes on. It is taken to lie no lower than ``lowest_m``, the
     lowest sample: so it does at sea. Ground at h below the eye has its horizon at the distance
@@ -141,18 +145,19 @@ def raised_to_dip(
     """
     if curvature.drop_per_m2 <= 0.0:
         return views
-    kind, below_m = views.elevation_tan.dtype, np.maximum(views.eye_elevation_m - lowest_m, 0.0)
+    kind = views.v.dtype
+    below_m = np.maximum(views.eye_elevation_m - lowest_m, 0.0)
     away_m = np.sqrt(below_m / curvature.drop_per_m2)[:, np.newaxis]
     stretch = np.hypot(1.0, abscissa)
-    dip_tan = (-2.0 * curvature.drop_per_m2 * away_m * stretch).astype(kind)
+    dip_v = (-2.0 * curvature.drop_per_m2 * away_m * stretch).astype(kind)
     depth_m = (away_m / stretch).astype(kind)
     # Samples of a sea that reaches the horizon lie up to a spacing nearer, and a little lower.
-    is_lower = (views.elevation_tan < dip_tan) & (views.depth_m < _NEARER * depth_m)
+    is_lower = (views.v < dip_v) & (views.depth_m < _NEARER * depth_m)
     if not is_lower.any():
         return views
     return replace(
         views,
-        elevation_tan=np.where(is_lower, dip_tan, views.elevation_tan),
+        v=np.where(is_lower, dip_v, views.v),
         depth_m=np.where(is_lower, depth_m, views.depth_m),
         flags=views.flags | np.where(is_lower, np.uint8(FLAG_TRUNCATED), np.uint8(0)),
     )
@@ -180,19 +185,20 @@ def joined_views(
 def quadrants(
     views: Views, bins: int, unusable: int, dtype: type[Float]
 ) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
-    """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
+    """Return tangents of elevation (N, B / 4) at the bins of views.
 
-    Also return the nearest column of each bin and the cosine of its azimuth, (B / 4,) each.
-    Azimuths count from the heading and begin 45 degrees left of it. The first bin lies half a
-    column left of the first column's centre and is extrapolated; the bin 45 degrees to the right
-    belongs to the next heading.
+    They are NaN in columns with ``unusable`` flags. Also return the nearest column of each bin and
+    the cosine of its azimuth, (B / 4,) each. Azimuths count from the heading and begin 45 degrees
+    left of it. The first bin lies half a column left of the first column's centre and is
+    extrapolated; the bin 45 degrees to the right belongs to the next heading.
     """
     steps = np.arange(bins // 4) - bins // 8
     azimuth = 2.0 * np.pi / bins * steps
     position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
     left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
-    share, cosine = (position - left).astype(dtype), np.cos(azimuth).astype(dtype)
-    v = np.where(views.flags & unusable, np.nan, views.elevation_tan).astype(dtype)
+    share = (position - left).astype(dtype)
+    cosine = np.cos(azimuth).astype(dtype)
+    v = np.where(views.flags & unusable, np.nan, views.v).astype(dtype)
     # v is linear between columns (exactly so along a straight edge); depth may jump.
     y = (v[:, left] * (1 - share) + v[:, left + 1] * share) * cosine
     return y, left + (share > 0.5), cosine
@@ -215,9 +221,10 @@ def bin_azimuths_rad(bins: int) -> Float64Array:
 
 
 def quadrant_azimuths_rad(bins: int) -> Float64Array:
-    """Return the azimuths (B/4,) of a quadrant's bins from its axis, increasing, in radians.
+    """Return the azimuths (B/4,) of a quadrant's bins from its axis.
 
-    The quadrant of heading h has the bins h B/4 - B/8 to h B/4 + B/8 - 1, modulo B.
+    They are in radians, and increase. The quadrant of heading h has the bins h B/4 - B/8 to h B/4 +
+    B/8 - 1, modulo B.
     """
     steps = np.arange(bins // 4) + 0.5 - bins / 8
     return np.asarray(steps * (2.0 * np.pi / bins), dtype=np.float64)
@@ -225,20 +232,29 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizons(Rows):
-    """The skylines of N eyes in B bins of azimuth, by default those of `bin_azimuths_rad`."""
+    """The skylines of N eyes in B bins of azimuth.
+
+    The bins are those of `bin_azimuths_rad`, unless others are named.
+
+    Attributes
+    ----------
+    easting_m, northing_m, eye_elevation_m : (N,) float64
+        The eye, in the DEM's frame and above its datum.
+    elevation_tan : (N, B) float32
+        Tangent of the skyline's elevation angle: up over horizontal distance. NaN where an azimuth
+        meets no data.
+    distance_m : (N, B) float32
+        Horizontal distance of the skyline; NaN where an azimuth meets no data.
+    flags : (N, B) uint8
+        The bits of `skyline.skylines`: truncated, hole, no data.
+    """
 
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
-    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (N,) float64. The eye, in the DEM's frame
-    and above its datum."""
     elevation_tan: Float32Array
-    """(N, B) float32. Tangent of the skyline's elevation angle: up over horizontal distance. NaN
-    where an azimuth meets no data."""
     distance_m: Float32Array
-    """(N, B) float32. Horizontal distance of the skyline; NaN where an azimuth meets no data."""
     flags: UInt8Array
-    """(N, B) uint8. The bits of `skyline.skylines`: truncated, hole, no data."""
 
 
 def polyline_vertices(
@@ -274,7 +290,7 @@ def polyline_vertices(
 
 
 def _runs(curves: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the flat index of the first and last sample of every run of finite samples."""
+    """Return flat indices of the ends of runs of finite samples."""
     width = curves.shape[1]
     finite = np.pad(np.isfinite(curves), ((0, 0), (1, 1))).astype(np.int8)
     change = np.diff(finite, axis=1)
@@ -288,17 +304,22 @@ def _split(
     flat: Float64Array, left: IntArray, right: IntArray, tolerance: float
 ) -> tuple[IntArray, Float64Array]:
     """Return flat indices and significances of the vertices inside segments left..right."""
-    positions, significances = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
+    positions = [np.zeros(0, dtype=np.intp)]
+    significances = [np.zeros(0)]
     bound = np.full(len(left), np.inf)
     while (long := right - left > 1).any():
-        left, right, bound = left[long], right[long], bound[long]
+        left = left[long]
+        right = right[long]
+        bound = bound[long]
         worst, middle = _worst_miss(flat, left, right)
         missed = worst > tolerance
-        left, right, middle = left[missed], right[missed], middle[missed]
+        left = left[missed]
+        right = right[missed]
+        middle = middle[missed]
         bound = np.minimum(bound, worst)[missed]
         positions.append(middle)
         significances.append(bound)
-        left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
+        left, right = np.concatenate([[left, middle], [middle, right]], axis=1)
         bound = np.concatenate([bound, bound])
     return np.concatenate(positions), np.concatenate(significances)
 
@@ -306,7 +327,10 @@ def _split(
 def _worst_miss(
     flat: Float64Array, left: IntArray, right: IntArray
 ) -> tuple[Float64Array, IntArray]:
-    """Return each segment's greatest vertical distance to its chord and where it is."""
+    """Return each segment's greatest distance to its chord, and where.
+
+    Distances are vertical.
+    """
     count = right - left - 1
     start = np.cumsum(count) - count
     segment = np.repeat(np.arange(len(left)), count)

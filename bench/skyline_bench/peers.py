@@ -106,7 +106,7 @@ class EmbreePeer:
         return Views(*place, heading, tan, np.full_like(tan, np.nan), flags)
 
     def _skylines(self, viewpoints: Viewpoints, bracket: float) -> Float64Array:
-        """Return elevation_tan of every column of a few viewpoints' four views, (4 N, W)."""
+        """Return the ordinate v of every column of a few viewpoints' four views, (4 N, W)."""
         offset = np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1) - self._middle_m
         drop_m = self.curvature.drop_per_m2 * np.square(offset).sum(axis=1)
         up = viewpoints.eye_elevation_m - self._datum_m - drop_m

@@ -336,7 +336,7 @@ def _found_by_truth(
     """Whether the true skyline, as far as it is known, leads to the place."""
     if true_px is None:
         return False
-    true = replace(query, row_px=true_px, confidence=np.isfinite(true_px).astype(float))
+    true = replace(query, row_px=true_px, trust=np.isfinite(true_px).astype(float))
     found = matcher.match(true).candidates
     return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_M
 

@@ -201,7 +201,7 @@ def _true_deg(
         away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
         u = np.tan(away[0])
         views = oracle.skyline_at(terrain, eyes[index : index + 1], u, curvature)
-        true_deg[index, order] = elevation_deg(views.elevation_tan.astype(np.float64), u).ravel()
+        true_deg[index, order] = elevation_deg(views.v.astype(np.float64), u).ravel()
     return true_deg
 
 

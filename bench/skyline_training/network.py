@@ -268,7 +268,7 @@ def _toned(light: Tensor, rng: np.random.Generator) -> Tensor:
 
 
 def _levelled(light: Tensor) -> Tensor:
-    """Scale each channel to its own range, as `skyline.photo.extract.levelled`."""
+    """Scale each channel to its own range, as `skyline.photo.sky_network.levelled`."""
     some = light[:, :, ::4, ::4].flatten(2)
     low, high = torch.quantile(some, torch.tensor([0.01, 0.99], device=light.device), 2)
     low, high = low[..., None, None], high[..., None, None]

@@ -39,7 +39,8 @@ from skyline.errors import (
 from skyline.files import STANDARD, on_disk, read_bytes, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Place, noted_place, orienters
 from skyline.peaks import read_peaks
-from skyline.photo.read import read_photo, read_query
+from skyline.photo.photo import read_photo
+from skyline.photo.read import read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.tables import csv_lines

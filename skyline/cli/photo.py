@@ -20,7 +20,9 @@ from skyline.cli.console import (
     print_written,
 )
 from skyline.errors import InputError, MissingFileError, SkylineError, check_suffix, suffix_of
-from skyline.photo.read import OVERLAYS, extract_photo, write_overlay
+from skyline.photo.overlay import OVERLAYS, write_overlay
+from skyline.photo.photo import read_photo
+from skyline.photo.read import find_skyline
 from skyline.photo.trace import TRACES, write_trace
 from skyline.store.read import is_store
 
@@ -55,9 +57,10 @@ def extract(
     check_suffix(output, TRACES)
     if overlay is not None:
         suffix_of(overlay, OVERLAYS)
-    image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
+    read = read_photo(photo, fov_deg, projection=projection)
+    skyline = find_skyline(read, sky_model)
     if overlay is not None:
-        write_overlay(image, skyline, overlay)
+        write_overlay(read.rgb, skyline, overlay)
     write_trace(skyline, output)
     trusted = np.count_nonzero(skyline.trusted)
     print_written(output, f"skyline found in {trusted} of {skyline.width_px} columns")

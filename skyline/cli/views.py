@@ -27,19 +27,12 @@ from skyline.cli.console import (
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
-from skyline.horizons import (
-    DEFAULT_STEP_DEG,
-    KINDS,
-    LocalHorizons,
-    day_of,
-    horizon_csv,
-    horizons_of,
-    steps_a_turn,
-    write_horizons,
-)
+from skyline.horizons import DEFAULT_STEP_DEG, LocalHorizons, horizons_of, steps_a_turn
 from skyline.peaks import read_peaks
+from skyline.report.horizon_files import KINDS, horizon_csv, write_horizons
 from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
+from skyline.sun import day_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, read_viewpoints, stand_at

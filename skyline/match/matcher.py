@@ -30,7 +30,8 @@ from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
-from skyline.photo.read import Picture, read_query
+from skyline.photo.image import Picture
+from skyline.photo.read import read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose

@@ -67,7 +67,7 @@ class Rays(ImagePoints):
         matcher finds it, and for a panorama of unknown field of view.
         """
         is_panorama = photo.projection.is_panorama
-        weight = photo.confidence[photo.trusted]
+        weight = photo.trust[photo.trusted]
         if photo.fov_deg is not None:
             fov_deg = photo.fov_deg
             lens = photo.lens or Lens(photo.fov_deg)

@@ -48,7 +48,7 @@ def skyline_points_m(views: Views, columns: int = _COLUMNS) -> Float64Array:
     stride = slice(0, None, -(-views.width // columns))
     depth = views.depth_m[:, stride].astype(np.float64)
     right = columns_u(views.width)[stride] * depth
-    return np.stack([right, views.elevation_tan[:, stride] * depth, depth], axis=-1)
+    return np.stack([right, views.v[:, stride] * depth, depth], axis=-1)
 
 
 def displacements_m(

@@ -135,10 +135,7 @@ def _errors_px(stored: Views, rendered: Views) -> Float64Array:
     """Return the least distances from all starts, each fitted from coarse curves to fine."""
     best = np.full(len(stored), np.inf)
     counts = (*(c for c in _COLUMNS if c < stored.width), stored.width)
-    pairs = [
-        (block_means(stored.elevation_tan, count), block_means(rendered.elevation_tan, count))
-        for count in counts
-    ]
+    pairs = [(block_means(stored.v, count), block_means(rendered.v, count)) for count in counts]
     for warp in np.moveaxis(_starts(stored, rendered), 1, 0):
         found = warp
         for curves, targets in pairs:
@@ -179,7 +176,7 @@ def fitted_warps(
 ) -> tuple[Float64Array, Float64Array]:
     """Fit affine maps within bounds that warp curves onto others; return distances and maps.
 
-    Curves and targets (B, Q) are elevation_tan at Q column centres; NaN is unknown. Warps to begin
+    Curves and targets (B, Q) are ordinates v at Q column centres; NaN is unknown. Warps to begin
     with are (B, 2, 3); NaN is none. A distance (B,) in px, 2 / W, is the mean vertical distance of
     the warped columns from the other curve; infinite where too few of them land on it.
     """

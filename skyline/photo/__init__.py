@@ -1,1 +1,1 @@
-"""From photos, sky masks and traces to query skylines, with the camera that a file notes."""
+"""From photos, sky masks and traces to skylines in pixels."""

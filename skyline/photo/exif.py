@@ -1,13 +1,13 @@
-"""The place and the heading that a photo's EXIF notes, and the height that a drone's XMP notes.
+"""The place and the heading that a photo notes in EXIF and XMP.
 
 Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
 meaning of a number is missing, the number is left aside, with a sentence that gives the reason.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite
+from enum import IntEnum
 from typing import TypeVar
 
 from PIL.ExifTags import GPS
@@ -15,6 +15,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from skyline.geodesy import GROUND_M
+from skyline.photo.tags import Tags, leading_number, number_of, positive, text_of
 from skyline.photo.xmp import NO_XMP, Xmp
 
 _ERROR_PER_DOP_M = 5.0
@@ -25,20 +26,19 @@ _ABOVE_TAKEOFF = ("RelativeAltitude", "AboveGroundAltitude")
 """XMP's names of the height above the take-off. DJI, Autel and Skydio write the first, each in a
 namespace of its own, Parrot and senseFly the second in Pix4D's (OpenAthena and TinyEXIF read
 them)."""
-_NUMBER = re.compile(r"([+-]?\d+\.?\d*)(?:/([1-9]\d*))?")
-"""A decimal or a rational, as XMP writes them."""
 _MOST_TAKEOFF_M = 10_000.0
+"""Greatest height above the take-off that is believed: no drone flies higher."""
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
-_UP, _DOWN, _UP_ELLIPSOIDAL, _DOWN_ELLIPSOIDAL = range(4)
-"""GPSAltitudeRef; EXIF 3.0 added heights above the ellipsoid."""
+"""What PROJ is asked about: names, and no definitions."""
 
 T = TypeVar("T")
-Tags = Mapping[int, object]
 
 
 @dataclass(frozen=True, slots=True)
 class NotedPlace:
-    """The place and the heading noted in a photo; None for values that it does not note.
+    """The place and the heading that a photo notes.
+
+    A value is None where the photo does not note it.
 
     Attributes
     ----------
@@ -70,12 +70,21 @@ class NotedPlace:
 NOTHING_NOTED = NotedPlace()
 
 
+class _AltitudeReference(IntEnum):
+    """GPSAltitudeRef; EXIF 3.0 added heights above the ellipsoid."""
+
+    ABOVE_SEA = 0
+    BELOW_SEA = 1
+    ABOVE_ELLIPSOID = 2
+    BELOW_ELLIPSOID = 3
+
+
 class _UnusableError(Exception):
     """The reason, in words, that a GPS tag cannot be used."""
 
 
 def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
-    """Return the place and the heading noted in a photo's GPS directory, and the height in XMP."""
+    """Return the place noted in a photo's GPS directory and XMP."""
     left_aside: list[str] = []
 
     def noted(name: str, read: Callable[[Tags], T | None]) -> T | None:
@@ -101,16 +110,18 @@ def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
 
 
 def _takeoff_height_m(xmp: Xmp) -> float | None:
-    """Return the height above the take-off in XMP; None if it notes none, or an impossible one."""
-    noted = _NUMBER.match(xmp.first(*_ABOVE_TAKEOFF) or "")
-    if noted is None:
-        return None
-    height_m = float(noted[1]) / float(noted[2] or 1.0)
-    return height_m if abs(height_m) <= _MOST_TAKEOFF_M else None
+    """Return the height above the take-off in XMP.
+
+    It is None if XMP notes none, or an impossible one.
+    """
+    height_m = leading_number(xmp.first(*_ABOVE_TAKEOFF) or "")
+    is_possible = height_m is not None and abs(height_m) <= _MOST_TAKEOFF_M
+    return height_m if is_possible else None
 
 
 def _accuracy_m(gps: Tags) -> float | None:
-    noted_m, dop = positive(gps.get(GPS.GPSHPositioningError)), positive(gps.get(GPS.GPSDOP))
+    noted_m = positive(gps.get(GPS.GPSHPositioningError))
+    dop = positive(gps.get(GPS.GPSDOP))
     return noted_m if noted_m is not None or dop is None else _ERROR_PER_DOP_M * dop
 
 
@@ -137,9 +148,9 @@ def _lonlat_deg(gps: Tags) -> tuple[float, float] | None:
 
 
 def _angle_deg(gps: Tags, name: str, tag: int, side_tag: int, sides: str, most_deg: float) -> float:
-    """Return an angle from degrees, minutes and seconds, and its sign from one of two letters."""
+    """Return a coordinate, read from degrees, minutes, seconds and a letter."""
     parts = gps.get(tag)
-    numbers = [_number(part) for part in parts] if isinstance(parts, tuple) else []
+    numbers = [number_of(part) for part in parts] if isinstance(parts, tuple) else []
     known = [one for one in numbers if one is not None]
     if not len(numbers) == len(known) == 3:
         raise _UnusableError(f"the {name} is not given as degrees, minutes and seconds")
@@ -157,16 +168,19 @@ def _elevation_m(gps: Tags) -> float | None:
     if GPS.GPSAltitude not in gps:
         return None
     _require_fix(gps)
-    height_m = _number(gps[GPS.GPSAltitude])
-    reference = gps.get(GPS.GPSAltitudeRef, _UP)  # The default in the standard.
-    reference = _number(int.from_bytes(reference) if isinstance(reference, bytes) else reference)
+    height_m = number_of(gps[GPS.GPSAltitude])
     if height_m is None:
         raise _UnusableError("it is not a number")
-    if reference in (_UP_ELLIPSOIDAL, _DOWN_ELLIPSOIDAL):
-        raise _UnusableError("it counts from the ellipsoid, not from sea level")
-    if reference not in (_UP, _DOWN):
-        raise _UnusableError("it does not say whether it is above or below sea level")
-    height_m = -height_m if reference == _DOWN else height_m
+    reference = gps.get(GPS.GPSAltitudeRef, _AltitudeReference.ABOVE_SEA)  # The standard's default.
+    match number_of(int.from_bytes(reference) if isinstance(reference, bytes) else reference):
+        case _AltitudeReference.ABOVE_SEA:
+            pass
+        case _AltitudeReference.BELOW_SEA:
+            height_m = -height_m
+        case _AltitudeReference.ABOVE_ELLIPSOID | _AltitudeReference.BELOW_ELLIPSOID:
+            raise _UnusableError("it counts from the ellipsoid, not from sea level")
+        case _:
+            raise _UnusableError("it does not say whether it is above or below sea level")
     lowest_m, highest_m = GROUND_M
     if not lowest_m <= height_m <= highest_m:
         raise _UnusableError(f"{height_m:.0f} m is outside {lowest_m:.0f} to {highest_m:.0f} m")
@@ -176,7 +190,7 @@ def _elevation_m(gps: Tags) -> float | None:
 def _heading_deg(gps: Tags) -> float | None:
     if GPS.GPSImgDirection not in gps:
         return None
-    heading_deg = _number(gps[GPS.GPSImgDirection])
+    heading_deg = number_of(gps[GPS.GPSImgDirection])
     if heading_deg is None or not 0.0 <= heading_deg <= 360.0:
         raise _UnusableError("it is not within 0 to 360 degrees")
     return heading_deg % 360.0
@@ -185,25 +199,3 @@ def _heading_deg(gps: Tags) -> float | None:
 def _require_fix(gps: Tags) -> None:
     if text_of(gps, GPS.GPSStatus)[:1] == "V":
         raise _UnusableError("the receiver had no fix (GPSStatus V)")
-
-
-def text_of(gps: Tags, tag: int) -> str:
-    """Return a tag's text in capitals; "" if it has none."""
-    value = gps.get(tag, "")
-    text = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
-    return text.strip("\0 ").upper()
-
-
-def _number(value: object) -> float | None:
-    """Return a tag's number; None if it is not finite, as the rational 0/0, or no number."""
-    try:
-        as_float = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return as_float if isfinite(as_float) else None
-
-
-def positive(value: object) -> float | None:
-    """Return a tag's number if it is above 0, else None."""
-    found = _number(value)
-    return found if found is not None and found > 0.0 else None

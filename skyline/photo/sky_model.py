@@ -1,10 +1,9 @@
-"""Skylines of sky masks, white for sky and black for ground, and of sky segmentation models.
+"""Skylines of sky segmentation models that a user brings.
 
-A sky segmentation model in ONNX may replace the built-in extraction. The model must have one input,
-float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or (1, 2, h',
-w'), the sky's probability or logits; if it has two channels, the second is the sky. The photo is
-resized to the h and w that the model states, or else to at most 1024 px a side, rounded to
-multiples of 32.
+A model, in ONNX, must have one input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is
+(1, 1, h', w'), (1, h', w') or (1, 2, h', w'), the sky's probability or logits; if it has two
+channels, the second is the sky. The photo is resized to the h and w that the model states, or else
+to at most 1024 px a side, rounded to multiples of 32.
 """
 
 from pathlib import Path
@@ -13,30 +12,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from skyline.arrays import Float64Array, IntArray, UInt8Array
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError, library
-from skyline.photo.extract import content_of
+from skyline.photo.borders import content_of
+from skyline.photo.sky_mask import topmost_border
 from skyline.photo.skyline import PhotoSkyline
 
-_NEARLY = 24
-"""Levels within which a pixel counts as black or white: masks saved as JPEG ring."""
-_MIN_SHARE = 0.98
-"""Least share of a mask's pixels that are nearly black or white; the rest is its border."""
-_SAMPLES = 500
-_MOST_CHANGES = 15.0
-"""Most changes between black and white down a column of a mask, in the mean of the columns: masks
-of photos have about 2, dithered photos 90 or more."""
-_MIDDLE = 127.5
-_FLAT_PX, _MOST_FLAT, _MOST_WHITE = 1.0, 0.9, 0.1
-"""A border is taken for the frame of a mask with white ground if it lies within `_FLAT_PX` of its
-median in more than `_MOST_FLAT` of the columns, and if more than `_MOST_WHITE` of the pixels below
-it are white."""
-
 _LONGEST_PX = 1024
+"""Longest side of the input of a model that states no size."""
 _MULTIPLE_PX = 32
+"""The sides of such an input are multiples of this, as most networks demand."""
 _STEP_SHARE = 0.012
-"""Distance above and below the border, as a share of all rows, over which the fall is measured."""
-_MIN_CONFIDENCE = 0.5
+"""Distance above and below the border at which the probability is read, as a share of all rows."""
+_MIN_TRUST = 0.5
 """Least fall of the probability across the border; columns below it are masked."""
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
@@ -59,17 +47,17 @@ def load_sky_model(path: str | Path) -> Any:
 def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
-    A column's skyline is its topmost crossing of one half; its confidence is the fall of the
+    A column's skyline is its topmost crossing of one half; its trust is the fall of the
     probability there within a hundredth of the rows. Raises `InputError` if the model breaks the
-    contract, or no column has sky above ground. ``session`` is the file of a model, or as of
-    `load_sky_model`.
+    contract, or no column has sky above ground. ``session`` is the file of a model, or what
+    `load_sky_model` returns.
     """
     if isinstance(session, str | Path):
         session = load_sky_model(session)
     content = content_of(image)
     photo = content.crop(image)
     probability = _probability(photo, session)
-    row_px, confidence = _border(probability)
+    row_px, trust = _border(probability)
     row_px = (row_px + 0.5) * len(photo) / len(probability) - 0.5
     at = (np.arange(photo.shape[1]) + 0.5) * len(row_px) / photo.shape[1] - 0.5
     at = np.clip(at, 0.0, len(row_px) - 1.0)
@@ -77,10 +65,10 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
     right = np.minimum(left + 1, len(row_px) - 1)
     # Beside a masked column the row is NaN, since there is nothing to interpolate to.
     row = np.interp(at, np.arange(len(row_px)), row_px)
-    query = content.skyline(row, np.minimum(confidence[left], confidence[right]))
-    if not query.trusted.any():
+    skyline = content.skyline(row, np.minimum(trust[left], trust[right]))
+    if not skyline.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")
-    return query
+    return skyline
 
 
 def _probability(photo: UInt8Array, session: Any) -> Float64Array:
@@ -115,79 +103,20 @@ def _probability(photo: UInt8Array, session: Any) -> Float64Array:
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return row and confidence of each column's border; NaN and 0 if there is none."""
+    """Return the row and the trust of each column's border.
+
+    They are NaN and 0 where there is none.
+    """
     height, width = probability.shape
     row_px, first = topmost_border(probability, 0.5)
     columns = np.arange(width)
     step = max(1, round(_STEP_SHARE * height))
     sky = probability[np.maximum(first - 1 - step, 0), columns]
     ground = probability[np.minimum(first + step, height - 1), columns]
-    confidence = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
-    trusted = confidence >= _MIN_CONFIDENCE
-    return np.where(trusted, row_px, np.nan), np.where(trusted, confidence, 0.0)
+    trust = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
+    trusted = trust >= _MIN_TRUST
+    return np.where(trusted, row_px, np.nan), np.where(trusted, trust, 0.0)
 
 
 def _line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0][:160]
-
-
-def is_sky_mask(image: UInt8Array) -> bool:
-    """Return whether an RGB image (H, W, 3) uint8 is grey, nearly all black or white, in few areas.
-
-    About five hundred rows and columns are sampled. A dithered photo is no mask.
-    """
-    step_down, step_across = (max(1, side // _SAMPLES) for side in image.shape[:2])
-    sample = image[::step_down, ::step_across].astype(np.int16)
-    grey = sample[:, :, 1]
-    coloured = np.abs(sample - grey[:, :, np.newaxis]).max(axis=2) > _NEARLY
-    extreme = (grey <= _NEARLY) | (grey >= 255 - _NEARLY)
-    changes = np.count_nonzero(np.diff(grey >= _MIDDLE, axis=0)) / grey.shape[1]
-    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE and changes <= _MOST_CHANGES
-
-
-def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
-    """Return the border above each column's topmost ground; NaN if it has no sky above ground.
-
-    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
-    `InputError` if no column of the mask, (H, W, 3) uint8, has sky (white) above ground, if more
-    columns begin with black above white than have a skyline, or if white ground in a white frame is
-    taken for sky.
-    """
-    sky = image[:, :, 1].astype(np.float64)
-    row_px, first = topmost_border(sky, _MIDDLE)
-    drawn, white = np.isfinite(row_px), np.count_nonzero(sky >= _MIDDLE, axis=0)
-    found = ""
-    if np.count_nonzero((white > _MOST_WHITE * len(sky)) & (sky[0] < _MIDDLE)) > drawn.sum():
-        found = "black above white, as one with white ground or in a black frame"
-    elif not drawn.any():
-        found = "no sky above ground"
-    elif (
-        np.mean(np.abs(row_px - np.nanmedian(row_px))[drawn] <= _FLAT_PX) > _MOST_FLAT
-        and (white - first)[drawn].sum() > _MOST_WHITE * (len(sky) - first)[drawn].sum()
-    ):
-        found = (
-            f"a straight border at row {np.nanmedian(row_px):.0f} and white below it, as one with "
-            "white ground in a white frame"
-        )
-    if found:
-        raise InputError(
-            "no skyline found: the picture is black and white alone, as a sky mask is, and has "
-            f"{found}; expected white for the sky, black for the ground, and no frame"
-        )
-    return PhotoSkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
-
-
-def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
-    """Return the row at which each column (w,) of a sky image (h, w) first falls below a middle.
-
-    The row is fractional, NaN if the column never falls or starts below the middle. The second
-    array is the row of the first pixel of ground.
-    """
-    is_ground = sky < middle
-    first = np.argmax(is_ground, axis=0)
-    # The skyline lies above the image if a column starts with ground, below it if it has none.
-    seen = is_ground.any(axis=0) & (first > 0)
-    columns = np.arange(sky.shape[1])
-    above, below = sky[first - 1, columns], sky[first, columns]
-    row_px = first - 1 + (above - middle) / np.where(seen, above - below, 1.0)
-    return np.where(seen, row_px, np.nan), first

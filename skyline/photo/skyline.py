@@ -54,7 +54,7 @@ class PhotoSkyline:
     row_px : (W,) float64
         Row of the border between sky and ground; NaN where it is absent or not trusted. A border
         known to the pixel only is the row of the last sky pixel plus 0.5.
-    confidence : (W,) float64
+    trust : (W,) float64
         0 to 1; 0 where ``row_px`` is NaN.
     width_px, height_px : int
         Size of the photo the rows refer to.
@@ -74,7 +74,7 @@ class PhotoSkyline:
     """
 
     row_px: Float64Array
-    confidence: Float64Array
+    trust: Float64Array
     width_px: int
     height_px: int
     fov_deg: float | None = None
@@ -87,7 +87,7 @@ class PhotoSkyline:
     def __post_init__(self) -> None:
         shapes: dict[str, tuple[int, ...]] = {
             "row_px": (self.width_px,),
-            "confidence": (self.width_px,),
+            "trust": (self.width_px,),
         }
         if self.crests is not None:
             shapes["crests"] = (3, self.width_px)
@@ -106,11 +106,11 @@ class PhotoSkyline:
         object.__setattr__(self, "projection", Projection(self.projection))
         if self.fov_deg is not None:
             object.__setattr__(self, "fov_deg", self.projection.check_fov_deg(self.fov_deg))
-        # Means of confidences pass 0 and 1 by rounding.
-        if not np.all(np.abs(self.confidence - 0.5) <= 0.5 + 1e-6):
-            raise InputError("a confidence is not a number from 0 to 1; scale them")
-        if np.any((self.confidence > 0.0) & ~self.trusted):
-            raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")
+        # Averages of trust pass 0 and 1 by rounding.
+        if not np.all(np.abs(self.trust - 0.5) <= 0.5 + 1e-6):
+            raise InputError("trust is not a number from 0 to 1 in some column; scale it")
+        if np.any((self.trust > 0.0) & ~self.trusted):
+            raise InputError("trust is above 0 where row_px is NaN; expected 0 there")
 
     def __repr__(self) -> str:
         lens = "unknown" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"

@@ -1,4 +1,4 @@
-"""Skyline traces: CSV files of a skyline, written here or drawn by a person."""
+"""Skyline traces: CSV files that are written here or drawn."""
 
 import math
 import re
@@ -18,49 +18,51 @@ TRACES = (".csv",)
 _MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 _MAX_SIDE_PX = 100_000
+"""Longest side of a photo: more is a mistake, and would fill the memory."""
 _COLUMNS = ("column_px", "row_px")
 _NOTE = re.compile(r"(\w+)\s*=\s*(\S+?)(?=[,;]*\s|[,;]*$|[,;]\w+\s*=)")
 _NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
 
-def write_trace(query: PhotoSkyline, path: str | Path) -> None:
-    """Write a skyline as CSV: one row per trusted column, one break per run of masked columns.
+def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
+    """Write a skyline as CSV, with a row per trusted column.
 
-    A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
-    `read_trace` returns the same rows, bit for bit, the field of view and the projection. Raises
-    `InputError` where the suffix is not .csv, or the file cannot be written.
+    Each run of masked columns has a break. A break is a row whose ``row_px`` is ``nan``: the points
+    on its two sides are not joined. `read_trace` returns the same rows, bit for bit, the field of
+    view and the projection. Raises `InputError` where the suffix is not .csv, or the file cannot be
+    written.
     """
     check_suffix(path, TRACES)
-    lines = [f"# width={query.width_px} height={query.height_px}"]
-    if query.projection.is_panorama:
-        lines.append(f"# projection={query.projection}")
-    if query.fov_deg is not None:
-        lines.append(f"# fov_deg={query.fov_deg!r}")
-        if query.lens is not None and query.lens.sd_deg is not None:
-            lines[-1] += f" fov_slack={query.lens.sd_deg / query.fov_deg!r}"
-    if query.eye_height_m is not None:
-        lines.append(f"# eye_height_m={query.eye_height_m!r}")
+    lines = [f"# width={skyline.width_px} height={skyline.height_px}"]
+    if skyline.projection.is_panorama:
+        lines.append(f"# projection={skyline.projection}")
+    if skyline.fov_deg is not None:
+        lines.append(f"# fov_deg={skyline.fov_deg!r}")
+        if skyline.lens is not None and skyline.lens.sd_deg is not None:
+            lines[-1] += f" fov_slack={skyline.lens.sd_deg / skyline.fov_deg!r}"
+    if skyline.eye_height_m is not None:
+        lines.append(f"# eye_height_m={skyline.eye_height_m!r}")
     lines.append(",".join(_COLUMNS))
-    trusted = query.trusted
+    trusted = skyline.trusted
     starts_gap = ~trusted
     starts_gap[1:] &= trusted[:-1]
     for column in np.flatnonzero(trusted | starts_gap):
-        lines.append(f"{column},{float(query.row_px[column])!r}")
+        lines.append(f"{column},{float(skyline.row_px[column])!r}")
     write_whole(Path(path), "\n".join(lines) + "\n")
 
 
 def read_trace(
     path: str | Path, fov_deg: float | None = None, projection: Projection | None = None
 ) -> PhotoSkyline:
-    """Read a trace: points of a skyline, sparse or fractional, joined by straight lines.
+    """Read a trace: points of a skyline, joined by straight lines.
 
-    The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
-    at whole numbers. Lines that begin with # may also note ``fov_deg=``, with ``fov_slack=`` (its
-    deviation as a share of it), ``eye_height_m=`` and ``projection=``; the arguments override a
-    field of view and a projection noted in the file. Consecutive points are joined unless they are
-    more than a tenth of the width apart or a row with an empty or ``nan`` ``row_px`` stands between
-    them. Drawn columns have confidence 1.
+    They may be sparse or fractional. The first line is ``# width=W height=H``, the header
+    ``column_px,row_px``; pixel centres are at whole numbers. Lines that begin with # may also note
+    ``fov_deg=``, with ``fov_slack=`` (its deviation as a share of it), ``eye_height_m=`` and
+    ``projection=``; the arguments override a field of view and a projection noted in the file.
+    Consecutive points are joined unless they are more than a tenth of the width apart or a row with
+    an empty or ``nan`` ``row_px`` stands between them. Drawn columns have trust 1.
 
     Raises
     ------
@@ -87,7 +89,8 @@ def read_trace(
         raise InputError(f"{path} draws no column of the skyline; add points to it")
     lens = None
     if fov_deg is None and "fov_deg" in notes:
-        fov_deg, slack = notes["fov_deg"], notes.get("fov_slack")
+        fov_deg = notes["fov_deg"]
+        slack = notes.get("fov_slack")
         lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
     try:
         return PhotoSkyline(
@@ -119,7 +122,10 @@ def _notes(table: Table) -> tuple[dict[str, float], Projection]:
 
 
 def _points(table: Table, width: int, height: int) -> tuple[Float64Array, Float64Array]:
-    """Return columns and rows in order of the columns; a row of NaN is a break."""
+    """Return columns and rows of the points, in order of the columns.
+
+    A row of NaN is a break.
+    """
     table.first_in(_COLUMNS, expected=_FORM)
     points = [
         (

@@ -30,9 +30,12 @@ _IN_TIFF = 700
 """The tag of XMP in a TIFF, and in EXIF."""
 _IN_PNG = ("Raw profile type xmp", "Raw profile type APP1")
 """Keys of the text in which ImageMagick keeps XMP in a PNG, in hexadecimal digits."""
-_DIGITS, _LENGTH, _OFFSET = 32, 4, 4
-"""Bytes with which a part of an extended packet begins: the packet's digest, the packet's length,
-and the part's offset in it."""
+_DIGEST_BYTES = 32
+"""Length of the packet's digest, with which a part of an extended packet begins."""
+_LENGTH_BYTES = 4
+"""Length of the packet's length, which follows the digest."""
+_OFFSET_BYTES = 4
+"""Length of the part's offset in the packet, which follows the packet's length."""
 _LARGEST = 1 << 25
 """Most bytes of a packet that is parsed. The largest in use hold a depth map, some megabytes."""
 _NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
@@ -66,7 +69,7 @@ class Xmp:
         return {name: value for (space, name), value in self.values.items() if space == namespace}
 
     def first(self, *names: str) -> str | None:
-        """Return the first value of any of some local names, in any namespace."""
+        """Return the first value of some local names, in any namespace."""
         return next((value for (_, name), value in self.values.items() if name in names), None)
 
 
@@ -112,14 +115,16 @@ def joined(parts: Sequence[bytes]) -> list[bytes]:
     """Return the packets in a JPEG's segments that begin with `EXTENDED`."""
     packets = defaultdict[bytes, list[tuple[int, bytes]]](list)
     for part in parts:
-        digest, rest = part[len(EXTENDED) :][:_DIGITS], part[len(EXTENDED) + _DIGITS :]
-        offset = int.from_bytes(rest[_LENGTH : _LENGTH + _OFFSET], "big")
-        packets[digest].append((offset, rest[_LENGTH + _OFFSET :]))
+        held = part[len(EXTENDED) :]
+        digest = held[:_DIGEST_BYTES]
+        rest = held[_DIGEST_BYTES + _LENGTH_BYTES :]
+        offset = int.from_bytes(rest[:_OFFSET_BYTES], "big")
+        packets[digest].append((offset, rest[_OFFSET_BYTES:]))
     return [b"".join(data for _, data in sorted(found)) for found in packets.values()]
 
 
 def _packets(image: Image.Image) -> Iterator[bytes]:
-    """Yield the packets of XMP in an image of any format that Pillow reads."""
+    """Yield the packets of XMP in an image of any format."""
     segments = [body for marker, body in getattr(image, "applist", []) if marker == "APP1"]
     for body in segments:
         if body.startswith(IN_JPEG):
@@ -152,20 +157,21 @@ def _parsed(packet: bytes) -> Element:
 
 
 def _xml_of(packet: bytes) -> str:
-    """Return the XML in a packet, without the spaces and the zeros around it."""
+    """Return a packet's XML, without the spaces and zeros around it."""
     text = _decoded(packet)
-    begin, end = text.find("<"), text.rfind(">") + 1
+    begin = text.find("<")
+    end = text.rfind(">") + 1
     return _NOT_XML.sub("", text[begin:end]) if 0 <= begin < end else ""
 
 
 def _decoded(packet: bytes) -> str:
-    """Return the text of a packet in UTF-8, UTF-16 or UTF-32, with or without a mark."""
-    # JSON begins with ASCII as XML does, and its encoding is told apart in the same way.
+    """Return the text of a packet in any encoding of Unicode."""
+    # JSON begins with ASCII as XML does, and its encoding is found in the same way.
     return packet.decode(detect_encoding(packet), errors="replace")
 
 
 def _properties(root: Element) -> dict[Name, str]:
-    """Return the properties of the descriptions in a packet; the first of a name counts."""
+    """Return the properties in a packet; the first of a name counts."""
     found: dict[Name, str] = {}
     for rdf in root.iter(f"{_RDF}RDF"):
         for description in rdf:
@@ -176,9 +182,9 @@ def _properties(root: Element) -> dict[Name, str]:
 
 
 def _value(element: Element) -> str:
-    """Return the first text in a property's element, which may hold it in ``rdf:value`` or a list.
+    """Return the first text in a property's element.
 
-    It is empty for a structure without text.
+    It may be in ``rdf:value`` or in a list. It is empty for a structure without text.
     """
     whole = element.get(f"{_RDF}value", "").strip()
     texts = ((one.text or "").strip() for one in element.iter())
@@ -193,6 +199,6 @@ def _names(root: Element) -> Iterator[str]:
 
 
 def _split(name: str) -> Name:
-    """Return the namespace and the local name of a name as ElementTree writes it."""
+    """Return the namespace and local name of an ElementTree name."""
     namespace, _, local = name.rpartition("}")
     return namespace.removeprefix("{").rstrip("/#"), local

@@ -211,7 +211,7 @@ class PanoramaRenderer(ColumnRenderer):
             viewpoints.easting_m,
             viewpoints.northing_m,
             viewpoints.eye_elevation_m,
-            self._turned(views.elevation_tan * cosine, bins),
+            self._turned(views.v * cosine, bins),
             self._turned(views.depth_m / cosine, bins),
             self._turned(views.flags, bins),
         )

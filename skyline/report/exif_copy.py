@@ -18,8 +18,9 @@ from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
 from skyline.files import write_with_folders
-from skyline.photo.lens import GPANO
-from skyline.photo.read import opened_image, read_photo
+from skyline.photo.image import opened_image
+from skyline.photo.panorama import GPANO
+from skyline.photo.photo import read_photo
 from skyline.photo.xmp import (
     EXTENDED,
     HAS_EXTENDED,

@@ -95,7 +95,7 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
         depth = np.where(np.isfinite(images[heading]), images[heading], np.nan)
         shown = axis.imshow(depth, cmap="viridis_r", norm=norm, interpolation="nearest")
         axis.set_facecolor("#dfe9f5")
-        rows = (1.0 - views.elevation_tan[heading]) * size / 2.0 - 0.5
+        rows = (1.0 - views.v[heading]) * size / 2.0 - 0.5
         axis.plot(np.arange(size), rows, color="crimson", linewidth=1.0)
         axis.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), xticks=[], yticks=[])
         axis.set_title(f"heading {heading}: {_HEADING_NAMES[heading]}")

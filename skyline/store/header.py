@@ -90,7 +90,8 @@ _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
         "northing_m": ("views/northing", "<f8", ()),
         "eye_elevation_m": ("views/eye_elevation_m", "<f8", ()),
         "heading": ("views/heading", "u1", ()),
-        "elevation_tan": ("views/elevation_tan", "<f4", None),
+        # Files call the ordinate v by this name since the first of them, so it stays.
+        "v": ("views/elevation_tan", "<f4", None),
         "depth_m": ("views/depth_m", "<f4", None),
         "flags": ("views/flags", "u1", None),
         "keypoints": (KEYPOINTS, "<u2", (DEFAULT_MAX_KEYPOINTS,)),

@@ -292,7 +292,7 @@ def rendering_header(
 def rendering_columns(header: StoreHeader, views: Views) -> Columns:
     """Return views and their keypoints as a store holds them."""
     tolerance = _KEYPOINT_TOLERANCE_PX * pixel_size(views.width)
-    return columns_of(header, views, polyline_vertices(views.elevation_tan, tolerance))
+    return columns_of(header, views, polyline_vertices(views.v, tolerance))
 
 
 def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:

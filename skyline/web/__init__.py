@@ -1,1 +1,1 @@
-"""The local web page: open photos, correct their skylines, and find and fit their places."""
+"""The local web page: photos, their skylines and their places."""

@@ -1,61 +1,42 @@
-"""The addresses of the server: the page, photos, skylines, matches, files and a live channel."""
+"""The addresses of the server: the page, photos, skylines, matches and files."""
 
 import asyncio
 import contextlib
 import json
-import logging
 import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
 from importlib.metadata import PackageNotFoundError, distribution
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket
 
 from skyline import InputError, SkylineError, read_trace
+from skyline.web.answers import outcome_json
 from skyline.web.engine import Engine, shown_name
+from skyline.web.live import LiveChannel
+from skyline.web.photos import Match, PagePhoto, version_of
 from skyline.web.requests import (
     chosen_of,
     known_of,
     narrowing_of,
-    number,
     pose_of,
-    query_of,
+    skyline_of,
     strokes_of,
 )
-from skyline.web.session import (
-    KINDS,
-    MAX_SESSION_BYTES,
-    MAX_UPLOAD_BYTES,
-    GoneError,
-    Match,
-    PagePhoto,
-    Session,
-    Sessions,
-    outcome_json,
-    saved,
-    trace_of,
-    version_of,
-)
-
-_log = logging.getLogger(__name__)
+from skyline.web.saving import KINDS, saved, trace_of
+from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, GoneError, Session, Sessions
 
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = 8_000_000
 _SWEEP_S = 1.0
-_MEGABYTE = 1_000_000
-_PROGRESS_S = 0.15
-"""Interval between two reports of the progress of matches."""
-_GAPS = 240
-"""Number of columns for which the live channel reports the gap between the skylines."""
+"""Interval at which sessions that no page attends are looked for."""
 
 
 class TooLargeError(InputError):
@@ -63,14 +44,17 @@ class TooLargeError(InputError):
 
 
 class PageApp:
-    """The web application of an engine; ``started`` is called once it answers requests.
+    """The web application of an engine.
 
-    ``machine`` names the machine to which the photos of others go, None if there are no others.
+    ``started`` is called once it answers requests. ``machine`` names the machine to which the
+    photos of others go, None if there are no others.
     """
 
     def __init__(self, engine: Engine, machine: str | None, started: Callable[[], None]) -> None:
-        self._engine, self._sessions = engine, Sessions()
-        self._machine, self._started = machine, started
+        self._engine = engine
+        self._sessions = Sessions()
+        self._machine = machine
+        self._started = started
 
     def app(self) -> Starlette:
         """Return the application, with all addresses of the page."""
@@ -147,10 +131,11 @@ class PageApp:
         except GoneError:
             await socket.close(1008)
             return
-        await _LiveChannel(socket, self._engine, session).run()
+        await LiveChannel(socket, self._engine, session).run()
 
     async def _upload(self, request: Request) -> Response:
-        session, name = self._session(request), shown_name(request.query_params.get("name", ""))
+        session = self._session(request)
+        name = shown_name(request.query_params.get("name", ""))
         limit = min(MAX_UPLOAD_BYTES, max(0, MAX_SESSION_BYTES - session.bytes))
         body = await _body(request, limit, name, "save it smaller, or remove photos")
         return await self._opened(session, name, lambda path: path.write_bytes(body))
@@ -166,7 +151,7 @@ class PageApp:
     async def _opened(
         self, session: Session, name: str, write: Callable[[Path], object]
     ) -> Response:
-        """Add a photo to a session; ``write`` writes it to the session's own file."""
+        """Add a photo, which ``write`` writes to the session's own file."""
         path = session.path_for(name)
         try:
             await self._engine.work("photos", write, path)
@@ -189,19 +174,21 @@ class PageApp:
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     async def _skyline(self, request: Request) -> Response:
-        photo, asked = self._photo(request), await _json(request)
+        photo = self._photo(request)
+        asked = await _json(request)
         if "strokes" in asked:
             await self._engine.work("strokes", photo.solve, strokes_of(asked["strokes"]))
         return _lines(photo)
 
     async def _trace(self, request: Request) -> Response:
-        photo, path = self._photo(request), self._session(request).path_for("trace.csv")
+        photo = self._photo(request)
+        path = self._session(request).path_for("trace.csv")
         text = await self._engine.work("files", trace_of, photo, path)
         return Response(text, media_type="text/csv")
 
     async def _load_trace(self, request: Request) -> Response:
-        session, photo = self._session(request), self._photo(request)
-        path = session.path_for("trace.csv")
+        photo = self._photo(request)
+        path = self._session(request).path_for("trace.csv")
         body = await _body(request, _MAX_JSON_BYTES, "the trace", "use a trace with fewer points")
         try:
             path.write_bytes(body)
@@ -211,11 +198,12 @@ class PageApp:
         return _lines(photo)
 
     async def _match(self, request: Request) -> Response:
-        """Match a photo; the response comes when the match has ended or was cancelled."""
-        photo, asked = self._photo(request), await _json(request)
+        """Match a photo, and answer when the match has ended."""
+        photo = self._photo(request)
+        asked = await _json(request)
         if photo.match is not None and not photo.match.done:
             raise InputError("this photo is being matched; wait, or cancel that match")
-        match = Match(photo, query_of(asked, photo.query), narrowing_of(asked), asked)
+        match = Match(photo, skyline_of(asked, photo.skyline), narrowing_of(asked), asked)
         photo.match = match
         await self._engine.work("matches", match.run, self._engine)
         if match.error is not None:
@@ -227,25 +215,29 @@ class PageApp:
         return JSONResponse({})
 
     async def _fit(self, request: Request) -> Response:
-        photo, asked = self._photo(request), await _json(request)
+        photo = self._photo(request)
+        asked = await _json(request)
         return JSONResponse(await self._engine.work("matches", self._fitted, photo, asked))
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
-        query, start = photo.query, pose_of(asked.get("pose"), self._engine.viewer)
+        skyline = photo.skyline
+        start = pose_of(asked.get("pose"), self._engine.viewer)
         known = known_of(asked)
-        searched, fit = photo.result_of(known), self._engine.matcher.fit
+        searched = photo.result_of(known)
         if searched is None:
-            found = fit(query_of(known, query), start, narrowing_of(known))
+            found = self._engine.matcher.fit(skyline_of(known, skyline), start, narrowing_of(known))
         else:
-            found = fit(searched, start)
+            found = self._engine.matcher.fit(searched, start)
         if not found.candidates:
             raise InputError(f"{found.refusal}; bring the two skylines closer by hand")
         with photo.lock:
-            photo.fitted = found if photo.query is query else None
+            photo.fitted = found if photo.skyline is skyline else None
         return outcome_json(found, self._engine)
 
     async def _save(self, request: Request) -> Response:
-        session, photo, asked = self._session(request), self._photo(request), await _json(request)
+        session = self._session(request)
+        photo = self._photo(request)
+        asked = await _json(request)
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
@@ -262,122 +254,13 @@ class PageApp:
         return self._session(request).photo(request.path_params["photo"])
 
 
-class _LiveChannel:
-    """The channel to one open page: poses in, skylines and the progress of matches out.
-
-    A marker that is dragged sends poses faster than skylines can be rendered, so only the latest
-    request of each type is answered.
-    """
-
-    def __init__(self, socket: WebSocket, engine: Engine, session: Session) -> None:
-        self._socket, self._engine, self._session = socket, engine, session
-        self._asked: dict[str, Mapping[str, Any]] = {}
-        self._arrived = asyncio.Event()
-
-    async def run(self) -> None:
-        """Answer requests until the page closes."""
-        await self._socket.accept()
-        self._session.pages += 1
-        tasks = [asyncio.create_task(self._answer()), asyncio.create_task(self._report())]
-        try:
-            await self._listen()
-        except (WebSocketDisconnect, RuntimeError):
-            pass
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            self._session.page_closed()
-
-    async def _listen(self) -> None:
-        while self._socket.application_state is not WebSocketState.DISCONNECTED:
-            try:
-                asked = await self._socket.receive_json()
-            except (ValueError, KeyError, RecursionError):
-                continue
-            if isinstance(asked, Mapping) and asked.get("type") in ["look", "height"]:
-                self._asked[str(asked["type"])] = asked
-                self._arrived.set()
-
-    async def _answer(self) -> None:
-        """Answer requests one after another, of each type the latest only."""
-        while True:
-            await self._arrived.wait()
-            self._arrived.clear()
-            while self._asked:
-                _, asked = self._asked.popitem()
-                try:
-                    answer = await self._engine.work("live", self._answered, asked)
-                except Exception:
-                    # The page reopens a closed channel, but would wait on a silent one.
-                    _log.exception("the page asked for %s", asked.get("type"))
-                    await self._socket.close(1011)
-                    return
-                await self._socket.send_json(answer)
-
-    async def _report(self) -> None:
-        """Send the progress of matches whenever it has changed."""
-        sent: dict[str, Any] = {}
-        while True:
-            for photo in list(self._session.photos.values()):
-                now = photo.match.progress() if photo.match else None
-                if now and sent.get(photo.id) != now:
-                    sent[photo.id] = now
-                    with contextlib.suppress(RuntimeError):
-                        await self._socket.send_json({"type": "progress", **now})
-            await asyncio.sleep(_PROGRESS_S)
-
-    def _answered(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        same = {"type": asked["type"], "seq": asked.get("seq")}
-        try:
-            if asked["type"] == "height":
-                height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
-                return {**same, "height": height_m}
-            return {**same, **self._looked(asked)}
-        except SkylineError as error:
-            return {**same, "error": str(error)}
-
-    def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the skyline rendered at a pose, its gap to the photo's, and the summits."""
-        viewer, photo = self._engine.viewer, self._session.photo(str(asked.get("photo")))
-        pose = pose_of(asked.get("pose"), viewer)
-        sight = viewer.look(pose, photo.query)
-        seen: dict[str, Any] = {
-            "column": _rounded(sight.column_px),
-            "row": _rounded(sight.row_px),
-            "sure": sight.is_sure.astype(int).tolist(),
-            "gap": sight.median_gap_deg,
-            "elevation": pose.eye_elevation_m,
-            **_gaps(sight.gap_deg),
-        }
-        if asked.get("summits"):
-            seen["summits"] = [
-                {"label": one.label, "column": one.column_px, "row": one.row_px}
-                for one in viewer.summits(pose, photo.query)
-            ]
-        return seen
-
-
-def _rounded(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float | None]:
-    """Return values for JSON, with None for NaN."""
-    return [round(value, 1) if isfinite(value) else None for value in values.tolist()]
-
-
-def _gaps(gap_deg: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
-    """Return evenly spaced columns and the gap in each, degrees."""
-    step = max(1, len(gap_deg) // _GAPS)
-    columns = np.arange(step // 2, len(gap_deg), step)
-    known = columns[np.isfinite(gap_deg[columns])]
-    return {"gapColumn": known.tolist(), "gapDeg": np.round(gap_deg[known], 3).tolist()}
-
-
 def _lines(photo: PagePhoto) -> Response:
-    headers = {"ETag": f'"{version_of(photo.query)}"'}
+    headers = {"ETag": f'"{version_of(photo.skyline)}"'}
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
 
 
 def _copy(given: Path, path: Path) -> None:
-    """Copy a photo of the user's, which may change while the page shows it."""
+    """Copy a user's photo, which may change while the page shows it."""
     try:
         shutil.copyfile(given, path)
     except OSError as error:
@@ -388,7 +271,10 @@ def _copy(given: Path, path: Path) -> None:
 
 
 def _load_trace(photo: PagePhoto, path: Path) -> None:
-    """Take a photo's skyline from a trace; an error of the file calls it the trace."""
+    """Take a photo's skyline from a trace.
+
+    A message about the file calls it "the trace", as the user does not know its path.
+    """
     try:
         photo.solve((), read_trace(path))
         photo.trace_text = path.read_text(encoding="utf-8", errors="replace")
@@ -419,9 +305,11 @@ async def _json(request: Request) -> Mapping[str, Any]:
 
 
 async def _body(request: Request, limit: int, name: str, advice: str) -> bytearray:
-    """Return the body of a request; raises `TooLargeError` beyond a limit, in bytes."""
+    """Return a request's body; raises `TooLargeError` beyond a limit of bytes."""
     declared = request.headers.get("content-length", "0")
-    size, body, parts = int(declared) if declared.isdecimal() else 0, bytearray(), request.stream()
+    size = int(declared) if declared.isdecimal() else 0
+    body = bytearray()
+    parts = request.stream()
     while size <= limit:
         part = await anext(parts, None)
         if part is None:
@@ -429,6 +317,6 @@ async def _body(request: Request, limit: int, name: str, advice: str) -> bytearr
         body += part
         size = max(size, len(body))
     raise TooLargeError(
-        f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
-        f"{limit / _MEGABYTE:.0f} MB: {advice}"
+        f"{name} has {size / 1e6:.0f} MB or more; the page takes at most "
+        f"{limit / 1e6:.0f} MB: {advice}"
     )

@@ -1,4 +1,4 @@
-"""The engine that all sessions share: the stores, their renderer and the worker threads."""
+"""The engine that all sessions share: stores, renderer and threads."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -51,12 +51,14 @@ class Engine:
         photos: Sequence[Path],
         peaks: Path | None,
     ) -> None:
-        self.stores, self.photos = stores, photos
+        self.stores = stores
+        self.photos = photos
         self.thread = RenderThread()
         try:
             self.matcher = Matcher(stores, dem, render_thread=self.thread)
             self.peaks = None if peaks is None else read_peaks(peaks, self.matcher.frame)
-            self.relief, self._viewer = None, None
+            self.relief = None
+            self._viewer = None
             if self.matcher.terrain is not None:
                 curvature = self.matcher.header.curvature
                 self.relief = ReliefTiles(self.matcher.terrain)
@@ -79,7 +81,7 @@ class Engine:
         return self._viewer
 
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
-        """Run a task on one of the threads of its kind of work."""
+        """Run a task on a thread of its kind of work."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._pools[kind], task, *arguments)
 
@@ -98,7 +100,7 @@ class Engine:
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:
-        """Return the terrain's height at a place, metres; None off the map or without terrain."""
+        """Return the terrain's height at a position; None where unknown."""
         terrain = self.matcher.terrain
         if terrain is None:
             return None
@@ -106,9 +108,10 @@ class Engine:
         return height if np.isfinite(height) else None
 
     def eye_height_m(self, pose: Pose) -> float | None:
-        """Return the height of a pose's eye above the ground as `Viewer.pose` takes it, metres.
+        """Return the height of a pose's eye above the ground.
 
-        An eye below the surface counts as on it. Without terrain the height is None.
+        It is the height that `Viewer.pose` takes. An eye below the surface counts as on it. Without
+        terrain the height is None.
         """
         surface_m = self.height_m(pose.lon, pose.lat)
         if surface_m is None or self.matcher.terrain is None:
@@ -127,7 +130,10 @@ class Engine:
 
 
 def shown_name(name: str) -> str:
-    """Return a file's name as the page shows it, without folders or control characters."""
+    """Return a file's name as the page shows it.
+
+    It has no folders and no control characters.
+    """
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     plain = "".join(letter for letter in last if letter.isprintable()).strip()
     return plain[-_NAME_LENGTH:] or "photo"

@@ -14,8 +14,9 @@ from skyline import (
     StrokeKind,
     Viewer,
 )
+from skyline.web.answers import POSE
 from skyline.web.engine import Engine
-from skyline.web.session import POSE, PagePhoto
+from skyline.web.photos import PagePhoto
 
 _RANGES = {
     "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "eyeHeight": (-500.0, 5000.0),
@@ -26,7 +27,10 @@ _RANGES = {
 
 
 def number(asked: Mapping[str, Any], name: str) -> float:
-    """Return a number of a request; raises `InputError` if it is no number or out of range."""
+    """Return a number of a request.
+
+    Raises `InputError` if it is no number, or out of range.
+    """
     value: Any = asked.get(name)
     low, high = _RANGES[name]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -55,7 +59,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
 
 
 def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what the user knows, as a search is asked for with it; nothing by default."""
+    """Return what the user knows, as in a request for a search."""
     known = asked.get("known", {})
     if not isinstance(known, Mapping):
         raise InputError("what is known is no JSON object; reload the page")
@@ -72,16 +76,16 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
     )
 
 
-def query_of(asked: Mapping[str, Any], query: PhotoSkyline) -> PhotoSkyline:
+def skyline_of(asked: Mapping[str, Any], skyline: PhotoSkyline) -> PhotoSkyline:
     """Return a skyline with the field of view of a request.
 
     Null stands for unknown. Without a value the skyline keeps the field of view of its photo.
     """
     if "fov" not in asked:
-        return query
+        return skyline
     if asked["fov"] is None:
-        return replace(query, fov_deg=None, lens=None)
-    return query.with_fov(number(asked, "fov"))
+        return replace(skyline, fov_deg=None, lens=None)
+    return skyline.with_fov(number(asked, "fov"))
 
 
 def pose_of(asked: Any, viewer: Viewer) -> Pose:
@@ -101,14 +105,14 @@ def pose_of(asked: Any, viewer: Viewer) -> Pose:
 
 
 def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> MatchResult:
-    """Return the result whose first candidate is the pose that a request chooses.
+    """Return the result that begins with the pose that a request chooses.
 
-    The pose is a ``pose`` set by hand, that of the last fit if ``fitted`` is true, or else the
-    candidate with the index ``rank``, 0 by default.
+    It is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate with
+    the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None:
         pose = pose_of(asked["pose"], engine.viewer)
-        return MatchResult(photo.query, (pose,), 0.0, "chosen by a person", name=photo.name)
+        return MatchResult(photo.skyline, (pose,), 0.0, "chosen by a person", name=photo.name)
     if asked.get("fitted"):
         if photo.fitted is None:
             raise InputError("the skyline has changed since this fit; fit again")
@@ -117,7 +121,8 @@ def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> Mat
         raise InputError("the skyline has changed since this search; find the place again")
     if photo.result is None or not photo.result.candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
-    count, rank = len(photo.result.candidates), asked.get("rank") or 0
+    count = len(photo.result.candidates)
+    rank = asked.get("rank") or 0
     if not isinstance(rank, int) or not 0 <= rank < count:
         raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {count - 1}")
     return replace(photo.result.chosen(rank + 1), name=photo.name)

@@ -1,4 +1,4 @@
-"""The HTTP server of the page, and the guard that refuses requests of other pages.
+"""The page's HTTP server, and the guard against other pages' requests.
 
 A web page from anywhere can make a browser send requests to this machine. Such a request names
 another origin or, if a domain name was made to resolve to this machine, another host.
@@ -38,7 +38,9 @@ _ENDS_S = 3
 
 
 def serve(make_engine: Callable[[], Engine], host: str, port: int) -> None:
-    """Serve the page of an engine until Ctrl-C; port 0 takes any that is free.
+    """Serve the page of an engine until Ctrl-C.
+
+    Port 0 takes any that is free.
 
     Raises `InputError` if the address cannot be listened on, and what making the engine raises.
     """
@@ -80,7 +82,7 @@ class Reach:
 
     @classmethod
     def of(cls, host: str, address: str) -> "Reach":
-        """Return the reach of a server that was given a host and listens on a numeric address."""
+        """Return the reach of a server that listens on an address."""
         listens = ipaddress.ip_address(address)
         if listens.is_loopback:
             return cls(host)
@@ -93,7 +95,7 @@ class Reach:
         return cls(loopback, tuple(own) or (socket.gethostname(),), socket.gethostname())
 
     def in_words(self, port: int) -> str:
-        """Return the line that tells where the page is; from then on Ctrl-C ends the server."""
+        """Return the line that says where the page is."""
 
         def url(host: str) -> str:
             return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
@@ -106,9 +108,10 @@ class Reach:
 
 
 def own_addresses(version: int) -> list[str]:
-    """Return this machine's addresses of a version of IP, as other machines reach it; maybe none.
+    """Return this machine's addresses of a version of IP.
 
-    The first is that of the route to other networks.
+    Other machines reach it by them. There may be none. The first is that of the route to other
+    networks.
     """
     family, elsewhere = _FAMILIES[version]
     found = []
@@ -146,7 +149,8 @@ class Guard:
     """
 
     def __init__(self, app: ASGIApp, host: str, port: int) -> None:
-        self._app, self._port = app, port
+        self._app = app
+        self._port = port
         self._names = set(_LOOPBACK)
         address = _address(host)
         self._open = host != "localhost" and (address is None or not address.is_loopback)
@@ -174,7 +178,7 @@ class Guard:
         await self._app(scope, receive, with_policy)
 
     def allows(self, hosts: list[str], origins: list[str]) -> bool:
-        """Return whether a request with these Host and Origin headers is from the page itself."""
+        """Return whether these Host and Origin headers are the page's own."""
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
             return False
         return all(origin == f"http://{hosts[0]}" for origin in origins)

@@ -67,5 +67,5 @@ def test_oracle_equals_a_loop_over_every_edge(rows, cols, seed, holes, width):
             dip_tan = -2.0 * np.sqrt(below_m * Curvature().drop_per_m2)
             # The field ends within a tenth of the distance of such a horizon.
             expected = np.maximum(expected, dip_tan * np.hypot(1.0, columns_u(width)))
-            found = views.elevation_tan[4 * index + heading]
+            found = views.v[4 * index + heading]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)

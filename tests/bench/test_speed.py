@@ -54,16 +54,17 @@ def truth():
 def test_errors_are_in_pixels_of_width_640_whatever_the_width(truth):
     same = compare(truth, truth)
     assert (same["rms_px"], same["max_px"], same["columns"], same["missing"]) == (0.0, 0.0, 64, 0)
-    tan = truth.elevation_tan.copy()
-    tan[2, 5] -= 3.0 / 320.0
-    found = compare(dataclasses.replace(truth, elevation_tan=tan), truth)
+    v = truth.v.copy()
+    v[2, 5] -= 3.0 / 320.0
+    found = compare(dataclasses.replace(truth, v=v), truth)
     assert found["max_px"] == pytest.approx(3.0)
     assert found["rms_px"] == pytest.approx(3.0 / np.sqrt(64))
 
 
 def test_a_column_without_a_value_is_missing_and_cannot_hide_behind_a_flag(truth):
-    tan, flags = truth.elevation_tan.copy(), truth.flags.copy()
-    tan[0, :3] = np.nan
+    v = truth.v.copy()
+    flags = truth.flags.copy()
+    v[0, :3] = np.nan
     flags[0, 0] = FLAG_HOLE
-    found = compare(dataclasses.replace(truth, elevation_tan=tan, flags=flags), truth)
+    found = compare(dataclasses.replace(truth, v=v, flags=flags), truth)
     assert (found["missing"], found["max_px"], found["columns"]) == (3, 0.0, 61)

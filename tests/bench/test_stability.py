@@ -33,7 +33,7 @@ class OracleRenderer:
 
 def closely(scene, views, truth):
     """The oracle against a closed form: nothing but how the terrain is sampled."""
-    error = np.abs(views.elevation_tan - truth.views.elevation_tan) * scene.width / 2.0
+    error = np.abs(views.v - truth.views.v) * scene.width / 2.0
     bound = np.full(error.shape, truth.slack_px + 1e-6)
     return agreement.Agreement(np.nan_to_num(error), bound, views.flags == truth.views.flags)
 
@@ -87,10 +87,11 @@ def test_a_wrong_view_fails(columns, off_px, flag, ok):
     class Altered(OracleRenderer):
         def render(self, viewpoints):
             views = super().render(viewpoints)
-            tan, flags = views.elevation_tan.copy(), views.flags.copy()
-            tan[columns] += off_px * 2.0 / 160
+            v = views.v.copy()
+            flags = views.flags.copy()
+            v[columns] += off_px * 2.0 / 160
             flags[3, 17] ^= flag
-            return replace(views, elevation_tan=tan, flags=flags)
+            return replace(views, v=v, flags=flags)
 
     row = measure(agreement.RenderPath("horizon", Altered, agreement.exact_agreement), case)
     assert row["ok"] is ok

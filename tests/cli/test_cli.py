@@ -71,7 +71,7 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     np.testing.assert_allclose(views.eye_elevation_m[::4], eyes.eye_elevation_m, atol=1e-2)
     unflagged = views.flags == 0
     assert unflagged.mean() > 0.3
-    error_px = (views.elevation_tan - truth.elevation_tan)[unflagged] * 80.0
+    error_px = (views.v - truth.v)[unflagged] * 80.0
     assert np.abs(error_px).max() < 0.51
     depth = cv2.imread(str(pictures / "0001_site-1_heading_2.tif"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (160, 160)

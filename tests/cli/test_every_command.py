@@ -29,7 +29,7 @@ COMMANDS = {
     "orient": (("{trace}", *PLACED, "--csv", "{out}.csv"), "orient.read_terrain"),
     "locate": (("{photo}", "--near", "{at},1", *IN_DEM, "-o", "{out}"), "locate.prepare_area"),
     "cache": ((), "fetch.cached_areas"),
-    "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
+    "extract": (("{photo}", "-o", "{out}.csv"), "photo.read_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "build.read_terrain"),
     "store check": (("{store}",), "store.check_store"),

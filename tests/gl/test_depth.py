@@ -16,7 +16,7 @@ FLAT = Curvature(enabled=False)
 def error_px(views, truth):
     # Behind a hole the surface has no foot: a sliver of it may fall between pixel centres.
     seen = ((views.flags | truth.flags) & (FLAG_OUT_OF_IMAGE | FLAG_NO_DATA | FLAG_HOLE)) == 0
-    error = (views.elevation_tan - truth.elevation_tan) * views.width / 2.0
+    error = (views.v - truth.v) * views.width / 2.0
     return error[seen]
 
 
@@ -47,7 +47,7 @@ def test_out_of_image_exactly_where_the_oracle_leaves_it():
     truth = oracle.skyline(field, viewpoints, 64, FLAT)
     with DepthRenderer(field, 64, FLAT) as renderer:
         views = renderer.render(viewpoints)
-    steep = truth.elevation_tan >= 1.0 - 1.0 / 64.0
+    steep = truth.v >= 1.0 - 1.0 / 64.0
     np.testing.assert_array_equal((views.flags & FLAG_OUT_OF_IMAGE) != 0, steep)
     assert steep.any()
     assert not steep.all()

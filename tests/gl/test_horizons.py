@@ -28,7 +28,7 @@ def true_horizons(field, eyes, bins=BINS):
     cosine = np.cos(off_axis)
     return tuple(
         np.roll(values.reshape(len(eyes), bins), -bins // 8, axis=1)
-        for values in (views.elevation_tan * cosine, views.depth_m / cosine, views.flags)
+        for values in (views.v * cosine, views.depth_m / cosine, views.flags)
     )
 
 

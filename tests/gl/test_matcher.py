@@ -59,7 +59,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
 def test_too_little_skyline_is_refused(store, terrain, queries):
     skyline = queries[0].skyline
     row_px = np.where(np.arange(640) < 150, np.nan_to_num(skyline.row_px, nan=300.0), np.nan)
-    little = replace(skyline, row_px=row_px, confidence=np.isfinite(row_px) * 1.0, fov_deg=60.0)
+    little = replace(skyline, row_px=row_px, trust=np.isfinite(row_px) * 1.0, fov_deg=60.0)
     result = Matcher(store, terrain).match(little)
     assert result.answer is None
     assert result.candidates == ()

@@ -75,7 +75,7 @@ def test_turned(heights, queries, plain, tmp_path):
 def test_mirrored(heights, queries, plain, tmp_path):
     # West and east change places.
     photos = [
-        replace(query, row_px=query.row_px[::-1].copy(), confidence=query.confidence[::-1].copy())
+        replace(query, row_px=query.row_px[::-1].copy(), trust=query.trust[::-1].copy())
         for query in queries
     ]
     got = answers(terrain_of(heights[:, ::-1]), photos, tmp_path / "store.h5")

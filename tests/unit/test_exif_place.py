@@ -8,7 +8,7 @@ from xmp_packets import xmp_packet
 
 from skyline import NotedPlace
 from skyline.photo.exif import place_from_exif
-from skyline.photo.read import read_noted_place, read_photo
+from skyline.photo.photo import read_noted_place, read_photo
 from skyline.photo.xmp import Xmp
 
 SOUTH_WEST = {
@@ -133,4 +133,4 @@ def test_the_height_of_a_drone_s_photo_is_read_with_its_place(tmp_path):
     path = tmp_path / "drone.jpg"
     Image.new("RGB", (40, 30)).save(path, exif=exif, xmp=packet.encode())
     expected = NotedPlace((-70.25, -33.51), 900.0, takeoff_height_m=80.0)
-    assert read_photo(path).place == read_noted_place(path) == expected
+    assert read_photo(path).noted == read_noted_place(path) == expected

@@ -21,7 +21,7 @@ def test_leaving_curvature_out_costs_no_more_than_its_bound():
         flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
         # The horizon of ground past the border is none of a flat Earth's.
         inside = curved.depth_m <= reach_m
-        cost_px = np.abs(curved.elevation_tan - flat.elevation_tan)[inside].max() / pixel_size(160)
+        cost_px = np.abs(curved.v - flat.v)[inside].max() / pixel_size(160)
         assert 0.1 * bound_px < cost_px <= bound_px
 
 

@@ -27,7 +27,7 @@ def viewpoints():
 @pytest.fixture(scope="module")
 def profiles(viewpoints):
     views = oracle.skyline(TERRAIN, viewpoints, 320)
-    return Profiles.from_views([(views, polyline_vertices(views.elevation_tan, 2.0 / views.width))])
+    return Profiles.from_views([(views, polyline_vertices(views.v, 2.0 / views.width))])
 
 
 def panorama(viewpoints, index):

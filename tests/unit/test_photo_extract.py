@@ -8,8 +8,11 @@ import pytest
 from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky, texture
 
 from skyline.errors import InputError
-from skyline.photo.extract import Content, Evidence, content_of, extract_skyline, shortest_path
-from skyline.photo.read import extract_photo
+from skyline.photo.borders import Content, content_of
+from skyline.photo.extract import crests_of, extract_skyline
+from skyline.photo.path import Steps, cheapest_path
+from skyline.photo.photo import read_photo
+from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 
 # A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
@@ -91,7 +94,7 @@ def test_crests_are_distinct_and_likeliest_first():
     share[[20, 60, 100, 140], 3] = 0.3, 0.26, 0.24, 0.2
     nan = np.nan
     expected = [[120, 100, nan, 20], [60, nan, nan, 60], [nan, nan, nan, 100]]
-    np.testing.assert_array_equal(Evidence(share, -share).crests(), expected)
+    np.testing.assert_array_equal(crests_of(share), expected)
 
 
 def test_a_query_shows_the_crest_that_is_not_its_skyline():
@@ -157,14 +160,14 @@ def test_borders_are_found_but_overcast_sky_is_not_one():
 def test_path_is_the_cheapest_of_all():
     # Against every path there is, on a grid small enough to list them.
     rng = np.random.default_rng(2)
-    steps = {"reach": 1, "price_per_row": 0.2, "jump_price": 0.5}
+    steps = Steps(reach=1, row_price=0.2, jump_price=0.5)
     for _ in range(20):
         cost = rng.uniform(0.0, 1.0, (4, 5)).astype(np.float32)
         every = np.stack(np.meshgrid(*[np.arange(4)] * 5, indexing="ij"), axis=-1).reshape(-1, 5)
         step = np.abs(np.diff(every, axis=1))
         price = np.where(step <= 1, np.minimum(0.2 * step, 0.5), 0.5)
         total = cost[every, np.arange(5)].sum(axis=1) + price.sum(axis=1)
-        np.testing.assert_array_equal(shortest_path(cost, **steps), every[np.argmin(total)])
+        np.testing.assert_array_equal(cheapest_path(cost, steps), every[np.argmin(total)])
 
 
 # Columns and rows of the ridge: the extractor's own, checked by eye on enlarged overlays.
@@ -173,8 +176,9 @@ RIDGE = {100: 1112, 1250: 1182, 3370: 941, 4890: 1132, 5100: 1155}
 
 def test_hintereisferner_webcam(shared_data):
     path = shared_data / "rofental" / "hintereisferner_webcam.jpg"
-    image, query = extract_photo(path, fov_deg=78.7)
-    assert image.shape == (3456, 5184, 3)
+    photo = read_photo(path, fov_deg=78.7)
+    query = find_skyline(photo)
+    assert photo.rgb.shape == (3456, 5184, 3)
     assert query.trusted.mean() > 0.8
     for column, row in RIDGE.items():
         assert query.row_px[column] == pytest.approx(row, abs=10)

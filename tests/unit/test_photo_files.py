@@ -11,9 +11,11 @@ from PIL.ExifTags import IFD, Base
 from scenes import write_dem
 
 from skyline.errors import InputError
-from skyline.photo import read
 from skyline.photo.extract import extract_skyline
-from skyline.photo.read import extract_photo, photos_in, read_query
+from skyline.photo.image import SizeLimits, opened_image, photos_in, rgb_of, shrink_if_large
+from skyline.photo.photo import read_photo
+from skyline.photo.read import find_skyline, read_query
+from skyline.photo.sky_mask import skyline_of_mask
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +82,9 @@ def test_sky_cut_away_to_transparent_is_white(tmp_path):
     ground = np.arange(480)[:, np.newaxis] > scene.row_px
     rgba = np.dstack([scene.image, 255 * ground.astype(np.uint8)])
     Image.fromarray(rgba).save(tmp_path / "cut.png")
-    image, query = extract_photo(tmp_path / "cut.png")
-    assert (image[0] == 255).all()
-    assert close_to(query, scene)
+    photo = read_photo(tmp_path / "cut.png")
+    assert (photo.rgb[0] == 255).all()
+    assert close_to(find_skyline(photo), scene)
 
 
 TURNED_BACK = {
@@ -127,9 +129,10 @@ def test_a_turned_photo_is_the_same_in_every_container(
     noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = (4 * side for side in stored.size)
     path = tmp_path / f"turned.{container}"
     stored.save(path, exif=exif.tobytes(), **CONTAINERS[container])
-    image, query = extract_photo(path)
-    assert image.shape[1::-1] == upright
-    off = np.abs(image.astype(int) - np.asarray(picture))
+    photo = read_photo(path)
+    query = find_skyline(photo)
+    assert photo.rgb.shape[1::-1] == upright
+    off = np.abs(photo.rgb.astype(int) - np.asarray(picture))
     assert off.mean() < (3.0 if container in ("jpg", "avif", "heic") else 1e-9)
     # 4:3 with a diagonal of 43.27 mm: 34.61 mm by 25.96 mm, before 36 mm.
     side_mm = 34.613 if upright == (320, 240) else 25.960
@@ -231,16 +234,16 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     refused(tmp_path / "huge.png", "megapixels; expected at most 100")
 
 
-def test_large_jpeg_is_reduced_while_decoding(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(read, "MAX_DECODED_PIXELS", 1_000_000)
+def test_large_jpeg_is_reduced_while_decoding(tmp_path, caplog):
     mask = Image.new("L", (1_100, 1_000), 255)
     mask.paste(0, (0, 400, 1_100, 1_000))
     mask.save(tmp_path / "large.jpg")
-    image, query = extract_photo(tmp_path / "large.jpg")
-    assert image.shape == (500, 550, 3)
-    assert "1100 x 1000 px, is read at 550 x 500 px" in caplog.text
-    assert (query.width_px, query.height_px) == (550, 500)
-    assert_allclose(query.row_px, 199.5, atol=0.1)
+    with opened_image(tmp_path / "large.jpg") as image:
+        shrink_if_large("large.jpg", image, SizeLimits(decoded=1_000_000))
+        rgb = rgb_of(image)
+    assert rgb.shape == (500, 550, 3)
+    assert "large.jpg, 1100 x 1000 px, is read at 550 x 500 px" in caplog.text
+    assert_allclose(skyline_of_mask(rgb).row_px, 199.5, atol=0.1)
 
 
 @pytest.mark.parametrize(("given", "warned"), [({}, True), ({"fov_deg": 90.0}, False)])

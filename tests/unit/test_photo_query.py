@@ -11,7 +11,8 @@ from PIL import Image
 
 from skyline import batch
 from skyline.errors import InputError
-from skyline.photo.read import read_query, write_overlay
+from skyline.photo.overlay import write_overlay
+from skyline.photo.read import read_query
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
 
@@ -36,10 +37,10 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
     assert path.read_text().startswith(f"# width={len(rows)} height=100\ncolumn_px,row_px\n")
 
 
-def test_a_confidence_is_a_number_from_0_to_1_and_a_masked_row_is_none():
+def test_trust_is_a_number_from_0_to_1_and_a_masked_row_is_none():
     rows = np.ma.array([3.0, 4.0], mask=[False, True])
     assert PhotoSkyline(rows, np.array([1.0, 0.0]), 2, 9).trusted.tolist() == [True, False]
-    assert PhotoSkyline(rows, np.array([1.0 + 1e-9, -1e-9]), 2, 9).confidence[0] > 1.0
+    assert PhotoSkyline(rows, np.array([1.0 + 1e-9, -1e-9]), 2, 9).trust[0] > 1.0
     for wrong in (255.0, -0.1, np.nan):
         with pytest.raises(InputError, match="not a number from 0 to 1"):
             PhotoSkyline(np.array([3.0, 4.0]), np.array([1.0, wrong]), 2, 9)
@@ -121,7 +122,7 @@ def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     Image.fromarray(mask).save(tmp_path / "mask.png")
     query = read_query(tmp_path / "mask.png", 50.0)
     assert_array_equal(query.row_px, [9.5, 10.5, np.nan, np.nan, 19.5])
-    assert_array_equal(query.confidence, [1, 1, 0, 0, 1])
+    assert_array_equal(query.trust, [1, 1, 0, 0, 1])
     assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
 
 

@@ -249,7 +249,7 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path):
     pose = replace(BEST, covariance_m2=np.diag([100.0, 100.0]))
     write_located(source, path, pose)
     write_located(path, path, pose)
-    assert read_photo(path).place.heading_deg == pytest.approx(pose.heading_deg, abs=1e-3)
+    assert read_photo(path).noted.heading_deg == pytest.approx(pose.heading_deg, abs=1e-3)
     tags = read_by_exiftool(path)
     gps = {name[4:]: value for name, value in tags.items() if name.startswith("GPS:")}
     assert gps.pop("GPSLatitude") == pytest.approx(pose.lat, abs=1e-7)
@@ -339,7 +339,7 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orient
     below = candidate_at(0.0, 0.0, eye_elevation_m=-12.0)
     write_located(source, path, below)
     write_located(path, path, below)
-    noted = read_photo(path).place
+    noted = read_photo(path).noted
     assert noted.lonlat_deg == pytest.approx((below.lon, below.lat), abs=1e-7)
     assert noted.elevation_m == -12.0
     with Image.open(path) as image:
@@ -359,5 +359,5 @@ def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
     source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
     Image.fromarray(PHOTO).save(source, **({"exif": exif} if exif else {}))
     write_located(source, path, BEST)
-    assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
+    assert read_photo(path).noted.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
     read_by_exiftool(path, "-validate")

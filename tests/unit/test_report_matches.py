@@ -63,7 +63,7 @@ ORDER = np.argsort(SIGHT.column_px)
 ROW_PX = np.interp(np.arange(WIDTH_PX), SIGHT.column_px[ORDER], SIGHT.row_px[ORDER])
 ROW_PX[200:380] = np.nan
 ROW_PX[(ROW_PX < 0.0) | (ROW_PX > HEIGHT_PX)] = np.nan
-QUERY = replace(BLANK, row_px=ROW_PX, confidence=np.isfinite(ROW_PX) * 1.0)
+QUERY = replace(BLANK, row_px=ROW_PX, trust=np.isfinite(ROW_PX) * 1.0)
 """The query that the best candidate would take, a fifth of its columns masked."""
 MATCHER = SimpleNamespace(
     frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD, header=VIEWS_HEADER,

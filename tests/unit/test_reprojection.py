@@ -81,7 +81,7 @@ def test_moved_points_lie_on_the_skyline_that_the_oracle_sees(move):
     eye = there.easting_m[:, None], there.northing_m[:, None], there.eye_elevation_m[:, None]
     move_m = reprojection.displacements_m(stored, stored.heading, *eye)
     points = reprojection.moved(reprojection.skyline_points_m(stored, WIDTH), move_m)[:, 0]
-    for image, skyline in zip(reprojection.projected(points), truth.elevation_tan, strict=True):
+    for image, skyline in zip(reprojection.projected(points), truth.v, strict=True):
         seen = np.isfinite(image[:, 0]) & (np.abs(image[:, 0]) < U[-1])
         off_px = np.abs(np.interp(image[seen, 0], U, skyline) - image[seen, 1]) / PX
         assert np.quantile(off_px, 0.95) < 0.3

@@ -48,7 +48,7 @@ def test_every_form_of_output_gives_the_skyline(form):
     error_px = np.abs(query.row_px - scene.row_px)[query.trusted]
     assert query.trusted.mean() > 0.95
     assert np.median(error_px) < 0.5
-    assert ((query.confidence > 0.0) == query.trusted).all()
+    assert ((query.trust > 0.0) == query.trusted).all()
 
 
 def test_photo_is_brought_to_the_size_the_model_takes():

@@ -56,6 +56,13 @@ def one_line(error, path):
 
 
 class TestRows:
+    def test_ordinates_keep_the_name_that_they_have_in_older_files(self, tmp_path):
+        write_rows(tmp_path / "new.h5", 0, 4)
+        with h5py.File(tmp_path / "new.h5") as file:
+            held = file["views/elevation_tan"][:]
+        with open_store(tmp_path / "new.h5") as store:
+            np.testing.assert_array_equal(store.views().v, held)
+
     @KINDS
     @pytest.mark.parametrize("count", [0, 33, 3 * CHUNK + 5])
     def test_come_back_unchanged(self, tmp_path, header, count):

@@ -11,7 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 from xmp_packets import ATTRIBUTES, ELEMENTS, FORMS, GPANO, WHOLE, xmp_packet
 
 from skyline.camera import Projection
-from skyline.photo.read import read_photo
+from skyline.photo.photo import read_photo
 from skyline.photo.xmp import xmp_of
 
 SPHERE = (Projection.EQUIRECTANGULAR, 360.0)

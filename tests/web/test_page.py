@@ -129,7 +129,7 @@ def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
     second = page.all("#candidates button")[1]
     chance = second.text.split("\n")[1]
     second.click()
-    assert page.find("#answer").text.startswith(f"Pose 2: {chance} sure within 200 m.")
+    assert page.find("#answer").text.startswith(f"Candidate 2: {chance} sure within 200 m.")
     check_origin(page, downloads, "found, rank 2", "Pose 2, chosen by a person: latitude")
     for leave in LEAVING.values():
         page.all("#candidates button")[0].click()
@@ -240,8 +240,8 @@ def test_the_page_asks_what_the_photo_says_without_rounding(page, photo, dem, tm
         page.click(f"#{name}-known")
     known = page.of("known", "it.known()")
     assert "fov" not in known
-    assert known["heading"] == [said.place.heading_deg, 30]
-    assert tuple(known["near"][:2]) == said.place.lonlat_deg
+    assert known["heading"] == [said.noted.heading_deg, 30]
+    assert tuple(known["near"][:2]) == said.noted.lonlat_deg
     page.match()
     # A slider that a person moves counts as it is shown.
     page.script("const it = document.getElementById('heading'); it.value = 150; it.oninput()")
@@ -555,7 +555,7 @@ def test_a_store_across_the_antimeridian_is_one_map(chromium, photo, tmp_path):
     with serving(store) as server:
         page = Page(chromium, server)
         middle = page.of("map", "it.middle()")
-        assert abs(middle["lng"]) == pytest.approx(180.0, abs=0.01)
+        assert abs(middle["lon"]) == pytest.approx(180.0, abs=0.01)
         box = page.find("#map path").rect
         assert 100 < box["width"] < 1000  # the store's frame is not drawn round the world
         tiles = "return document.querySelectorAll('.leaflet-tile-loaded').length"

@@ -1,11 +1,12 @@
 """Sessions of the page: their files, how long they are kept, and their matches."""
 
+from contextlib import closing
 from types import SimpleNamespace
 
 import pytest
 
-from skyline.web import session as module
-from skyline.web.session import GoneError, Sessions, shown_name
+from skyline.web.engine import shown_name
+from skyline.web.sessions import GoneError, Patience, Sessions
 
 
 @pytest.fixture
@@ -33,21 +34,27 @@ def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions)
     assert shown_name("") == "photo"
 
 
-def test_a_session_ends_when_its_page_is_closed_for_long_and_not_before(sessions, monkeypatch):
-    gone, there = sessions.begin(), sessions.begin()
-    photo_in(gone)
-    there.pages += 1
+def test_a_session_is_kept_for_a_while_after_its_page_is_closed(sessions):
+    session = sessions.begin()
+    photo_in(session)
     sessions.sweep()
-    assert gone.folder.exists()
-    monkeypatch.setattr(module, "_GONE_S", 0.0)
-    sessions.sweep()
-    assert not gone.folder.exists()
-    assert there.folder.exists()
-    with pytest.raises(GoneError):
-        sessions.of(gone.id)
-    there.page_closed()
-    sessions.sweep()
-    assert not there.folder.exists()
+    assert session.folder.exists()
+
+
+def test_a_session_ends_when_its_page_has_been_closed_for_long():
+    with closing(Sessions(Patience(gone_s=0.0))) as sessions:
+        gone = sessions.begin()
+        there = sessions.begin()
+        photo_in(gone)
+        there.pages += 1
+        sessions.sweep()
+        assert not gone.folder.exists()
+        assert there.folder.exists()
+        with pytest.raises(GoneError):
+            sessions.of(gone.id)
+        there.page_closed()
+        sessions.sweep()
+        assert not there.folder.exists()
 
 
 def test_all_files_go_with_the_server(sessions):

@@ -63,7 +63,7 @@ class SkylineTruth:
     """The true skylines of a scene."""
 
     views: Views  # float64
-    # How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the oracle, the
+    # How far the ordinates of ``views`` may be from the exact surface's: 0 from the oracle, the
     # discretization of the terrain for a closed form.
     slack_px: float = 0.0
 
@@ -141,7 +141,7 @@ def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) 
 
 def _steepness(views: Views) -> Float64Array:
     """Return the greatest |dv / du| from each column to its neighbours, (N, W)."""
-    steps = np.abs(np.diff(np.nan_to_num(views.elevation_tan), axis=1)) / pixel_size(views.width)
+    steps = np.abs(np.diff(np.nan_to_num(views.v), axis=1)) / pixel_size(views.width)
     steps = np.pad(steps, ((0, 0), (1, 1)))
     return np.asarray(np.maximum(steps[:, 1:], steps[:, :-1]), dtype=np.float64)
 
@@ -171,7 +171,7 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
     coarse = max(field.spacing_east_m, field.spacing_north_m)
     depth = views.depth_m.astype(np.float64)
     nearer, farther = np.fmin(depth, truth.depth_m), np.fmax(depth, truth.depth_m)
-    tan = np.fmax(np.abs(views.elevation_tan.astype(np.float64)), np.abs(truth.elevation_tan))
+    tan = np.fmax(np.abs(views.v.astype(np.float64)), np.abs(truth.v))
     # An edge's chord hangs below the curved ground by a part of this.
     sag = scene.curvature.drop_per_m2 * (field.spacing_east_m**2 + field.spacing_north_m**2)
     step = greatest_step_m(field) + sag
@@ -242,8 +242,8 @@ def _columns_past_rims(scene: SkylineScene) -> BoolArray:
 
 
 def _error_px(views: Views, truth: Views) -> Float64Array:
-    seen, expected = ~np.isnan(views.elevation_tan), ~np.isnan(truth.elevation_tan)
-    error = np.abs(views.elevation_tan - truth.elevation_tan) / pixel_size(views.width)
+    seen, expected = ~np.isnan(views.v), ~np.isnan(truth.v)
+    error = np.abs(views.v - truth.v) / pixel_size(views.width)
     return np.where(seen & expected, error, np.where(seen == expected, 0.0, np.inf))
 
 
@@ -270,10 +270,10 @@ def compare(views: Views, truth: Views) -> Row:
     unflagged columns of the truth where the other has no value, whatever its flags are.
     """
     clear = truth.flags == 0
-    missing = clear & np.isnan(views.elevation_tan)
+    missing = clear & np.isnan(views.v)
     flagged = ~clear | (views.flags != 0)
     compared = ~flagged & ~missing
-    error_px = (views.elevation_tan.astype(np.float64) - truth.elevation_tan)[compared] / PIXEL_TAN
+    error_px = (views.v.astype(np.float64) - truth.v)[compared] / PIXEL_TAN
     return {
         "rms_px": float(np.sqrt(np.mean(error_px**2))) if error_px.size else None,
         "max_px": float(np.abs(error_px).max()) if error_px.size else None,

@@ -42,7 +42,7 @@ HORIZON_ONLY = ("horizon",)
 class ClosedForm:
     """Skylines known without looking at any edge."""
 
-    elevation_tan: Float64Array  # (N, W)
+    v: Float64Array  # (N, W)
     # How far the surface between samples may be from the form that gave the skylines.
     slack_tan: float = 0.0
 
@@ -69,11 +69,9 @@ class SceneCase:
         if self.closed_form is None:
             return truth
         form = self.closed_form(scene)
-        missing = np.isnan(truth.views.elevation_tan)
-        tan = np.where(missing, np.nan, form.elevation_tan)
-        return SkylineTruth(
-            replace(truth.views, elevation_tan=tan), form.slack_tan / pixel_size(scene.width)
-        )
+        missing = np.isnan(truth.views.v)
+        v = np.where(missing, np.nan, form.v)
+        return SkylineTruth(replace(truth.views, v=v), form.slack_tan / pixel_size(scene.width))
 
 
 @lru_cache(maxsize=1)

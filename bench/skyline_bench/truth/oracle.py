@@ -151,7 +151,7 @@ class _Scene:
     def skyline(
         self, directions: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.uint8]]:
-        """Return elevation_tan, depth and flags of the columns with these ground directions.
+        """Return ordinates v, depths and flags of the columns with these ground directions.
 
         ``directions`` is (W, 2), east and north per metre of forward depth.
         """

@@ -389,7 +389,7 @@ def _same_at_origin(scene: SkylineScene) -> forms.ClosedForm:
     )
     # The difference of two numbers within a factor of 2 is exact, so nothing is lost.
     views = oracle.skyline(moved, near, scene.width, scene.curvature)
-    return forms.ClosedForm(views.elevation_tan.astype(np.float64))
+    return forms.ClosedForm(views.v.astype(np.float64))
 
 
 def _over_8_km() -> SkylineScene:

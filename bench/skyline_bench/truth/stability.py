@@ -47,7 +47,7 @@ def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
         again = Views.concatenate(
             [renderer.render(scene.viewpoints[start:stop]) for start, stop in pairwise(cuts)]
         )
-    both = (once.elevation_tan, again.elevation_tan), (once.depth_m, again.depth_m)
+    both = (once.v, again.v), (once.depth_m, again.depth_m)
     bits = ((one.view(np.uint32), other.view(np.uint32)) for one, other in both)
     same = np.logical_and(*(one == other for one, other in bits))
     zero = np.zeros(same.shape)
@@ -106,7 +106,7 @@ def turned_views(views: Views, turn: Turn) -> Views:
     ahead = slice(None, None, round(np.linalg.det(turn)))
     return replace(
         views,
-        elevation_tan=views.elevation_tan[rows, ahead].astype(np.float64),
+        v=views.v[rows, ahead].astype(np.float64),
         depth_m=views.depth_m[rows, ahead].astype(np.float64),
         flags=views.flags[rows, ahead],
     )

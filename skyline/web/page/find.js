@@ -101,7 +101,7 @@ function verdict(result) {
   }
   if (result.answered) {
     const near = result.within === null ? "" : ` within ${result.within} m`;
-    const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
+    const sure = result.confidence === null ? "" : `, ${Math.round(100 * result.confidence)} % sure`;
     return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(state.pose), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,

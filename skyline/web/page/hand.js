@@ -2,7 +2,6 @@
 import * as server from "./server.js";
 import { $, alertUser, element, emit, on, report, settle, showStatus, state, widest } from "./state.js";
 import { known, standing } from "./known.js";
-import { middle } from "./map.js";
 
 const USUAL_EYE_M = 2;
 
@@ -70,11 +69,11 @@ function changed(stillMoving) {
 function verdict() {
   if (state.origin === "hand") return ["The camera is set by hand: no search has judged this pose."];
   if (!state.fit) return [];
-  const { refusal, candidates: [{ apart }] } = state.fit;
+  const { refusal, candidates: [{ residual }] } = state.fit;
   if (state.chosen !== null) {
-    return standing() ? [element("span", { class: "yes" }, `Fitted to candidate ${state.chosen + 1}: `), `${apart}.`] : [];
+    return standing() ? [element("span", { class: "yes" }, `Fitted to candidate ${state.chosen + 1}: `), `${residual}.`] : [];
   }
-  if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${apart}. No search has judged this pose.`];
+  if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${residual}. No search has judged this pose.`];
   return [element("span", { class: "no" }, "The fit has failed: "), `${refusal}. Bring the two skylines closer by hand.`];
 }
 
@@ -144,11 +143,11 @@ async function fit() {
   button.disabled = !state.pose;
 }
 
-function placeAt(place) {
+export function placeAt({ lon, lat }) {
   if (!state.photo) return alertUser("Add a photo first.", "fit");
   const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
   const heading = asked.heading?.[0] ?? state.photo.heading ?? 0;
-  setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
+  setPose({ lon, lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
   emit("chosen");
 }
 
@@ -179,7 +178,6 @@ function makeForm() {
 export function start() {
   makeForm();
   $("fit").onclick = fit;
-  $("place-here").onclick = () => placeAt(middle());
   on("look", answered);
   on("connected", () => {
     flying = null;

@@ -1,6 +1,5 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
 import { $, on, state, emit, widest } from "./state.js";
-import { circled, middle, showCircle } from "./map.js";
 
 const LEAST_KM = 0.5, MOST_KM = 100, NOTHING = { heading: null, near: null, elevation: null, eyeHeight: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
@@ -22,7 +21,7 @@ export function known() {
   return {
     ...(fov === (state.photo?.fov ?? null) ? {} : { fov }),
     heading: isKnown("heading") ? [value("heading"), value("slack")] : null,
-    near: isKnown("near") ? [...circled(), km()] : null,
+    near: isKnown("near") ? [state.circle.lon, state.circle.lat, km()] : null,
     elevation: isKnown("elevation") ? [value("low"), value("high")] : null,
     eyeHeight: $("eye").value === "" ? null : value("eye"),
   };
@@ -59,8 +58,10 @@ function show() {
   emit("known");
 }
 
-function circle(place = null) {
-  showCircle(isKnown("near") ? km() : null, place);
+// Shows the circle on the map, if it limits the search; its middle moves to a place that is given.
+export function showCircle(middle = null) {
+  if (middle) state.circle = middle;
+  emit("circle", isKnown("near") ? km() : null);
   show();
 }
 
@@ -82,7 +83,7 @@ function fromPhoto(photo) {
   $("eye").value = "";
   if (asked.eyeHeight !== null) set("eye", asked.eyeHeight);
   const [lon, lat] = asked.near ?? photo.lonlat ?? [];
-  circle(lon === undefined ? null : { lat, lng: lon });
+  showCircle(lon === undefined ? null : { lon, lat });
 }
 
 export function start() {
@@ -90,13 +91,12 @@ export function start() {
   for (const id of ["fov", "heading", "slack", "low", "high", "eye", "radius"]) {
     $(id).oninput = () => {
       delete exact[id];
-      id === "radius" ? circle() : show();
+      id === "radius" ? showCircle() : show();
     };
   }
-  $("near-known").onchange = () => circle();
-  $("near-here").onclick = () => circle(middle());
+  $("near-known").onchange = () => showCircle();
   $("known-form").onsubmit = (event) => event.preventDefault();
   on("photo", fromPhoto);
-  on("circle", show);
+  on("circled", show);
   show();
 }

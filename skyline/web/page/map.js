@@ -1,8 +1,8 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
 import { $, ARROWS, alertUser, degrees, element, on, state, emit } from "./state.js";
-import { moveTo, release } from "./hand.js";
-import { standing } from "./known.js";
+import { moveTo, placeAt, release } from "./hand.js";
+import { showCircle, standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000, HANDLE_PX = [74, 102, 130], APART_PX = 26, EARTH_M = 6371008.8;
@@ -10,7 +10,7 @@ let map, camera, handle, cone, noted, spots, circle, centre, where, middleLon = 
 
 // The map runs half a turn either way from the store, so that it may cross the antimeridian.
 const onMap = (lat, lon) => [lat, lon + 360 * Math.round((middleLon - lon) / 360)];
-const offMap = ({ lat, lng }) => ({ lat, lng: lng - 360 * Math.round(lng / 360) });
+const offMap = ({ lat, lng }) => ({ lon: lng - 360 * Math.round(lng / 360), lat });
 
 const icon = (name, size, text = "") =>
   L.divIcon({ className: name, iconSize: [size, size], html: text });
@@ -120,29 +120,18 @@ function makeCamera() {
   handle = L.marker([0, 0], { icon: icon("turn", 20), draggable: true, zIndexOffset: 3000,
     title: "Where it looks: drag, or left and right arrow keys", alt: "Where the camera looks" });
   cone = L.polygon([], { color: "#35d0ff", weight: 2, fillOpacity: 0.15, interactive: false });
-  camera.on("drag", () => {
-    const at = offMap(camera.getLatLng());
-    moveTo({ lon: at.lng, lat: at.lat }, true);
-  });
+  camera.on("drag", () => moveTo(offMap(camera.getLatLng()), true));
   handle.on("drag", turning);
   for (const marker of [camera, handle]) marker.on("dragend", release);
-  keys(camera, (by) => {
-    const at = nudged(camera, by);
-    moveTo({ lon: at.lng, lat: at.lat });
-  });
+  keys(camera, (by) => moveTo(nudged(camera, by)));
   keys(handle, ([across]) => moveTo({ heading: (state.pose.heading + across / 2 + 360) % 360 }));
 }
 
-// The middle of the circle that limits the search: longitude and latitude.
-export function circled() {
-  const at = offMap(circle.getLatLng());
-  return [at.lng, at.lat];
-}
-
-export function showCircle(km, place = null) {
+// Draws the circle that limits the search, unless its radius is null.
+function drawCircle(km) {
   if (km !== null) circle.setRadius(1000 * km);
   for (const one of [circle, centre]) {
-    if (place) one.setLatLng(onMap(place.lat, place.lng));
+    one.setLatLng(onMap(state.circle.lat, state.circle.lon));
     km === null ? one.remove() : one.addTo(map);
   }
 }
@@ -151,16 +140,18 @@ export const middle = () => offMap(map.getCenter());
 
 function makeCircle() {
   const place = box(state.store.area).getCenter();
+  state.circle = offMap(place);
   circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
   centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
   const moved = () => {
     circle.setLatLng(centre.getLatLng());
-    emit("circle");
+    state.circle = offMap(centre.getLatLng());
+    emit("circled");
   };
   centre.on("drag", moved);
   keys(centre, (by) => {
     const at = nudged(centre, by);
-    centre.setLatLng(onMap(at.lat, at.lng));
+    centre.setLatLng(onMap(at.lat, at.lon));
     moved();
   });
 }
@@ -172,8 +163,8 @@ function showWhere() {
   control.addTo(map);
   const at = (shown) => {
     const place = offMap(shown);
-    where.textContent = degrees(place.lng, place.lat);
-    server.send({ type: "height", lon: place.lng, lat: place.lat, seq: ++asked });
+    where.textContent = degrees(place.lon, place.lat);
+    server.send({ type: "height", ...place, seq: ++asked });
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
@@ -205,8 +196,11 @@ export function start() {
   makeCircle();
   showWhere();
   map.on("zoomend viewreset moveend", showCamera);
+  $("near-here").onclick = () => showCircle(middle());
+  $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   on("pose", showCamera);
+  on("circle", drawCircle);
   for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);
   on("photo", showNoted);
   on("result", goToResult);

@@ -11,6 +11,7 @@ export const state = {
   chosen: null, // index of the candidate that was chosen, or that the fit led to
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight}
   origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"
+  circle: null, // {lon, lat}, the middle of the circle that limits the search
   fit: null, // result of the last fit, as long as the pose is the fitted one
   sight: null, // the skyline rendered at the pose
 };

@@ -1,0 +1,102 @@
+"""The frame of a camera, and the part that a file shows.
+
+A file of the frame's shape was at most resized, which changes nothing. A file of another shape was
+cropped, and shows at most the frame. A file of a shape that no camera takes was cropped too, even
+if the noted size agrees with it: programs that crop note the new size.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from PIL.ExifTags import Base
+
+from skyline.photo.sensors import Sensor
+from skyline.photo.tags import Tags, positive
+
+Size = tuple[float, float]
+"""Width and height."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shapes:
+    """Width over height of frames."""
+
+    of_cameras: tuple[float, ...] = (1.0, 4 / 3, 3 / 2, 16 / 9)
+    """The frames that cameras take."""
+    of_screens: tuple[float, ...] = (2.0, 37 / 18, 19 / 9, 13 / 6, 20 / 9)
+    """The screens that phones take photos for."""
+    usual: float = 4 / 3
+    """The frame of a camera whose sensor is not known."""
+    tolerance: float = 0.02
+    """Largest relative difference of two shapes that are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """The field of view of a crop, over the greatest possible.
+
+    It is taken to lie evenly between half and all of that.
+    """
+
+    mean: float = 0.75
+    """Mean of an even distribution from a half to all."""
+    sd: float = 0.5 / sqrt(12.0)
+    """Standard deviation of an even distribution that is one half wide."""
+    most: float = 1.05
+    """Greatest share that is searched."""
+
+
+_SHAPES = _Shapes()
+CROP = Crop()
+
+
+def frames_of(
+    tags: Tags, size_px: tuple[int, int], sensor: Sensor | None
+) -> tuple[Size | None, Size]:
+    """Return the frame that the camera noted, and the frame taken.
+
+    The first is None if the camera noted none. For a photo taken upright, some cameras note the
+    frame upright and some lying. Of the two the better fit to the file is taken; if neither fits,
+    the frame of which the file shows the wider part. A file of a shape that no camera takes is a
+    part of the sensor's shape.
+    """
+    width = positive(tags.get(Base.ExifImageWidth))
+    height = positive(tags.get(Base.ExifImageHeight))
+    own = float(size_px[0]), float(size_px[1])
+    noted = None
+    if width is not None and height is not None:
+
+        def fit(frame: Size) -> tuple[bool, bool, float]:
+            kept = cropped_width(size_px, frame)
+            return is_whole(size_px, frame), is_unscaled(size_px, frame), kept
+
+        noted = max(((width, height), (height, width)), key=fit)
+    taken = noted or own
+    possible = _SHAPES.of_cameras + _SHAPES.of_screens
+    if sensor is not None:
+        possible = _SHAPES.of_cameras if noted else (sensor.shape,)
+    shape = max(taken) / min(taken)
+    if any(abs(shape / one - 1.0) <= _SHAPES.tolerance for one in possible):
+        return noted, taken
+    whole = _SHAPES.usual if sensor is None else sensor.shape
+    return None, (whole, 1.0) if size_px[0] >= size_px[1] else (1.0, whole)
+
+
+def cropped_width(size_px: tuple[int, int], frame: Size) -> float:
+    """Return the width of the largest part with a file's shape.
+
+    It is in the frame's pixels.
+    """
+    if is_unscaled(size_px, frame):
+        return float(size_px[0])
+    return size_px[0] * min(frame[0] / size_px[0], frame[1] / size_px[1])
+
+
+def is_whole(size_px: tuple[int, int], frame: Size, tolerance: float = _SHAPES.tolerance) -> bool:
+    """Return whether a file has the shape of a frame."""
+    return abs(size_px[0] / size_px[1] / (frame[0] / frame[1]) - 1.0) <= tolerance
+
+
+def is_unscaled(size_px: tuple[int, int], frame: Size) -> bool:
+    """Return whether a file has all columns, or all rows, of a frame."""
+    return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0

@@ -1,0 +1,141 @@
+"""A photo as read: its pixels, and its file's notes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from PIL import Image, ImageOps
+from PIL.ExifTags import IFD
+
+from skyline.arrays import UInt8Array
+from skyline.camera import Projection
+from skyline.errors import InputError
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
+from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
+from skyline.photo.lens import camera_of
+from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.photo.xmp import xmp_of
+from skyline.tables import is_table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photo:
+    """An image file's pixels and the file's notes on the camera.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+        Upright; transparent parts are white.
+    fov_deg : float or None
+        Horizontal field of view, up to 360; None if EXIF and XMP note none.
+    projection : Projection
+        Perspective, unless EXIF or XMP note a panorama.
+    noted : NotedPlace
+        Place and heading noted in EXIF.
+    lens : Lens, optional
+        Accuracy of the field of view, if the file notes it.
+    name : str
+        The file, for messages.
+    """
+
+    rgb: UInt8Array
+    fov_deg: float | None
+    projection: Projection
+    noted: NotedPlace = NOTHING_NOTED
+    lens: Lens | None = None
+    name: str = "the image"
+
+    @property
+    def blank(self) -> PhotoSkyline:
+        """The photo without a skyline, enough to see what poses show."""
+        height, width = self.rgb.shape[:2]
+        unknown = np.full(width, np.nan)
+        return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
+
+    def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
+        """Return a skyline of this photo with the file's notes."""
+        return replace(
+            skyline,
+            fov_deg=self.fov_deg,
+            projection=self.projection,
+            noted=self.noted,
+            lens=self.lens,
+        )
+
+
+def read_photo(
+    path: Picture, fov_deg: float | None = None, *, projection: Projection | None = None
+) -> Photo:
+    """Read a photo or a sky mask, with its file's notes.
+
+    Parameters
+    ----------
+    path : str, Path, PIL image, or (H, W) or (H, W, 3) uint8
+    fov_deg : float, optional
+        Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
+        from the photo's EXIF or XMP.
+    projection : Projection, optional
+        Perspective by default, unless the photo's EXIF or XMP note a panorama.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        The file cannot be decoded, or is a sliver.
+    """
+    projection = None if projection is None else Projection(projection)
+    check_fov(fov_deg, projection)
+    name = name_of(path)
+    with opened_image(path) as image:
+        full_px = image.size
+        shrink_if_large(name, image)
+        upright = ImageOps.exif_transpose(image)
+        width, height = _upright_size(full_px, upright)
+        exif = image.getexif()
+        xmp = xmp_of(image)
+        tags = {**exif, **exif.get_ifd(IFD.Exif)}
+        noted_projection, lens = camera_of(tags, xmp, (width, height))
+        noted = place_from_exif(exif.get_ifd(IFD.GPSInfo), xmp)
+        rgb = rgb_of(upright)
+    if min(rgb.shape[:2]) < 2:
+        raise InputError(f"{name} has {width} x {height} px; expected a photo or a sky mask")
+    # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
+    is_as_noted = projection is None or projection.is_panorama == noted_projection.is_panorama
+    known = lens if fov_deg is None and is_as_noted else None
+    return Photo(
+        rgb,
+        fov_deg if known is None else known.fov_deg,
+        projection or noted_projection,
+        noted,
+        known,
+        name,
+    )
+
+
+def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:
+    """Return the upright width and height of a file's pixels.
+
+    They are those before the picture was shrunk. Decoders differ: some have already turned the
+    pixels, some the size as well, and each leaves other tags. The upright picture shows whether the
+    file's size is upright.
+    """
+    width, height = full_px
+    is_turned = (upright.width < upright.height) != (width < height)
+    return (height, width) if is_turned else (width, height)
+
+
+def read_noted_place(path: Picture) -> NotedPlace:
+    """Return the place noted in a photo's EXIF, without decoding its pixels.
+
+    A trace notes none. Raises as `read_photo`.
+    """
+    if is_table(path):
+        return NOTHING_NOTED
+    with opened_image(path) as image:
+        return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo), xmp_of(image))
+
+
+def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
+    """Raise `InputError` for an impossible field of view."""
+    if fov_deg is not None:
+        Projection(projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)

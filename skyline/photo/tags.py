@@ -1,0 +1,55 @@
+"""The values of EXIF and XMP: a text, a number, a time."""
+
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from math import isfinite
+
+Tags = Mapping[int, object]
+"""The values of an EXIF directory, by their tags."""
+
+_RATIONAL = re.compile(r"([+-]?\d+\.?\d*)/([1-9]\d*)")
+_NUMBER = re.compile(r"[+-]?\d+\.?\d*(?:/[1-9]\d*)?")
+"""A decimal or a rational, as XMP writes them."""
+
+
+def text_of(tags: Tags, tag: int) -> str:
+    """Return a tag's text in capitals; "" if it has none."""
+    value = tags.get(tag, "")
+    text = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
+    return text.strip("\0 ").upper()
+
+
+def number_of(value: object) -> float | None:
+    """Return a value as a number; None if it is none.
+
+    A number that is not finite, as the rational 0/0, is none. EXIF has numbers and rationals, XMP
+    texts of them.
+    """
+    if isinstance(value, str) and (rational := _RATIONAL.fullmatch(value)):
+        return float(rational[1]) / float(rational[2])
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if isfinite(number) else None
+
+
+def leading_number(text: str) -> float | None:
+    """Return the number with which a text begins; None without one."""
+    number = _NUMBER.match(text)
+    return None if number is None else number_of(number[0])
+
+
+def positive(value: object) -> float | None:
+    """Return a number if it is above 0, else None."""
+    number = number_of(value)
+    return number if number is not None and number > 0.0 else None
+
+
+def time_of(tags: Tags, tag: int) -> datetime | None:
+    """Return the camera's time in a tag; None without one."""
+    try:
+        return datetime.strptime(text_of(tags, tag), "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return None

@@ -1,0 +1,213 @@
+"""Photos on the page, with their skylines, strokes and matches."""
+
+import hashlib
+import io
+import secrets
+import threading
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from skyline import (
+    Correction,
+    InputError,
+    MatchResult,
+    Narrowing,
+    Photo,
+    PhotoSkyline,
+    SkylineError,
+    Stroke,
+    read_photo,
+)
+from skyline.web.answers import outcome_json
+from skyline.web.engine import Engine, shown_name
+
+_SHOWN_PX = 6000
+"""Longest side of the picture sent to the page."""
+_IN_MEMORY = 4
+"""Number of photos whose pixels and evidence stay in memory."""
+_STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
+"""Beginning and end of each step of a match, as shares of the whole."""
+
+
+class PagePhoto:
+    """A photo on the page, with its skyline, strokes and results.
+
+    Its file at ``path`` is the session's own, never changed; ``name`` is the user's name of it.
+    Raises `InputError` if the file cannot be used.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.id = secrets.token_urlsafe(12)
+        self.path = path
+        self.name = shown_name(name)
+        with path.open("rb") as file:
+            self.content = hashlib.file_digest(file, "sha256").hexdigest()
+        self.skyline = opened(self)[1].solve()
+        self.strokes: tuple[Stroke, ...] = ()
+        self.trace: PhotoSkyline | None = None
+        self.trace_text: str | None = None
+        self.result: MatchResult | None = None
+        self.result_json: dict[str, Any] | None = None
+        self.fitted: MatchResult | None = None
+        self.match: Match | None = None
+        self.lock = threading.Lock()
+
+    def record(self) -> dict[str, Any]:
+        """Return the photo as JSON for the page's list."""
+        skyline = self.skyline
+        result = self.current_result
+        state = "ready" if result is None else "answered" if result.answer else "no answer"
+        return {
+            "id": self.id,
+            "name": self.name,
+            "content": self.content,
+            "state": "matching" if self.match and not self.match.done else state,
+            "width": skyline.width_px,
+            "height": skyline.height_px,
+            # A field of view that is a guess from a cropped photo is not shown.
+            "fov": None if skyline.lens and skyline.lens.most_deg is not None else skyline.fov_deg,
+            "lonlat": skyline.noted.lonlat_deg,
+            "accuracy": skyline.noted.accuracy_m,
+            "heading": skyline.noted.heading_deg,
+            "strokes": [
+                {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
+                for one in self.strokes
+            ],
+            "trace": self.trace_text,
+            "result": self.result_json,
+        }
+
+    def solve(self, strokes: Sequence[Stroke], trace: PhotoSkyline | None = None) -> None:
+        """Find the skyline again under all strokes.
+
+        If a trace is given, the strokes are applied to it from now on.
+        """
+        _, correction = opened(self)
+        with self.lock:
+            trace = self.trace if trace is None else trace
+            self.skyline = correction.solve(strokes, trace)
+            self.strokes = tuple(strokes)
+            self.trace = trace
+            self.fitted = None
+
+    def jpeg(self) -> bytes:
+        """Return the picture that the page draws, without the file's metadata."""
+        picture = Image.fromarray(opened(self)[0].rgb)
+        picture.thumbnail((_SHOWN_PX, _SHOWN_PX))
+        held = io.BytesIO()
+        picture.save(held, format="JPEG", quality=90)
+        return held.getvalue()
+
+    def lines(self) -> bytes:
+        """Return the skyline's rows, trust and other crests, as float32.
+
+        Columns that are not trusted have NaN and 0, those without another crest NaN.
+        """
+        skyline = self.skyline
+        lines = np.stack([skyline.row_px, skyline.trust, skyline.other_crest_px()])
+        return lines.astype("<f4").tobytes()
+
+    @property
+    def current_result(self) -> MatchResult | None:
+        """The result of the search, None once the skyline has changed since."""
+        searched = self.result_json
+        return self.result if searched and searched["skyline"] == version_of(self.skyline) else None
+
+    def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
+        """Return a search's result, unless another search would be made now."""
+        searched = self.result_json
+        return self.current_result if searched and searched["asked"] == asked else None
+
+    def cancel(self) -> None:
+        """End the photo's match at its next report of progress."""
+        if self.match is not None:
+            self.match.cancelled.set()
+
+
+def version_of(skyline: PhotoSkyline) -> str:
+    """Return a digest that distinguishes skylines of one photo."""
+    return hashlib.sha256(skyline.row_px.tobytes() + skyline.trust.tobytes()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=_IN_MEMORY)
+def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
+    """Return a photo and its correction, from memory or its file.
+
+    Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
+    """
+    try:
+        read = read_photo(photo.path)
+        return read, Correction(read)
+    except SkylineError as error:
+        message = str(error.args[0]).replace(str(photo.path), photo.name)
+        named = message if photo.name in message else f"{photo.name}: {message}"
+        raise InputError(named) from error
+
+
+class _CancelledError(Exception):
+    """Raised in the match's thread when the user cancels it."""
+
+
+class Match:
+    """A match of a photo, run in a thread.
+
+    ``asked`` is the page's request.
+    """
+
+    def __init__(
+        self,
+        photo: PagePhoto,
+        skyline: PhotoSkyline,
+        narrowing: Narrowing,
+        asked: Mapping[str, Any],
+    ) -> None:
+        self.photo = photo
+        self._skyline = skyline
+        self._narrowing = narrowing
+        self._question = {"asked": asked, "skyline": version_of(skyline)}
+        self.cancelled = threading.Event()
+        self.step = "waiting"
+        self.share = 0.0
+        self.error: str | None = None
+        self.done = False
+
+    def run(self, engine: Engine) -> None:
+        """Match, and leave the result in the photo or an ``error``."""
+        try:
+            self._check()
+            result = engine.matcher.match(
+                self._skyline, narrowing=self._narrowing, report_progress=self._report
+            )
+        except _CancelledError:
+            self.error = "cancelled"
+        except SkylineError as error:
+            self.error = str(error)
+        except MemoryError:
+            self.error = "there is not enough memory for this match; narrow the search"
+        else:
+            self.photo.result = result
+            self.photo.result_json = self._question | outcome_json(result, engine)
+        finally:
+            self.step = "done"
+            self.share = 1.0
+            self.done = True
+
+    def progress(self) -> dict[str, Any]:
+        """Return the progress as JSON for the page."""
+        return {"photo": self.photo.id, "step": self.step, "share": self.share, "done": self.done}
+
+    def _report(self, step: str, share: float) -> None:
+        self._check()
+        begins, ends = _STEPS.get(step, (0.0, 1.0))
+        # A step may run twice, and the bar must not run back.
+        self.share = max(self.share, begins + (ends - begins) * min(share, 1.0))
+        self.step = step
+
+    def _check(self) -> None:
+        if self.cancelled.is_set():
+            raise _CancelledError

@@ -1,0 +1,33 @@
+"""Values of EXIF and XMP, which are written in several forms."""
+
+from datetime import datetime
+
+import pytest
+from PIL.ExifTags import Base
+from PIL.TiffImagePlugin import IFDRational
+
+from skyline.photo.tags import leading_number, number_of, positive, time_of
+
+
+@pytest.mark.parametrize("half", [0.5, IFDRational(1, 2), "0.5", "1/2", "+2.5/5"])
+def test_a_number_is_the_same_in_every_form(half):
+    assert number_of(half) == 0.5
+
+
+@pytest.mark.parametrize("value", [None, "", "high", "1,5", (1, 2), "nan", IFDRational(0, 0)])
+def test_what_is_no_number_is_none(value):
+    assert number_of(value) is None
+    assert positive(value) is None
+
+
+def test_a_number_may_stand_before_a_unit():
+    assert leading_number("+12.50 m") == 12.5
+    assert leading_number("4936/100") == 49.36
+    assert leading_number("m 12") is None
+
+
+def test_a_time_is_one_of_the_camera_s_clock():
+    taken = {Base.DateTimeOriginal: "2026:06:21 12:30:05\0"}
+    assert time_of(taken, Base.DateTimeOriginal) == datetime(2026, 6, 21, 12, 30, 5)
+    assert time_of(taken, Base.DateTime) is None
+    assert time_of({Base.DateTime: "    :  :     :  :  "}, Base.DateTime) is None
