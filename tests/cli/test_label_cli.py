@@ -11,8 +11,8 @@ from font_scenes import UNDRAWN
 from PIL import Image
 
 from skyline import read_dem
-from skyline.cli.photo import check_outputs
 from skyline.errors import InputError
+from skyline.files import check_outputs
 
 
 @pytest.fixture(scope="module")
