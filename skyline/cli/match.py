@@ -23,6 +23,7 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
+from skyline.files import STANDARD
 from skyline.match.matcher import FULL
 from skyline.report.files import EXPORTS, RESULTS
 from skyline.tasks.match import MATCHERS, UNREFINED, MatchTask, match_photos, split_stores
@@ -94,6 +95,10 @@ def match(
     stores, photos = split_stores(store, photo)
     if peaks and not report and (near is None or is_numbers(near)):
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
+    if workers and Path(STANDARD) in photos:
+        raise InputError(
+            "standard input is read in this process; name a file, or leave --workers out"
+        )
     common = entry_of(
         fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks
     )

@@ -390,7 +390,7 @@ def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     Returns
     -------
     pandas.DataFrame
-        The columns of ``skyline match --results`` or of ``skyline orient --csv``: the photo, the
+        The columns of ``skyline match --results`` or of ``skyline orient -o``: the photo, the
         best pose, its confidence, and the reason where there is no answer.
 
     Raises

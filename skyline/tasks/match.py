@@ -115,10 +115,6 @@ class MatchTask:
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
             ),
-            (
-                self.workers and STANDARD in {one.path for one in self.entries},
-                "standard input is read in this process; name a file, or leave --workers out",
-            ),
         ):
             if is_wrong:
                 raise InputError(error)

@@ -57,7 +57,7 @@ def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher
 
 
 def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
-    paper, heading = ("--matcher", "paper"), ("--heading", "140,10")
+    paper, heading = ("--matcher", "paper"), ("--heading", 140, "--heading-slack", 10)
     for searched, options, message in (
         (renderings, (), "holds renderings, not places"),
         (store, paper, "holds places, not renderings"),
@@ -302,7 +302,7 @@ def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):
         ("match", store, photo, "--fov-deg", "60", "--export", store),
         ("match", store, photo, "--fov-deg", "60", "--export", photo),
         ("match", store, photo, "--report", tmp_path / "r", "--peaks", peaks, "--export", peaks),
-        ("horizon", store, "--points", peaks, "-o", peaks),
+        ("horizon", store, "--viewpoints", peaks, "-o", peaks),
     ):
         assert_refused(run(*command), "choose another name")
     assert (photo.read_bytes(), store.read_bytes(), peaks.read_bytes()) == before
