@@ -140,13 +140,15 @@ class MatchTask:
 def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
     """Return the first store with the stores named after it, and the photos named after those.
 
-    Raises `InputError` where a store is named after photos.
+    Raises `InputError` where a store is named after a photo.
     """
     stores = (first, *takewhile(is_store, others))
     photos = others[len(stores) - 1 :]
+    photo = next(iter(photos), None)
+    if first.is_file() and not is_store(first):
+        photo, photos = first, others
     late = next((one for one in photos if one.suffix in {".h5", ""} and is_store(one)), None)
     if late is not None:
-        photo = photos[0] if is_store(first) else first
         raise InputError(f"{late} is a store and is named after {photo}; name stores before photos")
     return stores, photos
 

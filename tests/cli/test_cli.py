@@ -197,39 +197,6 @@ def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, heade
     assert not list(tmp_path.glob("out.h5*"))
 
 
-def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
-    out = tmp_path / "out.h5"
-    for arguments, message in [
-        (["render", dem, "-o", out], "give one of --viewpoints FILE.csv, --spacing M"),
-        (["render", dem, "-o", out, "--planner", "lpov", "--workers", "2"], "--workers 2 does not"),
-        (["render", dem, "-o", out, "--spacing", "500", "--width", "0"], "width is 0"),
-        (
-            ["render", dem, "-o", out, "--planner", "lpov", "--coarse-spacing", 50_000],
-            "larger than the area",
-        ),
-        (["build", dem, "-o", out, "--workers", "0"], "workers is 0; expected 1 or more"),
-        (["build", dem, "-o", out, "--workers", "nonsense://x"], "no dask scheduler answers"),
-        (["build", dem, "-o", out, "--places", 400, "--spacing", 80], "give one of the spacing (a"),
-        (["dem", "fetch", "--bounds", "9.4,46.4", "-o", out], "expected W,S,E,N in degrees"),
-        (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
-        (["build", dem, "-o", out, "--bounds", "46.74,10.32,46.75,10.34"], "give 10.32,46.74,10."),
-        (["match", renderings, photo, "--matcher", "paper"], "--fov-deg"),
-        (["match", store, photo, "--fov-deg", "60", "--matcher", "magic"], "'magic'"),
-        (["match", store, "-", "--workers", "2"], "standard input is read in this process"),
-        (["match", tmp_path / "none.h5", photo, "--fov-deg", "60"], "none.h5"),
-        (["info"], "nothing to describe"),
-        (["explain", dem, "--at", "5"], "expected LON,LAT"),
-        (["explain", dem, "--at", "46.7,190.3"], "swapped: give 190.3,46.7"),
-        (["build", dem, "-o", tmp_path / "no" / "folder.h5"], "folder"),
-        (
-            ["render", tmp_path, "-o", out, "--spacing", "9", "--depth-images", tmp_path / "depth"],
-            "name a folder that holds no DEM",
-        ),
-    ]:
-        assert_refused(run(*arguments), message)
-    assert not out.exists()
-
-
 def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path):
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
     before = store.read_bytes()

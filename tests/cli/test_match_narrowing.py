@@ -59,18 +59,3 @@ def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
         done = run(*command, *area, "--report", tmp_path / "report")
         assert_refused(done, "lies within what the search is narrowed to")
     assert not (tmp_path / "report").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--near", "46.7478,10.3327,5"), "seem to be swapped: give 10.3"),
-        (("--near", "10.3,46.7,0"), "a radius above 0 km"),
-        (("--near", "1,2,3,4,5"), "expected LON,LAT,KM"),
-        (("--near", "9.8,46.7,9.9,46.8"), "give W,S,E,N as --bounds"),
-        (("--heading", "140"), "expected both or neither"),
-        (("--heading", "140", "--heading-slack", "0"), "expected a slack above 0"),
-    ],
-)
-def test_a_bad_narrowing_is_refused_in_one_line(run, store, photo, options, said):
-    assert_refused(run("match", store, photo, "--fov-deg", "60", *options), said)
