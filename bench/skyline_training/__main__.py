@@ -30,7 +30,7 @@ app = command_line(
 
 @app.command("sky-model", short_help="The network that finds skylines in photos (on a GPU).")
 def sky_model(
-    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
+    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--output", "-o")],
     minutes: Annotated[float, Option(help="Time to train for.")] = 9.0,
     seed: options.Seed = 1,
     quick: Annotated[bool, options.quick_with(minutes=0.01)] = False,
@@ -54,7 +54,7 @@ def sky_model(
 @app.command("panoramas", short_help="Panoramas of a DEM, to measure with (5 minutes).")
 def panoramas(
     dem: options.Dems,
-    out: Annotated[Path, Option("--out", "-o", help="A folder for them and manifest.csv.")],
+    out: Annotated[Path, Option("--output", "-o", help="A folder for them and manifest.csv.")],
     photos: Annotated[int, Option(help="Panoramas to draw.")] = 40,
     seed: options.Seed = 39,
     crs: options.Crs = None,

@@ -29,7 +29,7 @@ from skyline.horizons import (
     steps_a_turn,
     write_horizons,
 )
-from skyline.tasks.views import stand_and_tell, warn_of_border
+from skyline.tasks.views import stand_with_notes, warn_of_border
 from skyline.terrain.dem import read_surface
 from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, read_viewpoints
 
@@ -79,7 +79,7 @@ def horizon(
     if viewpoints is not None:
         eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
     else:
-        eyes = stand_and_tell(terrain, positions, eye_height, summit_within, terminal)
+        eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
     over = read_surface(surface, terrain) if surface else None
     with terminal.progress("rendering") as progress:
         found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)

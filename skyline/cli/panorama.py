@@ -21,7 +21,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import suffix_of
 from skyline.peaks import read_peaks
 from skyline.report.landscape import PanoramaConfig, panorama_view
-from skyline.tasks.views import stand_and_tell
+from skyline.tasks.views import stand_with_notes
 from skyline.terrain.dem import read_surface
 
 _DRAWN = PanoramaConfig()
@@ -52,7 +52,7 @@ def panorama(
     suffix_of(output, pictures.PANORAMA_SUFFIXES)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     terrain = read_terrain(terminal, dem, crs)
-    eye = stand_and_tell(terrain, [position], eye_height, summit_within, terminal)
+    eye = stand_with_notes(terrain, [position], eye_height, summit_within, terminal)
     with terminal.slow(f"drawing {output}"):
         over = read_surface(surface, terrain) if surface else None
         gazetteer = None if peaks is None else read_peaks(peaks, terrain.frame)

@@ -8,7 +8,7 @@ from typer import Option
 from skyline.cli.options import Crs, Dems, EyeHeight, SummitWithin, parse_position, read_terrain
 from skyline.cli.terminal import Terminal
 from skyline.horizons import day_of, horizons_of
-from skyline.tasks.views import stand_and_tell, warn_of_border
+from skyline.tasks.views import stand_with_notes, warn_of_border
 from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M
 
 
@@ -29,7 +29,7 @@ def sun(
     asked = day_of(day)
     positions = [parse_position(text) for text in at]
     terrain = read_terrain(terminal, dem, crs)
-    eyes = stand_and_tell(terrain, positions, eye_height, summit_within, terminal)
+    eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
     with terminal.progress("rendering") as progress:
         found = horizons_of(terrain, eyes, progress=progress)
     terminal.line("lon,lat,from_utc,to_utc")

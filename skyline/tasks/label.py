@@ -93,7 +93,7 @@ def _pose_of(
 ) -> Pose:
     """Return the pose that is noted, else the one that fits; `InputError` for an unsure one."""
     if noted is not None:
-        return told(noted, viewer, listener)
+        return shown_pose(noted, viewer, listener)
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
         orienter = orienter_at(task.at.place_of(photo, str(task.photo)))
         held = orienter.orient(photo, name=str(task.photo))
@@ -107,8 +107,8 @@ def _pose_of(
     return held.answer
 
 
-def told(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
-    """Return a noted pose on a viewer's terrain; its doubts and its lifted eye are told."""
+def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
+    """Return a noted pose on a viewer's terrain; show why it is doubted, or its eye lifted."""
     pose, lifted = noted.held(viewer)
     for note in filter(None, (noted.verdict, lifted)):
         listener.note(note)

@@ -1,4 +1,4 @@
-"""What a task says while it works, to whoever has started it."""
+"""What a task shows while it works, to whoever has started it."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -8,28 +8,28 @@ from skyline.arrays import Progress
 
 
 class Listener(Protocol):
-    """Hears results, notes and errors as they come; a terminal prints them."""
+    """Receives results, notes and errors of a task as they come; a terminal prints them."""
 
     def result(self, record: Mapping[str, Any], text: str) -> None:
-        """Hear a result, as a record and in lines of text.
+        """Receive a result, as a record and as lines of text.
 
         Raises `BrokenPipeError` if nobody reads results any more.
         """
 
     def remark(self, text: str) -> None:
-        """Hear a line beside the results; raises as `result`."""
+        """Receive a line that belongs beside the results; raises as `result`."""
 
     def note(self, message: str) -> None:
-        """Hear about the course of the work."""
+        """Receive a line about the course of the work."""
 
     def error(self, message: str) -> None:
-        """Hear an error that does not end the task."""
+        """Receive an error that does not end the task."""
 
     def slow(self, doing: str) -> AbstractContextManager[None]:
-        """Hear what the block does, which may take long."""
+        """Run a block that may take long; ``doing`` says what it does."""
 
     def progress(self, doing: str) -> AbstractContextManager[Progress]:
-        """Hear what the block does, and by the function yielded how far it is."""
+        """Run a block that reports its progress to the function that is yielded."""
 
     def keeps(self, advice: str, is_kept: Callable[[], bool] = ...) -> None:
-        """Hear what is kept if the task is stopped, and whether there is anything yet."""
+        """Receive the advice for a person who stops the task, given only if ``is_kept``."""

@@ -1,4 +1,4 @@
-"""Matching photos: each is told as soon as it is done, and files are written of all.
+"""Matching photos: each result is shown as soon as it is there, and files are written of all.
 
 A search that is stopped goes on where it has a file of results.
 """
@@ -154,11 +154,11 @@ def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
 
 
 def match_photos(task: MatchTask, listener: Listener) -> int:
-    """Match photos, tell each result as it comes, and write the files.
+    """Match photos, show each result as it comes, and write the files.
 
     Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, for a
     gazetteer or a DEM that cannot be read, and `StoreError` for such a store; the errors of a photo
-    are told, and do not end the others.
+    are shown, and do not end the others.
     """
     task.check()
     with (
@@ -197,7 +197,7 @@ class _Run:
             skylines, unread = self._read_together(usable)
             refused = refused | unread
         if not usable:
-            self._tell_each(known, refused, iter(()))
+            self._show_each(known, refused, iter(()))
             return
         matcher = self._opened()
         gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
@@ -211,7 +211,7 @@ class _Run:
                 each = match_here(matcher, usable)
                 if runner is not None:
                     each = match_many(runner, task.opening, usable)
-                found = self._tell_each(known, refused, each)
+                found = self._show_each(known, refused, each)
         if found:
             self._write(found, matcher, gazetteer, done)
 
@@ -243,7 +243,7 @@ class _Run:
     def _attempted(
         self, entries: Iterable[Query], attempt: Callable[[Query], T]
     ) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
-        """Return photos with the results of an attempt, and the others with their errors, told."""
+        """Attempt something with photos; return results, and errors, which are shown at once."""
         usable: list[tuple[Query, T]] = []
         refused: dict[Query, SkylineError] = {}
         for one in entries:
@@ -285,33 +285,33 @@ class _Run:
             )
         return matcher
 
-    def _tell_each(
+    def _show_each(
         self,
         known: Mapping[Query, str | None],
         refused: Mapping[Query, SkylineError],
         results: Iterator[MatchResult | SkylineError],
     ) -> list[MatchResult]:
-        """Tell the results of all photos in order, as they come; return those without an error."""
+        """Show the results of all photos in order, as they come; return those without an error."""
         found: list[MatchResult] = []
         for one in self._task.entries:
             if one in known:
-                self._tell_known(one, known[one])
+                self._show_known(one, known[one])
                 continue
             with nullcontext() if found else self._listener.slow(f"matching {one.path}"):
                 result = refused.get(one) or next(results)
             if isinstance(result, SkylineError):
-                self._tell_error(one, result, is_tried=one not in refused)
+                self._show_error(one, result, is_tried=one not in refused)
             else:
                 found.append(result)
                 if self._file is not None:
                     self._file.add(result.to_row(), _photo_of(one))
-                self._tell_result(result)
+                self._show_result(result)
         return found
 
     def _match_together(
         self, matcher: Matcher, photos: Sequence[tuple[Query, PhotoSkyline]]
     ) -> list[MatchResult]:
-        """Match photos of one place and tell the result; return it photo by photo."""
+        """Match photos of one place and show the result; return it photo by photo."""
         with self._listener.slow(f"matching {len(photos)} photos together"):
             narrowings = [entry.narrowing for entry, _ in photos]
             joint = matcher.match_together([one for _, one in photos], narrowings=narrowings)
@@ -319,20 +319,20 @@ class _Run:
             replace(result, name=entry.path, id=entry.label)
             for (entry, _), result in zip(photos, joint.results, strict=True)
         ]
-        self._tell_result(replace(joint, results=tuple(results)))
+        self._show_result(replace(joint, results=tuple(results)))
         return results
 
-    def _tell_result(self, result: MatchResult | JointResult) -> None:
-        self._tell(result.to_dict() | {"loading_seconds": self._loading_s}, result.to_text())
+    def _show_result(self, result: MatchResult | JointResult) -> None:
+        self._show(result.to_dict() | {"loading_seconds": self._loading_s}, result.to_text())
 
-    def _tell_known(self, entry: Query, error: str | None) -> None:
-        """Tell the error, if it had one, of a photo whose row an earlier run has written."""
+    def _show_known(self, entry: Query, error: str | None) -> None:
+        """Show the error, if it had one, of a photo whose row an earlier run has written."""
         if error is not None:
             self.exit_code = InputError.exit_code
             self._listener.error(_of_photo(entry, InputError(error)))
 
-    def _tell_error(self, entry: Query, error: SkylineError, is_tried: bool) -> None:
-        """Tell that a photo failed.
+    def _show_error(self, entry: Query, error: SkylineError, is_tried: bool) -> None:
+        """Show that a photo failed.
 
         A photo that was tried and cannot be used gets a row; others are tried again next time.
         """
@@ -346,10 +346,10 @@ class _Run:
             if self._file is not None and is_final:
                 row = names | {"answered": 0, "reason": str(error)}
                 self._file.add(row, _photo_of(entry))
-        self._tell(names | {"error": str(error)}, "")
+        self._show(names | {"error": str(error)}, "")
 
-    def _tell(self, record: Mapping[str, object], text: str) -> None:
-        """Tell a result. Without a reader the work goes on only for the sake of files."""
+    def _show(self, record: Mapping[str, object], text: str) -> None:
+        """Show a result. Without a reader the work goes on only for the sake of files."""
         try:
             self._listener.result(record, text)
         except BrokenPipeError:

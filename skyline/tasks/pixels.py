@@ -9,7 +9,7 @@ from skyline.files import check_outputs, lies_in_any, on_disk
 from skyline.photo.read import read_photo
 from skyline.photo.skyline import Projection
 from skyline.pose_file import read_pose
-from skyline.tasks.label import told
+from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.folders import dem_names
@@ -53,7 +53,7 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     with listener.slow("reading the elevation model"):
         terrain = read_dem(names, DemOptions(crs=task.crs))
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
-        pose = told(noted, viewer, listener)
+        pose = shown_pose(noted, viewer, listener)
         places = viewer.places(pose, photo, task.step, progress)
     places.save(task.output, pose)
     return places

@@ -14,14 +14,14 @@ from skyline.terrain.heightfield import HeightField
 _log = logging.getLogger(__name__)
 
 
-def stand_and_tell(
+def stand_with_notes(
     terrain: HeightField,
     positions: Sequence[tuple[float, float]],
     eye_height_m: float,
     summit_within_m: float | None,
     listener: Listener,
 ) -> Viewpoints:
-    """Place eyes at longitudes and latitudes, and tell which of them stand on a summit.
+    """Place eyes at longitudes and latitudes; a note names each that stands on a summit.
 
     Parameters and errors as `stand_at`.
     """
