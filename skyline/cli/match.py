@@ -26,7 +26,7 @@ from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.match.matcher import FULL
 from skyline.report.files import EXPORTS, RESULTS
-from skyline.tasks.match import MATCHERS, UNREFINED, MatchTask, match_photos, split_stores
+from skyline.tasks.match import UNREFINED, MatchTask, match_photos, split_stores
 
 # Groups of options in the help, after the options that are needed most.
 _search = panel("The search")
@@ -63,7 +63,8 @@ def match(
         str,
         _search(
             metavar="NAME",
-            help=f"One of {', '.join(MATCHERS)}; {UNREFINED} is faster and less exact.",
+            help=f"{FULL}, {UNREFINED}, paper, correlation, or another package's; {UNREFINED} is "
+            "faster and less exact.",
         ),
     ] = FULL,
     surface: SurfaceFiles = None,

@@ -8,12 +8,12 @@ from typing import Annotated
 from typer import Argument, Option
 
 from skyline.batch import Query
+from skyline.camera import Projection
 from skyline.cli.options import panel, parse_bounds
 from skyline.errors import InputError, numbers_of
 from skyline.location import NOTED_KM
 from skyline.match.prior import Narrowing
 from skyline.peaks import find_place
-from skyline.photo.skyline import Projection
 
 _known = panel("The photos")
 

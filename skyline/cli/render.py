@@ -1,7 +1,7 @@
 """``skyline render``: stores of renderings, for the paper's matcher."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Option
@@ -21,14 +21,11 @@ from skyline.cli.options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
-from skyline.paper.plan import PlanConfig
+from skyline.paper.plan import Plan, PlanConfig
 from skyline.paper.strategies import STRATEGIES
+from skyline.paper.verify import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.tasks.build import RenderTask, render_planned, render_store
-
-if TYPE_CHECKING:
-    from skyline.paper.plan import Plan
-    from skyline.paper.verify import Verification
 
 _RENDERED = RenderConfig()
 _PLANNED = PlanConfig()
@@ -143,7 +140,7 @@ def render(
     terminal.line(_coverage_in_words(*built[1:]))
 
 
-def _coverage_in_words(plan: "Plan", proof: "Verification") -> str:
+def _coverage_in_words(plan: Plan, proof: Verification) -> str:
     """Return the coverage that a plan predicts, and the share that renderings confirm."""
     return (
         f"to {plan.config.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "

@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skyline.arrays import Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy import Bounds
-from skyline.paper.plan import PlanConfig, build_planned
+from skyline.paper.plan import Plan, PlanConfig, build_planned
+from skyline.paper.verify import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import parts_folder
 from skyline.store.write import check_store_path
@@ -21,10 +21,6 @@ from skyline.tasks.listener import Listener
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.eyes import read_viewpoints
 from skyline.terrain.heightfield import HeightField
-
-if TYPE_CHECKING:
-    from skyline.paper.plan import Plan
-    from skyline.paper.verify import Verification
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +139,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
 
 def render_planned(
     task: RenderTask, listener: Listener
-) -> "tuple[BuildResult, Plan, Verification] | None":
+) -> tuple[BuildResult, Plan, Verification] | None:
     """Let a planner choose the viewpoints of a store; None if the store is complete already.
 
     Raises as `RenderTask.check`, `PlanConfig` and `build_planned`, and `InputError` for a map of a

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
+from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_photo, read_query
-from skyline.photo.skyline import PhotoSkyline, Projection
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.pose_file import NotedPose, read_pose
 from skyline.tasks.listener import Listener

@@ -23,10 +23,12 @@ from skyline.errors import (
 )
 from skyline.files import STANDARD, check_outputs, read_bytes, version_of
 from skyline.match.confidence import MatchConfig
-from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
+from skyline.match.matcher import FULL, Matcher
+from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.skyline import PhotoSkyline
+from skyline.plugins import names_of
 from skyline.report.files import EXPORTS, ResultsFile, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.store.read import is_store
@@ -36,7 +38,6 @@ from skyline.terrain.folders import dem_names
 
 UNREFINED = "unrefined"
 """The full matcher without its last step."""
-MATCHERS = (FULL, UNREFINED, *PROFILE_MATCHERS)
 
 T = TypeVar("T")
 
@@ -54,7 +55,7 @@ class MatchTask:
     inputs: Sequence[Path] = ()
     """Files that the user has named as photos: no output replaces them."""
     matcher: str = FULL
-    """One of `MATCHERS`."""
+    """``unrefined``, or as for `Matcher`."""
     dem: Sequence[str] = ()
     """Elevation files of the stores, or folders of them; by default those that they name."""
     surface: Sequence[str] = ()
@@ -94,7 +95,7 @@ class MatchTask:
 
     def check(self) -> None:
         """Raise `InputError` for options that do not suit each other, and for wrong outputs."""
-        entry_named("matcher", self.matcher, dict.fromkeys(MATCHERS))
+        entry_named("matcher", self.matcher, dict.fromkeys([*names_of(MATCHERS), UNREFINED]))
         names_stores = ", ".join(map(str, self.stores))
         no_refinement = f"leave --matcher {UNREFINED} out"
         for is_wrong, error in (

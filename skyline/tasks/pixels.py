@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_outputs, lies_in_any, on_disk
 from skyline.photo.read import read_photo
-from skyline.photo.skyline import Projection
 from skyline.pose_file import read_pose
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
