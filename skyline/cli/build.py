@@ -34,9 +34,8 @@ def build(
     output: Annotated[
         Path,
         output_option(
-            "The store to write. A store that exists is continued with the same options and "
-            "refused with others, other bounds too: name a new store for another area, and give "
-            "both to `match`, or join them with `store merge`.",
+            "The store to write. One that exists gets the places of other --bounds as well, and "
+            "is refused with any other settings.",
             "STORE.h5",
         ),
     ],
