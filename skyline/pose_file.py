@@ -12,7 +12,7 @@ from skyline.errors import InputError, printable
 from skyline.files import read_bytes
 from skyline.geodesy import are_degrees
 from skyline.pose import Pose
-from skyline.terrain.eyes import LEAST_EYE_HEIGHT_M, check_eye_elevation
+from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.view import Viewer
 
 _ROUNDED_M = 0.01

@@ -9,7 +9,7 @@ from skyline.cli.facts import table_of
 from skyline.cli.options import AsJson, Crs, Dems, parse_position, read_terrain
 from skyline.cli.terminal import Terminal
 from skyline.tasks.explain import explain_skyline
-from skyline.terrain.eyes import place_on, stand_on
+from skyline.terrain.viewpoints import position_on, stand_on
 
 
 def explain(
@@ -23,6 +23,6 @@ def explain(
     terminal = Terminal.of(context, as_json)
     position = parse_position(at)
     terrain = read_terrain(terminal, dem, crs)
-    easting_m, northing_m = place_on(terrain, *position)
+    easting_m, northing_m = position_on(terrain, *position)
     facts = explain_skyline(terrain, stand_on(terrain, easting_m=easting_m, northing_m=northing_m))
     terminal.result(facts, table_of(facts))

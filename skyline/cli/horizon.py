@@ -30,8 +30,8 @@ from skyline.horizons import (
     write_horizons,
 )
 from skyline.tasks.views import stand_with_notes, warn_of_border
-from skyline.terrain.dem import read_surface
-from skyline.terrain.eyes import DEFAULT_EYE_HEIGHT_M, read_viewpoints
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
 
 
 def horizon(

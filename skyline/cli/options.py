@@ -126,7 +126,8 @@ def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "He
 
     Raises `InputError` for a store in its place.
     """
-    from skyline.terrain.dem import DemOptions, read_dem  # noqa: PLC0415  (slow to load)
+    from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
+    from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
     for name in dem:
         if Path(name).suffix == ".h5" and is_store(name):

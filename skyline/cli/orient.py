@@ -16,8 +16,9 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import SkylineError, check_suffix, printable
-from skyline.files import STANDARD, check_outputs, csv_lines, write_whole
+from skyline.files import STANDARD, check_outputs, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Orientation
+from skyline.tables import csv_lines
 from skyline.tasks.locate import usable_of
 from skyline.tasks.orient import CameraAt, orient_photos
 

@@ -22,7 +22,7 @@ from skyline.errors import suffix_of
 from skyline.peaks import read_peaks
 from skyline.report.landscape import PanoramaConfig, panorama_view
 from skyline.tasks.views import stand_with_notes
-from skyline.terrain.dem import read_surface
+from skyline.terrain.surface_model import read_surface
 
 _DRAWN = PanoramaConfig()
 

@@ -103,10 +103,6 @@ def render(
     width: Annotated[
         int, of_terrain(metavar="N", help="Columns of a 90 degree view.")
     ] = _RENDERED.width,
-    tolerance_px: Annotated[
-        float,
-        of_terrain(metavar="PX", help="Pixels by which a skyline may lie too low; 0 is exact."),
-    ] = _RENDERED.tolerance_px,
     refraction_k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
 ) -> None:
@@ -127,7 +123,7 @@ def render(
         bounds_deg=None if bounds is None else parse_bounds(bounds),
         depth_images=depth_images,
         workers=workers,
-        config=RenderConfig(width, tolerance_px, Curvature(refraction_k=refraction_k)),
+        config=RenderConfig(width, Curvature(refraction_k=refraction_k)),
     )
     if planner is None:
         terminal.line(built_in_words(render_store(task, terminal), output, "renderings"))

@@ -18,9 +18,10 @@ from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.plans import RenderingPlan
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.eyes import read_viewpoints
+from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+from skyline.terrain.viewpoints import read_viewpoints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

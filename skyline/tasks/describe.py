@@ -6,8 +6,8 @@ from skyline.errors import printable
 from skyline.geodesy import Frame
 from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.store.read import open_store
-from skyline.terrain.conventions import model_of
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import model_of
 
 
 def describe_terrain(field: HeightField) -> dict[str, object]:

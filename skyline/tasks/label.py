@@ -17,7 +17,8 @@ from skyline.pose import Pose
 from skyline.pose_file import NotedPose, read_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import read_dem
+from skyline.terrain.provenance import DemOptions
 from skyline.view import SeenPeak, Viewer
 
 LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}

@@ -34,7 +34,7 @@ from skyline.report.folder import check_report_folder
 from skyline.store.read import is_store
 from skyline.survey.cluster import runner_of
 from skyline.tasks.listener import Listener
-from skyline.terrain.folders import dem_names
+from skyline.terrain.dem_files import dem_names
 
 UNREFINED = "unrefined"
 """The full matcher without its last step."""

@@ -11,8 +11,9 @@ from skyline.photo.read import read_photo
 from skyline.pose_file import read_pose
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.folders import dem_names
+from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import dem_names
+from skyline.terrain.provenance import DemOptions
 from skyline.view import PIXEL_FILES, PixelPlaces, Viewer
 
 

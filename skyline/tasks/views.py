@@ -8,8 +8,8 @@ import numpy as np
 from skyline.horizons import LocalHorizons
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.tasks.listener import Listener
-from skyline.terrain.eyes import Viewpoints, stand_at
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_at
 
 _log = logging.getLogger(__name__)
 

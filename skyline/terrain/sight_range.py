@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from skyline.terrain.eyes import Viewpoints
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 
 def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float) -> float:

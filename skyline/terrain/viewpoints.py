@@ -315,7 +315,7 @@ def read_viewpoints(
     table.refuse_other(*position, *_HEIGHTS, *_LABELS)
     if not table.rows:
         raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
-    first, second = (np.array([row.number(name) for row in table.rows]) for name in places)
+    first, second = (np.array([row.number(name) for row in table.rows]) for name in position)
     labels = (
         tuple(printable(row.label) for row in table.rows) if {*_LABELS} & {*table.header} else ()
     )
@@ -324,9 +324,9 @@ def read_viewpoints(
     elif is_on_map(field, *field.frame.from_lonlat(first, second)).all():
         # In a frame around the model they would lie in its middle, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
-    is_elevation = eyes == ["eye_elevation_m"]
+    is_elevation = heights == ["eye_elevation_m"]
     given_m = np.array(
-        [row.number(eyes[0]) if eyes and row[eyes[0]] else np.nan for row in table.rows]
+        [row.number(heights[0]) if heights and row[heights[0]] else np.nan for row in table.rows]
     )
     is_high = np.isfinite(given_m) if is_elevation else np.zeros(len(given_m), dtype=bool)
     if is_high.all():

@@ -7,8 +7,8 @@ from scenes import at_m, field_of, fractal
 from skyline.geodesy import Curvature
 from skyline.skylines import pixel_size
 from skyline.tasks.explain import curvature_bound_px
-from skyline.terrain.eyes import stand_on
 from skyline.terrain.sight_range import sight_range_m
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 

@@ -14,7 +14,7 @@ from scenes import field_of
 
 from skyline.errors import InputError
 from skyline.files import csv_lines, is_table, read_table, write_whole
-from skyline.terrain.eyes import read_viewpoints
+from skyline.terrain.viewpoints import read_viewpoints
 
 
 def places(path, text):
