@@ -13,7 +13,8 @@ from commands import csv_of
 from scenes import field_of
 
 from skyline.errors import InputError
-from skyline.files import csv_lines, is_table, read_table, write_whole
+from skyline.files import write_whole
+from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
 
 
