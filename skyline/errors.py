@@ -158,8 +158,7 @@ class _Lines(logging.Formatter):
     """Formats a record's message as one line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  (logging's name)
-        record.message = printable(record.message)
-        return super().formatMessage(record)
+        return f"{record.levelname.lower()}: {printable(record.message)}"
 
 
 def start_logging() -> None:
@@ -169,7 +168,7 @@ def start_logging() -> None:
             # A terminal whose encoding has no degree sign must not end the run.
             stream.reconfigure(errors="backslashreplace")
     handler = logging.StreamHandler()
-    handler.setFormatter(_Lines("%(levelname)s: %(message)s"))
+    handler.setFormatter(_Lines())
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     # A file that GDAL cannot read becomes an error of one line; GDAL's own lines only confuse.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)

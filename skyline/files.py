@@ -5,7 +5,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from functools import cache
 from pathlib import Path, PurePath
@@ -216,6 +216,27 @@ def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) ->
                 if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                     opened.pop_all()
                     return file
+
+
+def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
+    """Return whether an output is one of some folders, or lies in one or in a folder of it."""
+    place = output.resolve()
+    return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
+    """Raise `InputError` for an output that is an input or another output, or cannot be made."""
+    read = [path for path in inputs if is_file(path)]
+    named = [path for path in outputs if path is not None]
+    places = [path.resolve() for path in named]
+    for path in named:
+        if places.count(path.resolve()) > 1:
+            raise InputError(f"{path} is the name of two outputs; choose another name for one")
+        if path.exists() and any(path.samefile(one) for one in read):
+            raise InputError(f"{path} is an input; choose another name for the output")
+        folder = next(one for one in path.resolve().parents if one.exists())
+        if str(path) != STANDARD and not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{path} cannot be written: there are no rights to write in {folder}")
 
 
 def for_gdal(name: str) -> str:

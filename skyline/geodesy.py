@@ -121,6 +121,11 @@ def are_bounds(west: float, south: float, east: float, north: float) -> bool:
     )
 
 
+def are_degrees(lon: float, lat: float) -> bool:
+    """Return whether two numbers can be a longitude and a latitude."""
+    return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
+
+
 def width_deg(bounds_deg: Bounds) -> float:
     """Return the width of a box in degrees of longitude.
 

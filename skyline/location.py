@@ -93,7 +93,8 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
         which = name_of(photos[0]) if len(photos) == 1 else f"none of {len(photos)} photos"
         notes = "notes no position" if len(photos) == 1 else "notes a position"
         raise InputError(
-            f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10"
+            f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10, "
+            "or --bounds W,S,E,N"
         )
     east, north = Frame.local(lon=places[0][0], lat=places[0][1]).from_lonlat(*np.transpose(places))
     if not np.hypot(np.ptp(east), np.ptp(north)) <= 1000.0 * _TOGETHER_KM:

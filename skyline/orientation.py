@@ -153,7 +153,7 @@ class Orientation:
         return to_dataframe([self])
 
     def to_row(self) -> dict[str, Any]:
-        """Return the orientation as a row of numbers and text, as ``--csv`` writes it."""
+        """Return the orientation as a row of the table that ``skyline orient -o`` writes."""
         row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
             row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
@@ -412,7 +412,7 @@ class Orienter(Releasable):
         return (
             f"the eye may stand {heights_m[0]:.0f} m above the ground, or "
             f"{heights_m[rivals[0]]:.0f} m, as the photo notes a height; give its elevation "
-            "(--at LON,LAT,ELEV)"
+            "with --elevation"
         )
 
     def _eye_heights_m(self, poses: Poses) -> Float64Array:

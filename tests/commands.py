@@ -21,6 +21,11 @@ def trace_of(path, wave_px, notes=""):
     return csv_of(path, rows, f"# width=160 height=120{notes}\ncolumn_px,row_px")
 
 
+def full_name(name):
+    """Return the full name of a function that a command or a task calls."""
+    return f"skyline.{name}" if name.startswith("tasks.") else f"skyline.cli.{name}"
+
+
 def assert_refused(done, message):
     assert done.code == 2, done
     assert message in done.err

@@ -14,7 +14,7 @@ from scenes import fractal, take_photo, write_dem
 
 import skyline_bench.cli
 from skyline import build_places, build_uniform, cli, read_dem, stand_on
-from skyline.cli import console
+from skyline.cli.terminal import Terminal
 from skyline.match import search
 from skyline.render.context import acquire_context
 from skyline.survey import plans
@@ -106,16 +106,15 @@ def small_plans():
 @pytest.fixture
 def run_main(monkeypatch, capsys):
     """Return a function that runs a command's main with arguments."""
-    # How long a command takes here must not change its output.
-    monkeypatch.setattr(console, "_SLOW_S", 1e6)
     # A command's name is its script's, also where pytest was started as a module.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
 
-    def run_command(main, name, *arguments):
+    def run_command(main, name, *arguments, slow_s=1e6):
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
-            main()
+            # How long a command takes here must not change its output.
+            main(terminal=Terminal(slow_s=slow_s))
         printed = capsys.readouterr()
         return Result(int(stop.value.code or 0), printed.out, printed.err)
 

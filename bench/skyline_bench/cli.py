@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from skyline.cli.console import command_line, run_app
+from skyline.cli.app import command_line, run_app
 from skyline_bench import (
     durability,
     figures,

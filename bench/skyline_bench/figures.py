@@ -51,7 +51,7 @@ def figures(
     ),
     out: Annotated[
         Path,
-        Option("--out", "-o", metavar="FOLDER", help="A checkout, whose pages are written."),
+        Option("--output", "-o", metavar="FOLDER", help="A checkout, whose pages are written."),
     ] = Path(),
 ) -> None:
     """The tables, figures and diagrams of README.md and docs/, from the records.
@@ -118,7 +118,7 @@ def _draw_adaptive(records: Results) -> Figure:
 
 
 def readme_picture(
-    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
+    out: Annotated[Path, options.new_file("The JPEG to write.", "--output", "-o")],
     record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:

@@ -19,7 +19,7 @@ from typer import Option
 
 from skyline import Orientation, Orienter, PhotoSkyline, read_dem
 from skyline.arrays import Progress
-from skyline.cli.console import progress_bar
+from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Rectangle, in_turn
 from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
@@ -118,7 +118,7 @@ def orient(
     terrain = read_dem(dem, DemOptions(crs=crs))
     other = read_dem(strange) if strange else None
     area_deg = None if photos else middle_deg(terrain)
-    with progress_bar("orienting") as progress, orienters(terrain) as orienter_at:
+    with Terminal().progress("orienting") as progress, orienters(terrain) as orienter_at:
         if photos:
             rows = photograph_rows(orienter_at, wanted, progress)
         else:

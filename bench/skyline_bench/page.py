@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from skyline import build_places, read_dem, stand_at
-from skyline.cli.console import progress_bar
+from skyline.cli.terminal import Terminal
 from skyline.errors import BuildError, InputError
 from skyline.render.depth import DepthRenderer
 from skyline_bench import options
@@ -111,7 +111,7 @@ def page(record: options.Record = None, quick: options.Quick = False) -> None:
     chrome, driver = headless()
     from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)
 
-    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as progress:
+    with tempfile.TemporaryDirectory() as folder, Terminal().progress("page") as progress:
         store, photo = _made(Path(folder))
         progress(1, 3)
         began = time.perf_counter()

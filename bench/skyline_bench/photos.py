@@ -27,7 +27,7 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
-from skyline.cli.console import progress_bar
+from skyline.cli.terminal import Terminal
 from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn
 from skyline.photo.read import read_picture
@@ -134,7 +134,7 @@ def photos(
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     side_m = 1000.0 * (side_km or (_QUICK_SIDE_KM if quick else _SIDE_KM))
     sections, found = list[str](), dict[Photograph, Measured]()
-    with options.store_folder(folder) as place, progress_bar("photographs") as progress:
+    with options.store_folder(folder) as place, Terminal().progress("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, store, use_gps):
             found[measured.photograph] = measured
             if page_file is not None:
@@ -417,7 +417,7 @@ def sky_masks(
         raise InputError(f"{folder} has {len(masks)} masks NAME.mask.png; expected two or more")
     middle = len(masks) // 2
     rows = list[Row]()
-    with progress_bar("photographs") as progress:
+    with Terminal().progress("photographs") as progress:
         for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
             counts, seconds = [], []
             for mask in some:

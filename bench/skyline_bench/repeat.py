@@ -32,13 +32,15 @@ def repeat(
     ] = None,
     out: Annotated[
         Path,
-        Option("--out", "-o", metavar="FOLDER", help="For the new record and all that is written."),
+        Option(
+            "--output", "-o", metavar="FOLDER", help="For the new record and all that is written."
+        ),
     ] = Path("repeated"),
 ) -> None:
     """The command of a record once more, on the same data: a new record, compared with the old.
 
     Data with another digest than the record's are refused. A record keeps its
-    name, so --out decides whether it is replaced.
+    name, so --output decides whether it is replaced.
     """
     old = read_record(record)
     missing = [name for name in _NEEDED if name not in old]

@@ -15,7 +15,7 @@ from itertools import count
 import numpy as np
 
 from skyline.arrays import Float64Array, Progress
-from skyline.cli.console import progress_bar
+from skyline.cli.terminal import Terminal
 from skyline.geodesy import Curvature, Frame
 from skyline.horizons import DEFAULT_STEP_DEG
 from skyline.render.depth import DepthRenderer
@@ -80,7 +80,7 @@ def speed_error(
     not installed is left out.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
-    with progress_bar("measuring") as progress:
+    with Terminal().progress("measuring") as progress:
         rows = _speed_error(terrain, seed, quick, progress)
     columns = """path setting km2 timed_viewpoints=timed ms_per_viewpoint compared_viewpoints=n
         rms_px max_px missing"""

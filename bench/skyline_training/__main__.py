@@ -6,7 +6,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from skyline.cli.console import command_line, progress_bar, run_app
+from skyline.cli.app import command_line, run_app
+from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.match.confidence import ORIENTED
 from skyline.terrain.dem import read_dem
@@ -29,7 +30,7 @@ app = command_line(
 
 @app.command("sky-model", short_help="The network that finds skylines in photos (on a GPU).")
 def sky_model(
-    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
+    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--output", "-o")],
     minutes: Annotated[float, Option(help="Time to train for.")] = 9.0,
     seed: options.Seed = 1,
     quick: Annotated[bool, options.quick_with(minutes=0.01)] = False,
@@ -45,7 +46,7 @@ def sky_model(
         raise InputError(
             f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
         ) from error
-    with progress_bar("training") as progress, closing(draw_training_photos(seed)) as photos:
+    with Terminal().progress("training") as progress, closing(draw_training_photos(seed)) as photos:
         net = network.train(photos, minutes, seed, progress)
     network.write_model(net, out)
 
@@ -53,13 +54,13 @@ def sky_model(
 @app.command("panoramas", short_help="Panoramas of a DEM, to measure with (5 minutes).")
 def panoramas(
     dem: options.Dems,
-    out: Annotated[Path, Option("--out", "-o", help="A folder for them and manifest.csv.")],
+    out: Annotated[Path, Option("--output", "-o", help="A folder for them and manifest.csv.")],
     photos: Annotated[int, Option(help="Panoramas to draw.")] = 40,
     seed: options.Seed = 39,
     crs: options.Crs = None,
 ) -> None:
     """Draw panoramas as phones make them, and the manifest with which they are measured."""
-    with progress_bar("panoramas") as progress:
+    with Terminal().progress("panoramas") as progress:
         write_panoramas(read_dem(dem, DemOptions(crs=crs)), out, photos, seed, progress)
 
 
@@ -89,7 +90,7 @@ def confidence(
     if examples is not None and examples.exists():
         found = read_examples(examples)
     else:
-        with progress_bar("terrains") as progress:
+        with Terminal().progress("terrains") as progress:
             places = _QUICK_PLACES if quick else None
             found = gather_matches(data, queries, seed, progress, places)
         if examples is not None:
@@ -121,7 +122,7 @@ def orientation(
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
     """Learn how far headings at known places can be believed; show it on Davos."""
-    with progress_bar("terrains") as progress:
+    with Terminal().progress("terrains") as progress:
         found = gather_headings(data, queries, seed, progress)
     learned, rows = learn_orientation(found)
     options.report(record, rows)

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 from typer import Argument
 
-from skyline.cli.console import AsJson, StoreFile, output_option, print_line
+from skyline.cli.options import AsJson, StoreFile, output_option
+from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, printable
 from skyline.store.check import StoreReport, check_store
 from skyline.store.merge import merge_stores, repair_store
@@ -23,14 +24,15 @@ store = typer.Typer(
 
 
 @store.command()
-def check(store: StoreFile, as_json: AsJson = False) -> None:
+def check(context: typer.Context, store: StoreFile, as_json: AsJson = False) -> None:
     """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
+    terminal = Terminal.of(context, as_json)
     report = check_store(store)
     if as_json:
         # The exit code must hold also where the output is not read.
         with suppress(BrokenPipeError):
             facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
-            print_line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
+            terminal.line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
         raise typer.Exit(0 if report.whole else InputError.exit_code)
     if report.damage and not report.rows:
         raise InputError(report.damage[0].what)  # It cannot be opened, which names the store.
@@ -38,27 +40,34 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
         first = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
         raise InputError(f"{store} is damaged: {first}{more}")
-    print_line(f"{store}: {report.rows:,} {report.holds}, whole")
+    terminal.line(f"{store}: {report.rows:,} {report.holds}, whole")
 
 
 @store.command()
-def repair(store: StoreFile, output: NewStore) -> None:
+def repair(context: typer.Context, store: StoreFile, output: NewStore) -> None:
     """Save the undamaged rows of a store in a new store, in their order."""
+    terminal = Terminal.of(context)
     report = repair_store(store, output)
-    _print_copied(report, output)
+    terminal.line(_copied_in_words(report, output))
     for damage in report.damage:
         rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
-        print_line(f"  left out {rows}: {damage.what}")
+        terminal.line(f"  left out {rows}: {damage.what}")
 
 
 @store.command()
-def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
+def merge(
+    context: typer.Context,
+    stores: Annotated[list[Path], Argument(metavar="STORE.h5...", help="Stores of one DEM.")],
+    output: NewStore,
+) -> None:
     """Join stores of one DEM into one; a place that several have is kept once."""
-    _print_copied(merge_stores(stores, output), output)
+    report = merge_stores(stores, output)
+    Terminal.of(context).line(_copied_in_words(report, output))
 
 
 @store.command()
 def export(
+    context: typer.Context,
     store: StoreFile,
     output: Annotated[Path, output_option("The GeoPackage to write.", "FILE.gpkg")],
 ) -> None:
@@ -67,13 +76,13 @@ def export(
 
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
-    print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+    Terminal.of(context).line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
 
 
-def _print_copied(report: StoreReport, path: Path) -> None:
+def _copied_in_words(report: StoreReport, path: Path) -> str:
     size = path.stat().st_size
     each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
     lost = sum(damage.rows for damage in report.damage)
     damaged = f", {lost} damaged rows left out" if lost else ""
-    print_line(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")
+    return f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}"

@@ -210,6 +210,7 @@ class MatchResult:
             **({"id": printable(self.id)} if self.id else {}),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
+            "answer_confidence": self.confidence,
             "candidates": candidates,
             "seconds": self.seconds,
             **({} if self.refusal is None else {"refusal": self.refusal}),
@@ -236,8 +237,8 @@ class MatchResult:
         lens = self.query.lens
         lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
         if self.answer is not None:
-            near = "" if self.within_m is None else f", right within {self.within_m:g} m"
-            lines.append(f"the answer is candidate 1{near}; all candidates, best first:")
+            sure = _sure_in_words(self.confidence, self.within_m)
+            lines.append(f"the answer is candidate 1{sure}; all candidates, best first:")
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.candidates, start=1):
@@ -319,6 +320,11 @@ class JointResult:
         """Distance within which the answer is sure to be right; None without an answer."""
         return None if self.first is None else self.first.within_m
 
+    @property
+    def confidence(self) -> float | None:
+        """The estimated probability that the answer is right within `within_m`, if there is one."""
+        return None if self.answer is None else _confidence_within(self.answer, self.within_m)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --same-place --json`` prints it.
 
@@ -339,6 +345,7 @@ class JointResult:
         return {
             "answer": places[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
+            "answer_confidence": self.confidence,
             "candidates": places,
             **({} if self.refusal is None else {"refusal": self.refusal}),
             "photos": photos,
@@ -349,8 +356,8 @@ class JointResult:
         """Return the lines that ``skyline match --same-place`` prints."""
         lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
         if self.answer is not None:
-            near = f"place 1, right within {self.within_m:g} m"
-            lines.append(f"the answer is {near}; all places, best first:")
+            sure = _sure_in_words(self.confidence, self.within_m)
+            lines.append(f"the answer is place 1{sure}; all places, best first:")
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
         for number, one in enumerate(self.places, start=1):
@@ -390,7 +397,7 @@ def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
     Returns
     -------
     pandas.DataFrame
-        The columns of ``skyline match --results`` or of ``skyline orient --csv``: the photo, the
+        The columns of ``skyline match --results`` or of ``skyline orient -o``: the photo, the
         best pose, its confidence, and the reason where there is no answer.
 
     Raises
@@ -434,6 +441,12 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
 
 def _confidence_within(one: Pose, within_m: float | None) -> float | None:
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
+
+
+def _sure_in_words(confidence: float | None, within_m: float | None) -> str:
+    if confidence is None or within_m is None:
+        return ""
+    return f", right within {within_m:g} m with confidence {confidence:.2f}"
 
 
 def _place(one: Pose) -> str:

@@ -299,11 +299,10 @@ def read_viewpoints(
 ) -> tuple[Viewpoints, tuple[str, ...]]:
     """Read viewpoints with their labels from a CSV file.
 
-    Their eyes are placed on a height field. The CSV has a header: ``easting,northing`` in the
-    field's frame or ``lon,lat`` in degrees (WGS 84), and optionally ``eye_height_m`` or
-    ``eye_elevation_m``, and ``id`` or ``name``, which become labels; without either column there
-    are none. ``eye_height_m`` is for files without a column of heights, and ``summit_within_m`` (as
-    in `stand_on`) for files without a column of elevations.
+    The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
+    (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
+    become labels; without either column there are none. ``eye_height_m`` and ``summit_within_m``
+    (as in `stand_on`) are for rows without a height and without an elevation.
 
     Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
     columns are wrong, or a value is not a number; otherwise as `stand_on`.
@@ -316,9 +315,7 @@ def read_viewpoints(
     table.refuse_other(*position, *_HEIGHTS, *_LABELS)
     if not table.rows:
         raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
-    first, second, *height = (
-        np.array([row.number(name) for row in table.rows]) for name in (*position, *heights)
-    )
+    first, second = (np.array([row.number(name) for row in table.rows]) for name in position)
     labels = (
         tuple(printable(row.label) for row in table.rows) if {*_LABELS} & {*table.header} else ()
     )
@@ -327,13 +324,22 @@ def read_viewpoints(
     elif is_on_map(field, *field.frame.from_lonlat(first, second)).all():
         # In a frame around the model they would lie in its middle, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
-    if heights == ["eye_elevation_m"]:
-        return at_elevation(field, first, second, *height), labels
+    is_elevation = heights == ["eye_elevation_m"]
+    given_m = np.array(
+        [row.number(heights[0]) if heights and row[heights[0]] else np.nan for row in table.rows]
+    )
+    is_high = np.isfinite(given_m) if is_elevation else np.zeros(len(given_m), dtype=bool)
+    if is_high.all():
+        return at_elevation(field, first, second, given_m), labels
     stood = stand_on(
         field,
         easting_m=first,
         northing_m=second,
-        eye_height_m=height[0] if height else eye_height_m,
+        eye_height_m=np.where(np.isnan(given_m) | is_elevation, eye_height_m, given_m),
         summit_within_m=summit_within_m,
     )
+    if is_high.any():
+        aloft = at_elevation(field, first[is_high], second[is_high], given_m[is_high])
+        for name in ("easting_m", "northing_m", "eye_elevation_m"):
+            getattr(stood, name)[is_high] = getattr(aloft, name)
     return stood, labels

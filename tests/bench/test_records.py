@@ -69,7 +69,7 @@ def test_a_record_names_command_data_area_seed_code_and_machine(record, home):
 
 
 def test_a_record_is_made_again_from_its_command(run_bench, record, home):
-    done = run_bench("repeat", record, "--data", "data", "--out", "new").ok()
+    done = run_bench("repeat", record, "--data", "data", "--output", "new").ok()
     before, after = read(record), read(home / "new" / "found.json")
     for name in ("command", "seed", "inputs", "dem", "bounds_deg", "stores"):
         assert after[name] == before[name], name
@@ -78,7 +78,7 @@ def test_a_record_is_made_again_from_its_command(run_bench, record, home):
         assert {k: old[k] for k in old.keys() - timed} == {k: new[k] for k in new.keys() - timed}
     assert "rows: 3 before, 3 now" in done.out
     assert "within_200m" not in done.out.split("rows: 3 before")[1]
-    # Nothing is replaced unless --out says so.
+    # Nothing is replaced unless --output says so.
     run_bench("repeat", record, "--data", "data").ok()
     assert read(record) == before
     assert (home / "repeated" / "found.json").is_file()
@@ -121,7 +121,7 @@ def test_a_photograph_that_a_manifest_names_is_data_too(run_bench, photo, home):
     written = read("found.json")
     assert [one["path"] for one in written["inputs"]] == ["data/held.csv", "data/a.jpg"]
     assert written["outputs"] == ["page.html", "found.json"]
-    run_bench("repeat", "found.json", "--out", "new").ok()
+    run_bench("repeat", "found.json", "--output", "new").ok()
     assert (home / "new" / "page.html").is_file()
     (home / "data" / "a.jpg").write_bytes(photo.read_bytes() + b"\0")
     assert_refused(run_bench("repeat", "found.json"), "data/a.jpg has the digest")

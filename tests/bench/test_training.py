@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands import assert_refused
 
-from skyline.cli.console import run_app
+from skyline.cli.app import run_app
 from skyline.match import confidence
 from skyline.photo.extract import extract_skyline
 from skyline.pose import DISTANCES_M, RIGHT_WITHIN_M

@@ -35,6 +35,15 @@ from skyline_bench.documents.writing import written
 
 README, *DOCS = DOCUMENTS
 
+SMALLER = {
+    "--bounds 9.8,46.7,9.9,46.8": "--spacing 400 --bounds 9.8,46.7,9.9,46.8",
+    "--bounds 9.89,46.7,": "--spacing 400 --bounds 9.89,46.7,",
+    "--bounds 9.8,46.79,": "--spacing 400 --bounds 9.8,46.79,",
+    "bounds_deg=(9.8, 46.7, 9.9, 46.8)": "spacing_m=400.0, bounds_deg=(9.8, 46.7, 9.9, 46.8)",
+    "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --site-spacing 200",
+}
+"""Text of the documents -> the smaller run that stands for it."""
+
 LEFT = {
     "dem-formats.md": ("own.h5", "heights.tif", "same.h5"),
     "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),

@@ -9,35 +9,41 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from commands import csv_of, lonlat_of, trace_of
+from commands import csv_of, full_name, lonlat_of, trace_of
 
 from skyline import Matcher, cli
 from skyline.fetch.dem_tiles import FetchResult
 from skyline.store.read import open_store
 
-IN_DEM, BOX = ("--dem", "{dem}"), ("--bbox", "9,46,10,47")
+IN_DEM, BOX = ("--dem", "{dem}"), ("--bounds", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
 COMMANDS = {
     "info": (("{dem}",), "info.read_terrain"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_terrain"),
-    "horizon": (("{dem}", "--at", "{at}"), "views.read_terrain"),
-    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_terrain"),
-    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_terrain"),
-    "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
-    "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "orient.read_terrain"),
-    "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "orient.read_terrain"),
-    "orient": (("{trace}", *PLACED, "--csv", "{out}.csv"), "orient.read_terrain"),
-    "locate": (("{photo}", "--near", "{at},1", *IN_DEM, "-o", "{out}"), "locate.prepare_area"),
-    "cache": ((), "fetch.cached_areas"),
-    "extract": (("{photo}", "-o", "{out}.csv"), "photo.read_photo"),
+    "explain": (("{dem}", "--at", "{at}"), "explain.read_terrain"),
+    "horizon": (("{dem}", "--at", "{at}"), "horizon.read_terrain"),
+    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "sun.read_terrain"),
+    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "panorama.read_terrain"),
+    "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
+    "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
+    "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
+    "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
+    "locate": (
+        ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),
+        "tasks.locate.prepare_area",
+    ),
+    "cache": ((), "cache.cached_areas"),
+    "extract": (("{photo}", "-o", "{out}.csv"), "extract.read_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
-    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "build.read_terrain"),
+    "render": (
+        ("{dem}", "--spacing", 1500, "--width", 64, "-o", "{out}.h5"),
+        "tasks.build.read_dem",
+    ),
     "store check": (("{store}",), "store.check_store"),
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),
     "store merge": (("{store}", "-o", "{out}.h5"), "store.merge_stores"),
     "store export": (("{store}", "-o", "{out}.gpkg"), "store.open_store"),
-    "dem fetch": ((*BOX, "-o", "{tmp}"), "fetch.fetch_dem"),
-    "peaks": ((*BOX, "--server", "http://localhost/", "-o", "{out}.geojson"), "fetch.fetch_peaks"),
+    "dem fetch": ((*BOX, "-o", "{tmp}"), "dem.fetch_dem"),
+    "peaks": ((*BOX, "--server", "http://localhost/", "-o", "{out}.geojson"), "peaks.fetch_peaks"),
 }
 """Each command's arguments, and a function of the package that it calls."""
 
@@ -101,9 +107,8 @@ def command(store, photo, trace, pose, peaks, tmp_path, dem):
 
 def test_each_command_is_tried():
     known = set()
-    for paths in cli.COMMANDS.values():
-        for path in paths:
-            name = path.partition(".")[2]
+    for names in cli.COMMANDS.values():
+        for name in names:
             one = cli.loaded(name)
             known |= {f"{name} {sub}" for sub in getattr(one, "commands", ())} or {name}
     # `serve` ends with Ctrl-C alone, and prints when it is ready: tests/web has it.
@@ -123,7 +128,7 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
     monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
     arguments = command(name)
     before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(f"skyline.cli.{COMMANDS[name][1]}", interrupted)
+    monkeypatch.setattr(full_name(COMMANDS[name][1]), interrupted)
     done = run(*arguments)
     assert (done.code, done.out) == (130, "")
     said = f"; {KEPT[name][1]}" if keeps and name in KEPT else ""
@@ -133,9 +138,9 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
 
 
 def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeypatch):
-    monkeypatch.setattr("skyline.cli.console._SLOW_S", 0.0)
     match = "match", store, trace, tmp_path / "none.csv", "--matcher", "unrefined"
-    loud, quiet = run(*match), run(*match, "--quiet")
+    loud = run(*match, slow_s=0.0)
+    quiet = run(*match, "--quiet", slow_s=0.0)
     assert quiet.out.splitlines()[1:] == loud.out.splitlines()[1:]
     assert loud.err.count("\n") > 1
     assert quiet.err.startswith("error: ")
@@ -144,8 +149,8 @@ def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeyp
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread, name):
-    monkeypatch.setattr("skyline.cli.fetch.fetch_dem", lambda *_, **__: FetchResult((), 0, ()))
-    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", lambda *_: 0)
+    monkeypatch.setattr("skyline.cli.dem.fetch_dem", lambda *_, **__: FetchResult((), 0, ()))
+    monkeypatch.setattr("skyline.cli.peaks.fetch_peaks", lambda *_: 0)
     arguments = command(name)
     unread()
     done = run(*arguments)

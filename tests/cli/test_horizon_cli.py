@@ -110,7 +110,7 @@ def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
 def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     points = csv_of(tmp_path / "points.csv", places, "lon,lat")
     target = tmp_path / "horizons.json"
-    run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target).ok()
+    run("horizon", dem, "--viewpoints", points, "--step-deg", "10", "-o", target).ok()
     written = json.loads(target.read_text())["places"]
     assert len(written) == 3
     assert written[2]["azimuth_deg"] == list(range(0, 360, 10))
@@ -123,7 +123,7 @@ def test_places_on_standard_input_keep_their_ids(run, dem, places, monkeypatch):
         f'{place.replace(",", ";")};"site {number}, A"\n' for number, place in enumerate(places)
     )
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(listed.encode())))
-    done = run("horizon", dem, "--points", "-", "--step-deg", "10", "-o", "-").ok()
+    done = run("horizon", dem, "--viewpoints", "-", "--step-deg", "10", "-o", "-").ok()
     rows = table(done.out)
     assert [row["id"] for row in rows[::36]] == ["site 0, A", "site 1, A", "site 2, A"]
     assert float(rows[36]["lon"]) == pytest.approx(float(places[1].split(",")[0]), abs=1e-7)
@@ -144,7 +144,7 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
         (("--at", "7.0,46.8"), "the place at lon 7.00000, lat 46.80000 is off"),
         (("--at", "9.8,95"), "expected LON,LAT in degrees"),
         (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
-        ((), "give places as --at LON,LAT or as --points"),
+        ((), "give positions as --at LON,LAT or as --viewpoints"),
         (("--at", AT, "-o", "horizon.doc"), "expected one of .csv"),
     ],
 )
@@ -161,7 +161,7 @@ def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, dem, places, 
     points = csv_of(tmp_path / "points.csv", places[:1], "lon,lat")
     lon, lat = (float(part) for part in places[0].split(","))
     highest = horizon(read_dem([dem]), lon=lon, lat=lat, summit_within_m=100.0)
-    for place in (("--at", places[0]), ("--points", points)):
+    for place in (("--at", places[0]), ("--viewpoints", points)):
         first = table(run("horizon", dem, *place, "--summit-within", "100").out)[0]
         assert lon != float(first["lon"]) == pytest.approx(highest.lon[0], abs=1e-6)
         assert lat != float(first["lat"]) == pytest.approx(highest.lat[0], abs=1e-6)

@@ -11,8 +11,8 @@ from font_scenes import UNDRAWN
 from PIL import Image
 
 from skyline import read_dem
-from skyline.cli.photo import check_outputs
 from skyline.errors import InputError
+from skyline.files import check_outputs
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,9 @@ def test_one_command_names_the_mountains_seen_from_a_place(run, dem, photo, pose
     elsewhere = "{},{}".format(*lonlat_of(dem, 600_900.0, 5_177_000.0))
     assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60), "direction is not sure")
     assert_refused(run(*common), "notes no GPS position; give the place: --at LON,LAT")
-    assert_refused(run(*common, "--pose", pose, "--at", at), "leave --at and --fov-deg out")
+    assert_refused(
+        run(*common, "--pose", pose, "--at", at), "leave --at, --elevation and --fov-deg out"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])

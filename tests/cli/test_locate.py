@@ -59,7 +59,7 @@ def server(made, monkeypatch):
 
 def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, server, tmp_path):
     first = run(
-        "locate", made / "photo.jpg", "--near", NEAR, "--fov-deg", 60, "--json", "-o", "page"
+        "locate", made / "photo.jpg", "--near", NEAR, "--fov-deg", 60, "--json", "--report", "page"
     ).ok()
     record = json.loads(first.out)
     frame, best = skyline.Frame.local(lon=PLACE[0], lat=PLACE[1]), record["answer"]
@@ -123,7 +123,7 @@ def test_the_area_is_that_of_the_photo_s_own_position(made, tmp_path):
         (("{photo}", "--near", "9.5,46.5,1", "--dem", "{empty}"), "no elevation files"),
         (("{photo}", "--near", "Davos"), "with --peaks FILE a name in that file"),
         (("{photo}", "--near", "Nan,5"), "with --peaks FILE a name in that file"),
-        (("{photo}", "--near", "9.5,46.5,1e-9,1"), "bounds are 9.5,46.5,1e-09,1.0"),
+        (("{photo}", "--bounds", "9.5,46.5,1e-9,1"), "bounds are 9.5,46.5,1e-09,1.0"),
         (("{photo}", "--near", "Davo,2", "--peaks", "{places}"), "no place named Davo: Davos?"),
         (("{photo}", "--near", "sella", "--peaks", "{places}"), "sella, at 9.4000,46.4000 and 9.6"),
     ],
@@ -176,7 +176,7 @@ def test_an_area_with_a_tile_that_is_refused_is_not_searched(run, made, cache, s
 def test_a_fetch_with_a_tile_that_is_refused_fails_and_keeps_the_others(run, server, tmp_path):
     server.status["/N46E010.tif"] = 403
     source = os.environ["SKYLINE_DEM_SOURCE"]
-    fetch = "dem", "fetch", "--bbox", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
+    fetch = "dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
     done = run(*fetch)
     assert (done.code, done.out, done.err.count("\n")) == (1, "", 1)
     assert "1 of 2 tiles could not be fetched, N46E010: " in done.err

@@ -30,7 +30,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert cv2.imread(str(overlay)).shape == (640, 960, 3)
     found = run("match", store, trace, "--fov-deg", "60", "--json").ok()
     record = json.loads(found.out)
-    keys = "query answer answer_within_m candidates seconds loading_seconds"
+    keys = "query answer answer_within_m answer_confidence candidates seconds loading_seconds"
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
         fov_deg cost confidence confidence_1km refined beyond_share distortion wander
@@ -57,7 +57,7 @@ def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher
 
 
 def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
-    paper, heading = ("--matcher", "paper"), ("--heading", "140,10")
+    paper, heading = ("--matcher", "paper"), ("--heading", 140, "--heading-slack", 10)
     for searched, options, message in (
         (renderings, (), "holds renderings, not places"),
         (store, paper, "holds places, not renderings"),
@@ -302,7 +302,7 @@ def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):
         ("match", store, photo, "--fov-deg", "60", "--export", store),
         ("match", store, photo, "--fov-deg", "60", "--export", photo),
         ("match", store, photo, "--report", tmp_path / "r", "--peaks", peaks, "--export", peaks),
-        ("horizon", store, "--points", peaks, "-o", peaks),
+        ("horizon", store, "--viewpoints", peaks, "-o", peaks),
     ):
         assert_refused(run(*command), "choose another name")
     assert (photo.read_bytes(), store.read_bytes(), peaks.read_bytes()) == before

@@ -25,7 +25,7 @@ def retrieved(run, store, photo, *options):
 def test_match_within_bounds(run, store, dem, photo):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    options = ("--near", f"{west},{south},{east},{north}", "--matcher", "full")
+    options = ("--bounds", f"{west},{south},{east},{north}", "--matcher", "full")
     for place in retrieved(run, store, photo, *options):
         # Meridians are not parallel to the map's north.
         assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
@@ -34,7 +34,7 @@ def test_match_within_bounds(run, store, dem, photo):
 
 @pytest.mark.parametrize("heading", [141.0, 300.0])
 def test_match_along_a_heading(run, store, photo, heading):
-    found = retrieved(run, store, photo, "--heading", f"{heading},8")
+    found = retrieved(run, store, photo, "--heading", heading, "--heading-slack", 8)
     for place in found:
         assert abs(place["heading_deg"] - heading) <= 8.0
     assert (off_m(found[0]) < CELL_M) == (heading == 141.0)
@@ -55,21 +55,7 @@ def test_match_between_elevations(run, store, dem, photo, tmp_path):
 
 def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
     command = ["match", store, photo, "--fov-deg", "60"]
-    for near in ("9.0,46.0,9.1,46.1", "9.0,46.0,5"):
-        done = run(*command, "--near", near, "--report", tmp_path / "report")
+    for area in (("--bounds", "9.0,46.0,9.1,46.1"), ("--near", "9.0,46.0,5")):
+        done = run(*command, *area, "--report", tmp_path / "report")
         assert_refused(done, "lies within what the search is narrowed to")
     assert not (tmp_path / "report").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--near", "46.7478,10.3327,5"), "seem to be swapped: give 10.3"),
-        (("--near", "10.3,46.7,0"), "a radius above 0 km"),
-        (("--near", "1,2,3,4,5"), "expected 3 numbers LON,LAT,KM, or 4 numbers W,S,E,N"),
-        (("--heading", "140"), "--heading is `140`; expected 2 numbers DEG,SLACK"),
-        (("--heading", "140,0"), "expected a slack above 0"),
-    ],
-)
-def test_a_bad_narrowing_is_refused_in_one_line(run, store, photo, options, said):
-    assert_refused(run("match", store, photo, "--fov-deg", "60", *options), said)

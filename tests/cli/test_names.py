@@ -67,7 +67,7 @@ def test_ids_of_any_name_are_written(run, dem, tmp_path):
     (tmp_path / "points.csv").write_bytes(
         b"id,lon,lat\nb\xe4r," + "{},{}\n".format(*lonlat_of(dem)).encode()
     )
-    common = "horizon", dem, "--points", tmp_path / "points.csv", "--step-deg", "45"
+    common = "horizon", dem, "--viewpoints", tmp_path / "points.csv", "--step-deg", "45"
     for name in ("out.csv", "out.json"):
         run(*common, "-o", tmp_path / name).ok()
     assert rows_of(tmp_path / "out.csv")[0]["id"] == r"b\xe4r"
@@ -86,7 +86,7 @@ def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monke
         (f"build {dem} -o n{odd} --spacing 900", r"nb\xe4r.h5: "),
         (f"extract {photo} -o {NOT_UTF8}.csv --overlay {NOT_UTF8}.png", r"b\xe4r.csv"),
         (f"match {odd} {NOT_UTF8}.csv --fov-deg 60 --matcher unrefined", r"b\xe4r.csv ("),
-        (f"render {dem} -o r{odd} --grid 2000 --depth-images {NOT_UTF8}", r"rb\xe4r.h5: "),
+        (f"render {dem} -o r{odd} --spacing 2000 --depth-images {NOT_UTF8}", r"rb\xe4r.h5: "),
     ):
         done = run(*command.split()).ok()
         assert shown in done.out
@@ -123,10 +123,10 @@ def test_no_name_is_a_formula_to_a_spreadsheet(run, dem, store, photo, tmp_path,
     place = "{:.6f},{:.6f}".format(*lonlat_of(dem))
     csv_of(Path("points.csv"), [f"{FORMULA},{place}"], "id,lon,lat")
     csv_of(Path("list.csv"), [f"-2+3.jpg,{FORMULA},60"], "path,id,fov_deg")
-    run("horizon", dem, "--points", "points.csv", "-o", "horizon.csv").ok()
+    run("horizon", dem, "--viewpoints", "points.csv", "-o", "horizon.csv").ok()
     common = "list.csv", "--matcher", "unrefined"
     found = json.loads(run("match", store, *common, "--results", "results.csv", "--json").ok().out)
-    run("orient", "list.csv", "--at", place, "--dem", dem, "--csv", "oriented.csv").ok()
+    run("orient", "list.csv", "--at", place, "--dem", dem, "-o", "oriented.csv").ok()
     assert found["id"] == FORMULA
     for table in ("horizon.csv", "results.csv", "oriented.csv"):
         row = rows_of(table)[0]
@@ -136,5 +136,5 @@ def test_no_name_is_a_formula_to_a_spreadsheet(run, dem, store, photo, tmp_path,
             assert row["query"] == "'-2+3.jpg"
     # What is written is read as it was.
     csv_of(Path("points.csv"), [f"{rows_of('horizon.csv')[0]['id']},{place}"], "id,lon,lat")
-    run("horizon", dem, "--points", "points.csv", "-o", "horizon.json").ok()
+    run("horizon", dem, "--viewpoints", "points.csv", "-o", "horizon.json").ok()
     assert json.loads(Path("horizon.json").read_text())["places"][0]["id"] == FORMULA

@@ -1,36 +1,36 @@
 """Outputs whose names promise another format, and folders with files of other origin."""
 
 import pytest
-from commands import assert_refused, csv_of, lonlat_of
+from commands import assert_refused, csv_of, full_name, lonlat_of
 from PIL import Image
 
 from skyline.store.read import is_store
 
 PLACED = "--at {at} --dem {dem}"
 POSED = "{photo} --pose {pose} --dem {dem}"
-FETCH = "--bbox 9,46,10,47"
+FETCH = "--bounds 9,46,10,47"
 WRONG = {
     "build {dem} --spacing 900 -o new.tif": "build.read_terrain",
-    "render {dem} --grid 1500 -o new.png": "build.read_terrain",
-    "render {dem} --planner lpov -o new.json": "build.read_terrain",
-    "render {dem} --planner lpov -o ok.h5 --map new.pdf": "build.read_terrain",
-    "render {dem} --grid 1500 -o ok.h5 --depth-images new.tif": "build.read_terrain",
-    "store merge {store} -o new.gpkg": "store._print_copied",
-    "store repair {store} -o new.csv": "store._print_copied",
-    "store export {store} -o new.geojson": "store.print_line",
-    "extract {photo} -o new.png": "photo.read_photo",
-    "extract {photo} -o ok.csv --overlay new.jpg": "photo.read_photo",
-    f"orient {{photo}} {PLACED} --csv new.json": "orient.read_terrain",
-    f"label {POSED} --peaks {{peaks}} -o new.gif": "orient.read_terrain",
-    f"pixels {POSED} -o new.csv": "orient.read_terrain",
-    "match {store} {photo} --export new.csv": "match.Matcher",
-    "match {store} {photo} --results new.json": "match.Matcher",
-    "match {store} {photo} --report new.html": "match.Matcher",
-    "locate {photo} --near {at},1 --dem {dem} -o new.pdf": "locate.prepare_area",
-    "panorama {dem} --at {at} -o new.jpg": "views.read_terrain",
-    "horizon {dem} --at {at} -o new.png": "views.read_terrain",
-    f"peaks {FETCH} --server http://localhost:9/ -o new.csv": "fetch.print_written",
-    f"dem fetch {FETCH} -o new.tif": "fetch.print_line",
+    "render {dem} --spacing 1500 -o new.png": "tasks.build.read_dem",
+    "render {dem} --planner lpov -o new.json": "tasks.build.read_dem",
+    "render {dem} --planner lpov -o ok.h5 --map new.pdf": "tasks.build.read_dem",
+    "render {dem} --spacing 1500 -o ok.h5 --depth-images new.tif": "tasks.build.read_dem",
+    "store merge {store} -o new.gpkg": "store._copied_in_words",
+    "store repair {store} -o new.csv": "store._copied_in_words",
+    "store export {store} -o new.geojson": "store.Terminal.line",
+    "extract {photo} -o new.png": "extract.read_photo",
+    "extract {photo} -o ok.csv --overlay new.jpg": "extract.read_photo",
+    f"orient {{photo}} {PLACED} -o new.json": "orient.read_terrain",
+    f"label {POSED} --peaks {{peaks}} -o new.gif": "tasks.label.read_dem",
+    f"pixels {POSED} -o new.csv": "tasks.pixels.read_dem",
+    "match {store} {photo} --export new.csv": "tasks.match.Matcher",
+    "match {store} {photo} --results new.json": "tasks.match.Matcher",
+    "match {store} {photo} --report new.html": "tasks.match.Matcher",
+    "locate {photo} --near {at},1 --dem {dem} --report new.pdf": "tasks.locate.prepare_area",
+    "panorama {dem} --at {at} -o new.jpg": "panorama.read_terrain",
+    "horizon {dem} --at {at} -o new.png": "horizon.read_terrain",
+    f"peaks {FETCH} --server http://localhost:9/ -o new.csv": "peaks.Terminal.written",
+    f"dem fetch {FETCH} -o new.tif": "dem.Terminal.line",
 }
 """Commands whose output has the name of another format, and a function that does their work."""
 
@@ -54,7 +54,7 @@ def test_a_name_that_promises_another_format_is_refused_before_any_work(
     def work(*_arguments, **_options):
         raise AssertionError("work is done for an output that will be refused")
 
-    monkeypatch.setattr(f"skyline.cli.{WRONG[command]}", work)
+    monkeypatch.setattr(full_name(WRONG[command]), work)
     asked = words(command)
     done = run(*asked)
     name = next(word for word in asked if word.startswith("new."))
@@ -74,12 +74,14 @@ REPORT = "match {store} {photo} --fov-deg 60 --matcher unrefined --report page"
 
 
 @pytest.mark.parametrize("name", ["index.html", "01-map.png", "02-detail.png", "matches.geojson"])
-@pytest.mark.parametrize("command", [REPORT, "locate {photo} --near {at},1 --dem {dem} -o page"])
+@pytest.mark.parametrize(
+    "command", [REPORT, "locate {photo} --near {at},1 --dem {dem} --report page"]
+)
 def test_a_report_replaces_no_file_of_other_origin(
     run, words, tmp_path, monkeypatch, command, name
 ):
-    monkeypatch.setattr("skyline.cli.match.Matcher", None)
-    monkeypatch.setattr("skyline.cli.locate.prepare_area", None)
+    monkeypatch.setattr("skyline.tasks.match.Matcher", None)
+    monkeypatch.setattr("skyline.tasks.locate.prepare_area", None)
     page = tmp_path / "here" / "page"
     page.mkdir()
     (page / name).write_text("mine")
@@ -106,7 +108,7 @@ def test_a_report_replaces_an_earlier_one_and_leaves_other_files(run, words, tmp
 def test_depth_images_replace_earlier_ones_alone(run, words, tmp_path):
     folder = tmp_path / "here" / "frames"
     folder.mkdir()
-    render = "render {dem} --grid 3000 --width 32 -o views.h5 --depth-images frames"
+    render = "render {dem} --spacing 3000 --width 32 -o views.h5 --depth-images frames"
     Image.new("RGB", (9, 9)).save(folder / "0000.png")
     mine = (folder / "0000.png").read_bytes()
     assert_refused(run(*words(render)), "0000.png would be replaced, and")

@@ -31,7 +31,7 @@ def overpass(answer=GOOD, **behaviour):
 
 def fetch(run, behaviour, path, bbox="9.6,46.5,9.8,46.7"):
     with serve(behaviour) as address:
-        return run("peaks", "--bbox", bbox, "--server", f"{address}/api", "-o", path)
+        return run("peaks", "--bounds", bbox, "--server", f"{address}/api", "-o", path)
 
 
 def queries(behaviour):
@@ -95,6 +95,6 @@ def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
 
 
 def test_an_address_that_is_none(run, tmp_path):
-    given = "--bbox", "9,46,10,47", "--server", "file:///etc/passwd"
+    given = "--bounds", "9,46,10,47", "--server", "file:///etc/passwd"
     done = run("peaks", *given, "-o", tmp_path / "peaks.geojson")
     assert_refused(done, "expected the address of an Overpass interpreter")

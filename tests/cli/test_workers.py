@@ -18,7 +18,7 @@ def traces(tmp_path):
     ("kind", "options"),
     [
         ("renderings", ("--matcher", "correlation")),
-        ("store", ("--matcher", "unrefined", "--heading", "100,120")),
+        ("store", ("--matcher", "unrefined", "--heading", "100", "--heading-slack", "120")),
     ],
 )
 def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):

@@ -105,4 +105,9 @@ def test_an_answer_and_a_refusal_are_printed_with_their_query():
     assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
     assert replace(refused, name="").to_text().startswith("query (1.50 s)")
     said = {"query": "c.jpg", "seconds": 1.5, "refusal": "no place fits"}
-    assert refused.to_dict() == said | {"answer": None, "answer_within_m": None, "candidates": []}
+    assert refused.to_dict() == said | {
+        "answer": None,
+        "answer_within_m": None,
+        "answer_confidence": None,
+        "candidates": [],
+    }

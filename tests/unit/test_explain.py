@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scenes import at_m, field_of, fractal
 
-from skyline.cli.info import curvature_bound_px, sight_range_m
 from skyline.geodesy import Curvature
 from skyline.skylines import pixel_size
+from skyline.tasks.explain import curvature_bound_px
+from skyline.terrain.sight_range import sight_range_m
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

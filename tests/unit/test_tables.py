@@ -7,11 +7,15 @@ import sys
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
 import pytest
+from commands import csv_of
+from scenes import field_of
 
 from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.tables import csv_lines, is_table, read_table
+from skyline.terrain.viewpoints import read_viewpoints
 
 
 def places(path, text):
@@ -149,3 +153,16 @@ def test_two_that_write_a_file_at_once_both_write_it_whole(tmp_path, monkeypatch
     write_whole(path, "of this one")
     assert path.read_text() == "of this one"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("column", "given", "elevations_m"),
+    [("eye_height_m", "30", [130.0, 105.0]), ("eye_elevation_m", "170", [170.0, 105.0])],
+)
+def test_an_empty_cell_of_viewpoints_is_the_default(tmp_path, column, given, elevations_m):
+    field = field_of(np.full((9, 9), 100.0))
+    rows = [f"80,-80,{given}", "120,-80,"]
+    path = csv_of(tmp_path / "eyes.csv", rows, f"easting,northing,{column}")
+    eyes, _ = read_viewpoints(path, field, eye_height_m=5.0)
+    assert eyes.eye_elevation_m.tolist() == elevations_m
+    assert eyes.easting_m.tolist() == [80.0, 120.0]

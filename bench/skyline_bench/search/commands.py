@@ -13,7 +13,8 @@ from typer import Option
 
 from skyline import Narrowing
 from skyline.arrays import Progress
-from skyline.cli.console import parse_bounds, progress_bar
+from skyline.cli.options import parse_bounds
+from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, entry_named
 from skyline.geodesy import Bounds, Rectangle
 from skyline.match.matcher import FULL
@@ -371,7 +372,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         other = read_dem(strange) if strange else None
         with (
             options.store_folder(folder) as place,
-            progress_bar("building and matching") as progress,
+            Terminal().progress("building and matching") as progress,
         ):
             rows, built = asked.measure(terrain, place, progress, other)
             if name == "placing":

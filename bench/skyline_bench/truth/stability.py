@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skyline.cli.console import progress_bar
+from skyline.cli.terminal import Terminal
 from skyline.errors import OffMapError, SkylineError
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
@@ -214,7 +214,7 @@ def stability(record: options.Record = None, quick: options.Quick = False) -> No
     asked = [
         (path, case) for path in (HORIZON, DEPTH) for case in HARD_CASES if path.name in case.paths
     ]
-    with progress_bar("cases") as progress:
+    with Terminal().progress("cases") as progress:
         for path, case in asked:
             progress(len(rows), len(asked))
             rows.append(measure(path, case, quick))

@@ -1,0 +1,44 @@
+"""``skyline cache``: what `locate` keeps."""
+
+import json
+from datetime import datetime
+from typing import Annotated, Any
+
+import typer
+from typer import Option
+
+from skyline.cache import cache_folder, cached_areas, clear_cache
+from skyline.cli.options import AsJson
+from skyline.cli.terminal import Terminal
+
+
+def cache(
+    context: typer.Context,
+    clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List what `locate` keeps: elevation tiles and stores of areas."""
+    terminal = Terminal.of(context, as_json)
+    areas = [one.to_dict() for one in cached_areas()]
+    total = _bytes_of(areas)
+    if clear:
+        count = clear_cache(terminal.note)
+        left = _bytes_of([one.to_dict() for one in cached_areas()])
+        terminal.line(f"{cache_folder()}: areas removed: {count}, {(total - left) / 1e6:.1f} MB")
+        return
+    if as_json:
+        about = {"folder": str(cache_folder()), "areas": areas}
+        terminal.line(json.dumps(about | {"bytes": total}))
+        return
+    for one in areas:
+        unfinished = "" if one["finished"] else ", unfinished"
+        store = f"store {one['store_bytes'] / 1e6:.1f} MB{unfinished}"
+        tiles = f"tiles: {one['tiles']}, {one['tile_bytes'] / 1e6:.1f} MB; " if one["tiles"] else ""
+        box = ",".join(f"{side:g}" for side in one["bounds_deg"])
+        changed = datetime.fromisoformat(one["changed"])
+        terminal.line(f"{one['origin']} {box}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
+    terminal.line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")
+
+
+def _bytes_of(areas: list[dict[str, Any]]) -> int:
+    return sum(one["tile_bytes"] + one["store_bytes"] for one in areas)

@@ -1,0 +1,54 @@
+"""``skyline dem fetch``: elevation tiles from a server."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.options import Area, output_option, parse_bounds
+from skyline.cli.terminal import Terminal
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+
+dem = typer.Typer(
+    name="dem", help="Fetch the elevation of an area: `dem fetch`.", no_args_is_help=True
+)
+
+
+@dem.callback()
+def _group() -> None:
+    """Do nothing: with this callback, `fetch` stays a subcommand although it is the only one."""
+
+
+@dem.command()
+def fetch(
+    context: typer.Context,
+    bounds: Area,
+    folder: Annotated[Path, output_option("The folder for the tiles.", "DIR")],
+    source: Annotated[
+        str,
+        Option(
+            metavar="NAME|URL",
+            help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
+            "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
+        ),
+    ] = "copernicus",
+) -> None:
+    """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to an area, for `build DIR/*.tif`.
+
+    The bounds must contain the area to build and all terrain that is seen from it.
+    After a stop or a failure, the same command continues.
+    """
+    terminal = Terminal.of(context)
+    terminal.keeps(
+        "the tiles that were fetched are kept, and the same command continues with the others",
+        lambda: any(folder.glob("*.tif")),
+    )
+    with terminal.progress("fetching tiles") as progress:
+        done = fetch_dem(parse_bounds(bounds), source, folder, progress=progress)
+    held = sum(path.stat().st_size for path in done.files)
+    terminal.line(
+        f"{folder}: {len(done.files)} tiles, {done.fetched} fetched now, {held / 1e6:.1f} MB"
+    )
+    if done.missing:
+        terminal.line(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")

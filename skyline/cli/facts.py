@@ -1,0 +1,30 @@
+"""Facts in a table, as ``skyline info`` and ``explain`` print them."""
+
+from collections.abc import Iterator, Mapping
+
+
+def table_of(facts: Mapping[str, object]) -> str:
+    """Return the lines of a table of facts, numbers as options take them."""
+    rows = list(_rows(facts))
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+
+
+def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield name and text of each line; a list of texts has a line for each."""
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{prefix}{name}.")
+            continue
+        values = value if isinstance(value, list) else [value]
+        shown = ["-" if one is None else _shown(one) for one in values]
+        if not any(isinstance(one, str) for one in values):
+            shown = [",".join(shown)]
+        for line, text in enumerate(shown):
+            yield "" if line else f"{prefix}{name}", text
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)

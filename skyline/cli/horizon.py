@@ -1,0 +1,84 @@
+"""``skyline horizon``: the horizon around positions."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.options import (
+    Crs,
+    Dems,
+    EyeHeight,
+    RefractionK,
+    SummitWithin,
+    SurfaceFiles,
+    output_option,
+    parse_position,
+    read_terrain,
+)
+from skyline.cli.terminal import Terminal
+from skyline.errors import InputError, suffix_of
+from skyline.files import STANDARD, check_outputs
+from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
+from skyline.report.horizon_files import KINDS, horizon_csv, write_horizons
+from skyline.tasks.views import stand_with_notes, warn_of_border
+from skyline.terrain.surface_model import read_surface
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
+
+
+def horizon(
+    context: typer.Context,
+    dem: Dems,
+    at: Annotated[
+        list[str] | None,
+        Option(metavar="LON,LAT", help="A position, degrees (WGS 84); may be repeated."),
+    ] = None,
+    viewpoints: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE.csv",
+            help="Positions as CSV: lon,lat or easting,northing[,id][,eye_height_m].",
+        ),
+    ] = None,
+    eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    summit_within: SummitWithin = None,
+    step_deg: Annotated[
+        float, Option(metavar="DEG", help="Degrees between azimuths.")
+    ] = DEFAULT_STEP_DEG,
+    output: Annotated[
+        Path | None,
+        output_option(
+            f"The file to write: {', '.join(KINDS)} (PVGIS' horizon file).",
+            show_default="CSV is printed",
+        ),
+    ] = None,
+    surface: SurfaceFiles = None,
+    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    crs: Crs = None,
+) -> None:
+    """Give the horizon at positions: elevation angle and distance by azimuth from true north."""
+    terminal = Terminal.of(context)
+    if bool(at) == (viewpoints is not None):
+        raise InputError("give positions as --at LON,LAT or as --viewpoints FILE.csv")
+    check_outputs([output], filter(None, [viewpoints]))
+    if output not in {None, Path(STANDARD)}:
+        suffix_of(output, KINDS)
+    steps_a_turn(step_deg)  # Refused before the DEM is read
+    curvature = Curvature(refraction_k=refraction_k)
+    positions = [parse_position(text) for text in at or ()]
+    terrain = read_terrain(terminal, dem, crs)
+    ids: tuple[str, ...] = ()
+    if viewpoints is not None:
+        eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
+    else:
+        eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
+    over = read_surface(surface, terrain) if surface else None
+    with terminal.progress("rendering") as progress:
+        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
+    if output is None or str(output) == STANDARD:
+        typer.echo(horizon_csv(found), nl=False)
+    else:
+        write_horizons(found, output)
+    warn_of_border(found)

@@ -1,0 +1,57 @@
+"""``skyline label``: the names of the summits in a photo."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.options import PEAKS, Crs, Dem, output_option, parse_position
+from skyline.cli.photo_options import (
+    POSE,
+    CameraElevation,
+    CameraPosition,
+    FieldOfView,
+    PhotoFile,
+    PhotoProjection,
+)
+from skyline.cli.terminal import Terminal
+from skyline.tasks.label import LABEL_FILES, LabelTask, label_photo
+from skyline.tasks.orient import CameraAt
+
+
+def label(
+    context: typer.Context,
+    photo: PhotoFile,
+    dem: Dem,
+    peaks: Annotated[Path, PEAKS],
+    output: Annotated[Path, output_option(f"The file to write: {', '.join(LABEL_FILES)}.")],
+    at: CameraPosition = None,
+    elevation: CameraElevation = None,
+    pose: Annotated[Path | None, POSE] = None,
+    fov_deg: FieldOfView = None,
+    ridges: Annotated[
+        bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
+    ] = False,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+) -> None:
+    """Write the names and distances of the summits in a photo on a copy of it.
+
+    The camera is oriented by the skyline at its position, unless its pose is given.
+    Summits that terrain hides are left out; if none is in view, the photo is written without names.
+    """
+    terminal = Terminal.of(context)
+    task = LabelTask(
+        photo=photo,
+        dem=dem,
+        crs=crs,
+        peaks=peaks,
+        output=output,
+        at=CameraAt(lonlat_deg=None if at is None else parse_position(at), elevation_m=elevation),
+        pose=pose,
+        fov_deg=fov_deg,
+        projection=projection,
+        ridges=ridges,
+    )
+    terminal.line(f"{output}: {label_photo(task, terminal)}")

@@ -1,0 +1,153 @@
+"""Options that several commands have, and the values that they are read as.
+
+An option has one name and one meaning in all commands.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from skyline.cli.terminal import Terminal
+from skyline.errors import InputError, numbers_of, swapped_in_words
+from skyline.geodesy import are_degrees
+from skyline.store.read import is_store
+
+if TYPE_CHECKING:
+    from skyline.geodesy import Bounds
+    from skyline.terrain.heightfield import HeightField
+
+
+def panel(title: str) -> Callable[..., Any]:
+    """Return a function that makes options listed under a title in the help."""
+    return partial(Option, rich_help_panel=title)
+
+
+def output_option(about: str, metavar: str = "FILE", **shown: Any) -> Any:
+    """Return the option that names the file or the folder that a command writes."""
+    return Option("--output", "-o", metavar=metavar, help=about, **shown)
+
+
+of_terrain = panel("Terrain and rendering")
+
+StoreFile = Annotated[Path, Argument(metavar="STORE.h5", help="A store, as `build` writes it.")]
+AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
+StoreDem = Annotated[
+    list[str] | None,
+    Option(
+        "--dem",
+        metavar="DEM",
+        help="The store's DEM, if it has moved: a file or a folder of them; may be repeated.",
+        show_default="the files from which the store was built",
+    ),
+]
+Dem = Annotated[
+    list[str],
+    Option("--dem", metavar="DEM", help="Elevation file, or a folder of them; may be repeated."),
+]
+Dems = Annotated[
+    list[str],
+    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of them."),
+]
+Workers = Annotated[
+    str | None,
+    panel("Many processors")(
+        "--workers",
+        metavar="N|ADDRESS",
+        help="Spread the work over N processes of this machine, or over the dask cluster whose "
+        "scheduler has this address, e.g. tcp://host:8786.",
+        show_default="this process",
+    ),
+]
+SurfaceFiles = Annotated[
+    list[str] | None,
+    of_terrain(
+        "--surface",
+        metavar="FILE",
+        help="A surface or canopy model, which gives the heights of trees and houses: a file, or a "
+        "folder of them; may be repeated.",
+    ),
+]
+RefractionK = Annotated[
+    float,
+    of_terrain(
+        "--refraction-k",
+        metavar="K",
+        help="Refraction coefficient: the share of the Earth's curvature that refraction undoes.",
+    ),
+]
+Crs = Annotated[
+    str | None,
+    of_terrain("--crs", metavar="CRS", help="CRS of a DEM whose files name none, e.g. EPSG:32632."),
+]
+BoundsText = Annotated[
+    str | None,
+    Option(
+        "--bounds",
+        metavar="W,S,E,N",
+        help="The area: west, south, east, north in degrees (WGS 84).",
+        show_default="all of the DEM",
+    ),
+]
+Area = Annotated[
+    str,
+    Option(
+        "--bounds",
+        metavar="W,S,E,N",
+        help="The area: west, south, east, north in degrees (WGS 84).",
+    ),
+]
+Spacing = Annotated[
+    float | None,
+    Option("--spacing", metavar="M", help="Metres between the viewpoints of a uniform grid."),
+]
+PEAKS = Option(
+    "--peaks", metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m]."
+)
+
+EyeHeight = Annotated[
+    float, Option("--eye-height", metavar="M", help="Height of the eye, metres above the ground.")
+]
+SummitWithin = Annotated[
+    float | None,
+    Option(
+        "--summit-within",
+        metavar="M",
+        help="Stand on the highest point within M metres; 0 stays where --at is. By default an eye "
+        "keeps its position and, beside a summit of the model, stands as high as the summit.",
+    ),
+]
+
+
+def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
+    """Read the elevation model of a command; a note names the step if it takes long.
+
+    Raises `InputError` for a store in its place.
+    """
+    from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
+    from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
+
+    for name in dem:
+        if Path(name).suffix == ".h5" and is_store(name):
+            raise InputError(f"{name} is a store; name the elevation model from which it was built")
+    with terminal.slow("reading the elevation model"):
+        return read_dem(dem, DemOptions(crs=crs))
+
+
+def parse_bounds(text: str) -> "Bounds":
+    """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
+    error = f"--bounds is `{text}`; expected W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+    west, south, east, north = numbers_of(text.split(","), 4, error)
+    return west, south, east, north
+
+
+def parse_position(text: str) -> tuple[float, float]:
+    """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
+    error = f"--at is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    lon, lat = numbers_of(text.split(","), 2, error)
+    if not are_degrees(lon, lat):
+        swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""
+        raise InputError(error + swapped)
+    return lon, lat

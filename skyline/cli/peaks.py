@@ -1,0 +1,24 @@
+"""``skyline peaks``: names of peaks from OpenStreetMap."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.options import Area, output_option, parse_bounds
+from skyline.cli.terminal import Terminal
+from skyline.fetch.overpass import fetch_peaks
+
+
+def peaks(
+    context: typer.Context,
+    bounds: Area,
+    server: Annotated[
+        str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
+    ],
+    output: Annotated[Path, output_option("The GeoJSON to write.")],
+) -> None:
+    """Fetch the named peaks of an area from OpenStreetMap, for `--peaks`."""
+    count = fetch_peaks(parse_bounds(bounds), server, output)
+    Terminal.of(context).written(output, f"{count} peaks (OpenStreetMap contributors, ODbL)")

@@ -1,0 +1,158 @@
+"""Options that commands for photos share: what is known of a photo and of its camera."""
+
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from skyline.batch import Query
+from skyline.camera import Projection
+from skyline.cli.options import panel, parse_bounds
+from skyline.errors import InputError, numbers_of
+from skyline.location import NOTED_KM
+from skyline.match.prior import Narrowing
+from skyline.peaks import find_place
+
+_known = panel("The photos")
+
+PhotoFile = Annotated[Path, Argument(metavar="PHOTO", help="The photo.")]
+FieldOfView = Annotated[
+    float | None,
+    Option(
+        "--fov-deg",
+        metavar="DEG",
+        help="Horizontal field of view in degrees.",
+        show_default="from the photo's EXIF or XMP",
+    ),
+]
+PhotoProjection = Annotated[
+    Projection | None,
+    _known(
+        "--projection",
+        help="Projection of a panorama, usually cylindrical.",
+        show_default="from the photo's XMP, else perspective",
+    ),
+]
+CameraPosition = Annotated[
+    str | None,
+    Option(
+        "--at",
+        metavar="LON,LAT",
+        help="The camera's position, degrees (WGS 84).",
+        show_default="each photo's own GPS position",
+    ),
+]
+CameraElevation = Annotated[
+    float | None,
+    Option(
+        "--elevation",
+        metavar="M",
+        help="The camera's elevation, metres above the DEM's datum.",
+        show_default="on the ground, or at the height that the photo notes",
+    ),
+]
+POSE = Option(
+    "--pose",
+    metavar="FILE.json",
+    help="The camera's position and direction, as `match --json` and `orient --json` print them.",
+)
+
+# What is known of a photo that is searched for
+Near = Annotated[
+    str | None,
+    Option(
+        "--near",
+        metavar="LON,LAT,KM|NAME[,KM]",
+        help="Search within KM of a point, or of a place named in the file of --peaks "
+        f"({NOTED_KM:g} km unless KM is given).",
+    ),
+]
+SearchBounds = Annotated[
+    str | None,
+    Option(
+        "--bounds",
+        metavar="W,S,E,N",
+        help="Search in the area: west, south, east, north in degrees (WGS 84).",
+    ),
+]
+Heading = Annotated[
+    float | None,
+    _known("--heading", metavar="DEG", help="Heading of the camera, degrees from true north."),
+]
+HeadingSlack = Annotated[
+    float | None,
+    _known("--heading-slack", metavar="DEG", help="Greatest error of --heading, degrees."),
+]
+CameraHeight = Annotated[
+    float | None,
+    _known(
+        "--eye-height",
+        metavar="M",
+        help="Height of the camera, metres above the ground.",
+        show_default="found with the pose",
+    ),
+]
+UseGps = Annotated[
+    bool, _known("--use-gps", help="Prefer places near each photo's own GPS position.")
+]
+SamePlace = Annotated[
+    bool, _known("--same-place", help="All photos were taken at one place; find that place.")
+]
+
+
+def entry_of(
+    fov_deg: float | None,
+    projection: Projection | None,
+    near: str | None,
+    bounds: str | None,
+    heading: tuple[float | None, float | None],
+    eye_height_m: float | None,
+    use_gps: bool,
+    peaks: Path | None,
+) -> Query:
+    """Return what the options say of every photo; raises `InputError` for bad text.
+
+    ``heading`` is a heading and its greatest error.
+    """
+    if None in heading and heading != (None, None):
+        raise InputError(
+            "one of --heading DEG and --heading-slack DEG is given; expected both or neither"
+        )
+    narrowing = Narrowing(
+        near=None if near is None else parse_near(near, peaks),
+        bounds_deg=None if bounds is None else parse_bounds(bounds),
+        heading_deg=None if None in heading else heading,  # type: ignore[arg-type]
+        eye_height_m=eye_height_m,
+        use_gps=use_gps,
+    )
+    return Query("", fov_deg, None, projection, narrowing)
+
+
+def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
+    """Return longitude, latitude and radius in km from ``LON,LAT,KM`` or ``NAME[,KM]``.
+
+    Raises `InputError` for anything else, and as `find_place` for a name.
+    """
+    expected = "expected LON,LAT,KM, or with --peaks FILE a name in that file"
+    error = f"--near is `{text}`; {expected}"
+    if is_numbers(text):
+        given = text.split(",")
+        if len(given) == 4:
+            error = f"--near is `{text}`; expected LON,LAT,KM: give W,S,E,N as --bounds"
+        lon, lat, km = numbers_of(given, 3, error)
+        return lon, lat, km
+    name, _, km_text = text.rpartition(",")
+    if not name or not km_text.strip().replace(".", "", 1).isdigit():
+        name, km_text = text, str(NOTED_KM)
+    if gazetteer is None:
+        raise InputError(error)
+    return *find_place(gazetteer, name.strip()), float(km_text)
+
+
+def is_numbers(text: str) -> bool:
+    """Return whether text is numbers with commas between them; Nan and Inf are towns."""
+    with suppress(ValueError):
+        return all(math.isfinite(float(part)) for part in text.split(","))
+    return False

@@ -1,0 +1,65 @@
+"""Facts about elevation models and stores."""
+
+import numpy as np
+
+from skyline.errors import printable
+from skyline.geodesy import Frame
+from skyline.store.header import PLACES, SCHEMA_VERSION
+from skyline.store.read import open_store
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import model_of
+
+
+def describe_terrain(field: HeightField) -> dict[str, object]:
+    """Return the files of an elevation model, its grid, its frame, and what was mended in it."""
+    west, south, east, north = field.bounds_m
+    turn_deg = field.frame.convergence_deg(
+        easting_m=(west + east) / 2.0, northing_m=(south + north) / 2.0
+    )
+    made = field.provenance
+    return {
+        "kind": "DEM",
+        "files": list(made.files),
+        "model": model_of(made.files),
+        "frame": field.frame.name,
+        **made.conventions,
+        "resampling": made.resampling,
+        "samples": f"{field.cols} x {field.rows}",
+        "spacing_m": [field.spacing_east_m, field.spacing_north_m],
+        "bounds_m": [west, south, east, north],
+        "bounds_deg": list(field.box_deg),
+        "height_range_m": list(field.height_range_m),
+        "convergence_deg": float(turn_deg),
+        **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},
+        "digest": field.digest,
+    }
+
+
+def describe_store(path: str) -> dict[str, object]:
+    """Return what a store has, from which DEM and with which settings; raises as `open_store`."""
+    with open_store(path) as store:
+        header = store.header
+        eyes = store.eyes()
+        frame = Frame(header.frame_wkt)
+        facts: dict[str, object] = {"kind": "store", header.holds: len(store)}
+        if header.width:
+            facts["width"] = header.width
+        facts |= {
+            "frame": frame.name,
+            "dem_files": [printable(file) for file in header.dem_files],
+            "dem_digest": header.dem_digest,
+            "config": dict(header.config),
+            "renderer": header.renderer,
+            "package_version": header.package_version,
+            "schema_version": SCHEMA_VERSION,
+        }
+        if len(store):
+            facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
+            if header.holds == PLACES:
+                blocks = store.places().blocks()
+                spacing_m = 2.0 * np.concatenate([block.tolerance_m for block in blocks])
+                facts["spacing_m"] = np.quantile(spacing_m, [0.0, 0.5, 1.0]).tolist()
+            facts["bounds_deg"] = list(
+                frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+            )
+        return facts

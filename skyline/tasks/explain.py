@@ -1,0 +1,42 @@
+"""Which terrain a skyline depends on, which is left out, and the resulting error."""
+
+import numpy as np
+
+from skyline.render.horizon import RenderConfig, render_views
+from skyline.skylines import pixel_size
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.sight_range import share_beyond, sight_range_m
+from skyline.terrain.viewpoints import Viewpoints
+
+
+def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
+    """Return the terrain modelled for one viewpoint, the terrain left out, and the error."""
+    config = RenderConfig()
+    views = render_views(terrain, eye, config)
+    drop_per_m2 = config.curvature.drop_per_m2
+    place = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
+    eye_m = float(eye.eye_elevation_m[0])
+    reach_m = terrain.reach_m(**place)
+    sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
+    return {
+        **place,
+        "eye_elevation_m": eye_m,
+        "width": config.width,
+        "skyline_depth_m": [float(v) for v in np.nanquantile(views.depth_m, [0.0, 0.5, 1.0])]
+        if np.isfinite(views.depth_m).any()
+        else [],
+        "flagged_columns": float((views.flags != 0).mean()),
+        "data_reach_m": reach_m,
+        "sight_m": sight_m,
+        "samples_beyond_sight": share_beyond(terrain, eye, sight_m),
+        "curvature_bound_px": curvature_bound_px(reach_m, drop_per_m2, config.width),
+    }
+
+
+def curvature_bound_px(reach_m: float, drop_per_m2: float, width: int) -> float:
+    """Return the greatest error of a skyline without curvature, in px of ``width`` columns.
+
+    ``reach_m`` is the distance of the farthest sample.
+    """
+    # The tangent changes by drop d^2 / z, and d is at most the root of 2 times z.
+    return float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width)

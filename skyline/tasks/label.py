@@ -1,0 +1,140 @@
+"""Labelling a photo: its camera's pose, the summits in it, and the picture with their names."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyline.arrays import UInt8Array
+from skyline.camera import Projection
+from skyline.errors import InputError, suffix_of
+from skyline.files import check_outputs, write_whole
+from skyline.orientation import orienters
+from skyline.peaks import read_peaks
+from skyline.photo.photo import read_photo
+from skyline.photo.read import read_query
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import Pose
+from skyline.pose_file import NotedPose, read_pose
+from skyline.tasks.listener import Listener
+from skyline.tasks.orient import CameraAt
+from skyline.terrain.dem import read_dem
+from skyline.terrain.provenance import DemOptions
+from skyline.view import SeenPeak, Viewer
+
+LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
+"""Kinds of files by suffix."""
+_COLUMNS = ("name", "column_px", "row_px", "distance_m", "elevation_m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelTask:
+    """A photo to label, and what is known of its camera."""
+
+    photo: Path
+    dem: Sequence[str]
+    """Elevation files, or folders of them."""
+    crs: str | None = None
+    """CRS of elevation files that name none."""
+    peaks: Path
+    """Gazetteer."""
+    output: Path
+    """Copy with names, of the kinds of `LABEL_FILES`."""
+    at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
+    pose: Path | None = None
+    """File of the pose, in place of a position."""
+    fov_deg: float | None = None
+    """By default from the photo."""
+    projection: Projection | None = None
+    """By default from the photo."""
+    ridges: bool = False
+    """Whether the skyline of the elevation model is drawn, too."""
+
+
+def label_photo(task: LabelTask, listener: Listener) -> str:
+    """Write the names of the summits in a photo on a copy of it; return what it shows in words.
+
+    Raises `InputError` where the file's kind is not known, the photo, the pose or the peaks cannot
+    be read, or the camera's direction is not sure; `OffMapError` for a position off the map.
+    """
+    from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
+
+    suffix_of(task.output, LABEL_FILES)
+    if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
+        raise InputError(
+            "--pose has the position and the field of view; leave --at, --elevation and --fov-deg "
+            "out"
+        )
+    check_outputs([task.output], [task.photo, *filter(None, [task.pose]), task.peaks])
+    picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
+    photo = picture.blank
+    noted = None
+    if task.pose is not None:
+        noted = read_pose(task.pose, task.photo, photo.projection)
+    else:
+        photo = read_query(task.photo, task.fov_deg, projection=task.projection)
+        task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
+    with listener.slow("reading the elevation model"):
+        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    gazetteer = read_peaks(task.peaks, terrain.frame)
+    with Viewer(terrain, gazetteer) as viewer:
+        pose = _pose_of(task, photo, noted, viewer, listener)
+        with listener.slow("looking for summits"):
+            seen = viewer.summits(pose, photo)
+            unnamed = _write(task, picture.rgb, photo, pose, seen, viewer)
+    missing = sorted(set(gazetteer.names) - {one.name for one in seen})
+    hidden = f"; hidden or outside the photo: {some_of(missing)}" if missing else ""
+    return f"{len(seen)} of {len(gazetteer)} peaks are seen{unnamed}{hidden}"
+
+
+def _pose_of(
+    task: LabelTask,
+    photo: PhotoSkyline,
+    noted: NotedPose | None,
+    viewer: Viewer,
+    listener: Listener,
+) -> Pose:
+    """Return the pose that is noted, else the one that fits; `InputError` for an unsure one."""
+    if noted is not None:
+        return shown_pose(noted, viewer, listener)
+    with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
+        orienter = orienter_at(task.at.place_of(photo, str(task.photo)))
+        held = orienter.orient(photo, name=str(task.photo))
+    if held.answer is None:
+        raise InputError(
+            f"{task.photo}: the camera's direction is not sure ({held.refusal}); give its pose "
+            "with --pose"
+        )
+    for line in held.to_text().splitlines():
+        listener.note(line)
+    return held.answer
+
+
+def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
+    """Return a noted pose on a viewer's terrain; show why it is doubted, or its eye lifted."""
+    pose, lifted = noted.held(viewer)
+    for note in filter(None, (noted.verdict, lifted)):
+        listener.note(note)
+    return pose
+
+
+def _write(
+    task: LabelTask,
+    rgb: UInt8Array,
+    photo: PhotoSkyline,
+    pose: Pose,
+    seen: list[SeenPeak],
+    viewer: Viewer,
+) -> str:
+    """Write the file; return how many names no font draws, in words."""
+    from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
+
+    kind = LABEL_FILES[suffix_of(task.output, LABEL_FILES)]
+    if kind == "json":
+        records = [{name: getattr(one, name) for name in _COLUMNS} for one in seen]
+        write_whole(task.output, json.dumps(records, indent=1) + "\n")
+        return ""
+    sight = viewer.look(pose, photo) if task.ridges else None
+    picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)
+    write_whole(task.output, picture)
+    return unnamed.named

@@ -1,0 +1,89 @@
+"""Locating photos: the store of their area is made or found in the cache, and searched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from skyline.batch import Query
+from skyline.cache import cached_files, prepare_area
+from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.location import area_of
+from skyline.match.prior import Narrowing
+from skyline.report.folder import check_report_folder
+from skyline.tasks.listener import Listener
+from skyline.tasks.match import MatchTask, match_photos
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocateTask:
+    """Photos of one area, and where its elevation comes from."""
+
+    entries: Sequence[Query]
+    """The photos."""
+    common: Query
+    """What is known of every photo."""
+    dem: Sequence[str] = ()
+    """Elevation files, or folders of them; by default tiles are fetched."""
+    source: str | None = None
+    """Source of tiles, as for `prepare_area`."""
+    same_place: bool = False
+    """Whether all photos were taken at one place."""
+    report: Path
+    """Folder of a page with pictures and maps."""
+    peaks: Path | None = None
+    """Gazetteer of the page."""
+
+
+def locate_photos(task: LocateTask, listener: Listener) -> int:
+    """Find where photos were taken, in an area that they or the user name.
+
+    Returns the exit code as `match_photos`. Raises `InputError` if no photo can be read, the area
+    is not known, or the DEM does not suit it, and `FetchError` where a server fails.
+    """
+    if task.dem and task.source:
+        raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
+    # These checks come before minutes of work.
+    usable = usable_of(task.entries)
+    if task.peaks is not None and not task.peaks.is_file():
+        raise MissingFileError(f"{task.peaks} does not exist; expected peaks to name")
+    check_report_folder(task.report)
+    area, narrowing = area_of([one.path for one in usable], task.common.narrowing)
+    before = cached_files()
+    listener.keeps(
+        "what was fetched and built is kept, and the same command continues from there",
+        lambda: bool(cached_files() - before),
+    )
+    ready = prepare_area(area, task.dem, task.source, listener.note, listener.progress)
+    listener.keeps(f"the area is kept in {ready.folder}")
+    found_in = MatchTask(
+        stores=(ready.store,),
+        entries=[_within(one, task.common.narrowing, narrowing) for one in task.entries],
+        common=replace(task.common, narrowing=narrowing),
+        dem=[str(ready.terrain)],
+        same_place=task.same_place,
+        report=task.report,
+        peaks=task.peaks,
+    )
+    return match_photos(found_in, listener)
+
+
+def _within(entry: Query, given: Narrowing, area: Narrowing) -> Query:
+    """Return a photo whose search is narrowed to the area, unless a list narrows it to a circle."""
+    own = entry.narrowing
+    near = area.near if own.near == given.near else own.near
+    return replace(entry, narrowing=replace(own, near=near, bounds_deg=area.bounds_deg))
+
+
+def usable_of(entries: Sequence[Query]) -> list[Query]:
+    """Return the photos that can be read; raises the error of the first if there are none."""
+    usable: list[Query] = []
+    errors: list[SkylineError] = []
+    for one in entries:
+        try:
+            one.check()
+            usable.append(one)
+        except SkylineError as error:
+            errors.append(error)
+    if not usable:
+        raise errors[0]
+    return usable

@@ -1,0 +1,398 @@
+"""Matching photos: each result is shown as soon as it is there, and files are written of all.
+
+A search that is stopped goes on where it has a file of results.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from pathlib import Path
+from typing import TypeVar
+
+from skyline.batch import Query, match_here, match_many
+from skyline.errors import (
+    InputError,
+    SkylineError,
+    StoreMismatchError,
+    entry_named,
+    printable,
+    suffix_of,
+)
+from skyline.files import STANDARD, check_outputs, read_bytes, version_of
+from skyline.match.confidence import MatchConfig
+from skyline.match.matcher import FULL, Matcher
+from skyline.match.method import MATCHERS
+from skyline.match.result import JointResult, MatchResult
+from skyline.peaks import Peaks, read_peaks
+from skyline.photo.skyline import PhotoSkyline
+from skyline.plugins import names_of
+from skyline.report.files import EXPORTS, ResultsFile, export_matches
+from skyline.report.folder import check_report_folder
+from skyline.store.read import is_store
+from skyline.survey.cluster import runner_of
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem_files import dem_names
+
+UNREFINED = "unrefined"
+"""The full matcher without its last step."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchTask:
+    """Photos to find, stores to search, and files to write."""
+
+    stores: tuple[Path, ...]
+    """Stores of one DEM, which are searched as one."""
+    entries: Sequence[Query]
+    """The photos."""
+    common: Query = Query("")  # noqa: RUF009  (it is frozen)
+    """What is known of every photo."""
+    inputs: Sequence[Path] = ()
+    """Files that the user has named as photos: no output replaces them."""
+    matcher: str = FULL
+    """``unrefined``, or as for `Matcher`."""
+    dem: Sequence[str] = ()
+    """Elevation files of the stores, or folders of them; by default those that they name."""
+    surface: Sequence[str] = ()
+    """Files of a surface or canopy model, or folders of them."""
+    same_place: bool = False
+    """Whether all photos were taken at one place."""
+    workers: str | None = None
+    """As for `runner_of`."""
+    report: Path | None = None
+    """Folder of a page with pictures and maps."""
+    peaks: Path | None = None
+    """Gazetteer of the page."""
+    exports: Sequence[Path] = ()
+    """Files of the candidates, of the kinds of `EXPORTS`."""
+    results: Path | None = None
+    """File with a row for each photo, of the kinds of `RESULTS`."""
+
+    @property
+    def others(self) -> list[Path]:
+        """Files that need all results, and not only rows."""
+        return [*self.exports, *filter(None, [self.report])]
+
+    @property
+    def opening(self) -> tuple[Hashable, ...]:
+        """The arguments of `Matcher`."""
+        # Workers may have another working directory.
+        tiles = dem_names(self.dem) or None
+        name = FULL if self.matcher == UNREFINED else self.matcher
+        config = MatchConfig(refine=self.matcher != UNREFINED)
+        return self.stores, tiles, name, config, None, dem_names(self.surface) or None
+
+    def search(self) -> str:
+        """Return a digest of the stores and the options, which differs between searches."""
+        surfaces = dem_names(self.surface)
+        files = [(Path(one).name, *_written(one)) for one in (*map(str, self.stores), *surfaces)]
+        return _digest(files, self.matcher, MatchConfig(), self.common)
+
+    def check(self) -> None:
+        """Raise `InputError` for options that do not suit each other, and for wrong outputs."""
+        entry_named("matcher", self.matcher, dict.fromkeys([*names_of(MATCHERS), UNREFINED]))
+        names_stores = ", ".join(map(str, self.stores))
+        no_refinement = f"leave --matcher {UNREFINED} out"
+        for is_wrong, error in (
+            (not self.entries, f"{names_stores} are stores; name photos to find in them"),
+            (
+                self.common.narrowing.use_gps and self.matcher == UNREFINED,
+                f"--use-gps acts in refinement; {no_refinement}",
+            ),
+            (
+                self.same_place and self.matcher != FULL,
+                "--same-place compares renderings of the terrain; leave --matcher out",
+            ),
+            (
+                self.same_place and self.results,
+                "--same-place gives one answer, not one row per photo; leave --results out",
+            ),
+            (
+                self.same_place and self.workers,
+                "--same-place matches in this process; leave --workers out",
+            ),
+        ):
+            if is_wrong:
+                raise InputError(error)
+        self._check_files()
+
+    def _check_files(self) -> None:
+        """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
+        named = [Path(one.path) for one in self.entries]
+        inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
+        check_outputs([*self.exports, self.results, self.report], inputs)
+        if self.report is not None:
+            folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
+            if self.report.resolve() in folders:
+                raise InputError(
+                    f"--report {self.report} is a folder of photos to match; name another one for "
+                    "the report"
+                )
+            check_report_folder(self.report)
+        for path in self.exports:
+            suffix_of(path, EXPORTS)
+
+
+def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
+    """Return the first store with the stores named after it, and the photos named after those.
+
+    Raises `InputError` where a store is named after a photo.
+    """
+    stores = (first, *takewhile(is_store, others))
+    photos = others[len(stores) - 1 :]
+    photo = next(iter(photos), None)
+    if first.is_file() and not is_store(first):
+        photo, photos = first, others
+    late = next((one for one in photos if one.suffix in {".h5", ""} and is_store(one)), None)
+    if late is not None:
+        raise InputError(f"{late} is a store and is named after {photo}; name stores before photos")
+    return stores, photos
+
+
+def match_photos(task: MatchTask, listener: Listener) -> int:
+    """Match photos, show each result as it comes, and write the files.
+
+    Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, for a
+    gazetteer or a DEM that cannot be read, and `StoreError` for such a store; the errors of a photo
+    are shown, and do not end the others.
+    """
+    task.check()
+    with (
+        nullcontext() if task.results is None else ResultsFile(task.results, task.search()) as file
+    ):
+        run = _Run(task, listener, file)
+        with suppress(BrokenPipeError):
+            run.match()
+    return run.exit_code
+
+
+class _Run:
+    """One run of a task.
+
+    ``exit_code`` is that of the last error.
+    """
+
+    def __init__(self, task: MatchTask, listener: Listener, file: ResultsFile | None) -> None:
+        self._task = task
+        self._listener = listener
+        self._file = file
+        self._loading_s = 0.0
+        self.exit_code = 0
+
+    def match(self) -> None:
+        """Match the photos that were not matched before, and write the files."""
+        task = self._task
+        known = self._matched_before()
+        # These checks come before the store is opened, which may take a minute.
+        checked, refused = self._attempted(
+            [one for one in task.entries if one not in known], Query.check
+        )
+        usable = [one for one, _ in checked]
+        skylines: list[tuple[Query, PhotoSkyline]] = []
+        if task.same_place:
+            skylines, unread = self._read_together(usable)
+            refused = refused | unread
+        if not usable:
+            self._show_each(known, refused, iter(()))
+            return
+        matcher = self._opened()
+        gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
+        done = f"{matcher.rows} {matcher.holds} were searched."
+        if task.same_place:
+            done += f" {len(skylines)} photos of one place were matched together."
+            found = self._match_together(matcher, skylines)
+            self.exit_code = InputError.exit_code if refused else 0
+        else:
+            with runner_of(task.workers) as runner:
+                each = match_here(matcher, usable)
+                if runner is not None:
+                    each = match_many(runner, task.opening, usable)
+                found = self._show_each(known, refused, each)
+        if found:
+            self._write(found, matcher, gazetteer, done)
+
+    def _matched_before(self) -> dict[Query, str | None]:
+        """Return the photos that need not be matched, with their errors; note how many.
+
+        These are the photos of which the file of results has rows. There are none if other files
+        are written, which need more than the rows have.
+        """
+        file = self._file
+        if file is None:
+            return {}
+        others = self._task.others
+        named = " and ".join(map(str, others))
+        self._listener.keeps(
+            f"{file.path} has the answers so far, and the same command "
+            f"{f'without {named} ' if others else ''}continues with the others",
+            lambda: bool(file.photos),
+        )
+        photos = {one: _photo_of(one) for one in self._task.entries}
+        known = {one: file.photos[photo] for one, photo in photos.items() if photo in file.photos}
+        if known:
+            again = f", and are matched again for {named}" if others else ""
+            self._listener.note(
+                f"{file.path}: {len(known)} of {len(photos)} are there already{again}"
+            )
+        return {} if others else known
+
+    def _attempted(
+        self, entries: Iterable[Query], attempt: Callable[[Query], T]
+    ) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
+        """Attempt something with photos; return results, and errors, which are shown at once."""
+        usable: list[tuple[Query, T]] = []
+        refused: dict[Query, SkylineError] = {}
+        for one in entries:
+            try:
+                usable.append((one, attempt(one)))
+            except SkylineError as error:
+                refused[one] = error
+                self._listener.error(_of_photo(one, error))
+        return usable, refused
+
+    def _read_together(
+        self, entries: Iterable[Query]
+    ) -> tuple[list[tuple[Query, PhotoSkyline]], dict[Query, SkylineError]]:
+        """Read photos of one place, as `_attempted`; raises `InputError` for fewer than two."""
+        skylines, unread = self._attempted(entries, Query.read)
+        if len(skylines) < 2:
+            raise InputError(
+                "--same-place needs two photos or more that can be read, and has "
+                f"{len(skylines)}; name more, or leave --same-place out"
+            )
+        return skylines, unread
+
+    def _opened(self) -> Matcher:
+        """Open the matcher.
+
+        Raises `InputError` if a file of results would keep answers that lack refinement.
+        """
+        task = self._task
+        started = time.perf_counter()
+        with self._listener.slow(
+            f"opening {', '.join(map(str, task.stores))} and its elevation model"
+        ):
+            matcher = Matcher(*task.opening)  # type: ignore[arg-type]
+        self._loading_s = time.perf_counter() - started
+        if self._file is not None and task.matcher == FULL and matcher.terrain is None:
+            raise InputError(
+                "--results keeps answers for good, and these would be unrefined; name the store's "
+                f"DEM with --dem, or accept that with --matcher {UNREFINED}"
+            )
+        return matcher
+
+    def _show_each(
+        self,
+        known: Mapping[Query, str | None],
+        refused: Mapping[Query, SkylineError],
+        results: Iterator[MatchResult | SkylineError],
+    ) -> list[MatchResult]:
+        """Show the results of all photos in order, as they come; return those without an error."""
+        found: list[MatchResult] = []
+        for one in self._task.entries:
+            if one in known:
+                self._show_known(one, known[one])
+                continue
+            with nullcontext() if found else self._listener.slow(f"matching {one.path}"):
+                result = refused.get(one) or next(results)
+            if isinstance(result, SkylineError):
+                self._show_error(one, result, is_tried=one not in refused)
+            else:
+                found.append(result)
+                if self._file is not None:
+                    self._file.add(result.to_row(), _photo_of(one))
+                self._show_result(result)
+        return found
+
+    def _match_together(
+        self, matcher: Matcher, photos: Sequence[tuple[Query, PhotoSkyline]]
+    ) -> list[MatchResult]:
+        """Match photos of one place and show the result; return it photo by photo."""
+        with self._listener.slow(f"matching {len(photos)} photos together"):
+            narrowings = [entry.narrowing for entry, _ in photos]
+            joint = matcher.match_together([one for _, one in photos], narrowings=narrowings)
+        results = [
+            replace(result, name=entry.path, id=entry.label)
+            for (entry, _), result in zip(photos, joint.results, strict=True)
+        ]
+        self._show_result(replace(joint, results=tuple(results)))
+        return results
+
+    def _show_result(self, result: MatchResult | JointResult) -> None:
+        self._show(result.to_dict() | {"loading_seconds": self._loading_s}, result.to_text())
+
+    def _show_known(self, entry: Query, error: str | None) -> None:
+        """Show the error, if it had one, of a photo whose row an earlier run has written."""
+        if error is not None:
+            self.exit_code = InputError.exit_code
+            self._listener.error(_of_photo(entry, InputError(error)))
+
+    def _show_error(self, entry: Query, error: SkylineError, is_tried: bool) -> None:
+        """Show that a photo failed.
+
+        A photo that was tried and cannot be used gets a row; others are tried again next time.
+        """
+        self.exit_code = error.exit_code
+        names = {"query": printable(entry.path)}
+        if entry.label:
+            names["id"] = printable(entry.label)
+        if is_tried:
+            self._listener.error(_of_photo(entry, error))
+            is_final = isinstance(error, InputError) and not isinstance(error, StoreMismatchError)
+            if self._file is not None and is_final:
+                row = names | {"answered": 0, "reason": str(error)}
+                self._file.add(row, _photo_of(entry))
+        self._show(names | {"error": str(error)}, "")
+
+    def _show(self, record: Mapping[str, object], text: str) -> None:
+        """Show a result. Without a reader the work goes on only for the sake of files."""
+        try:
+            self._listener.result(record, text)
+        except BrokenPipeError:
+            if self._file is None and not self._task.others:
+                raise
+
+    def _write(
+        self,
+        found: list[MatchResult],
+        matcher: Matcher,
+        gazetteer: Peaks | None,
+        done: str,
+    ) -> None:
+        """Write the exports and the report."""
+        for path in self._task.exports:
+            export_matches(path, found, matcher.frame)
+        if self._task.report is None:
+            return
+        from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
+
+        page = report_matches(self._task.report, matcher, found, gazetteer, done=done)
+        with suppress(BrokenPipeError):
+            self._listener.remark(f"report: {page}")
+
+
+def _of_photo(entry: Query, error: SkylineError) -> str:
+    """Return an error with the name of its photo."""
+    text, name = str(error), printable(entry.path)
+    return text if name in text else f"{name}: {text}"
+
+
+def _photo_of(entry: Query) -> str:
+    """Return a digest of a photo and its own settings, which a list may change."""
+    return _digest(entry, _written(entry.path))
+
+
+def _written(path: str | Path) -> tuple[object, ...]:
+    """Return a file's size and modification time, since files may move; of ``-`` a digest."""
+    if str(path) == STANDARD:
+        return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
+    return (version_of(path) or ())[:2]
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]

@@ -1,0 +1,51 @@
+"""Orienting photos: how the camera of each was held at its known position."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from skyline.batch import Query
+from skyline.errors import InputError, SkylineError
+from skyline.orientation import DEFAULT_WITHIN_M, Orientation, Place, noted_place, orienters
+from skyline.photo.skyline import PhotoSkyline
+from skyline.terrain.heightfield import HeightField
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraAt:
+    """What is known of where cameras stood."""
+
+    lonlat_deg: tuple[float, float] | None = None
+    """By default each photo's own GPS position."""
+    elevation_m: float | None = None
+    """Elevation of the eye above the DEM's datum; only with a position."""
+    within_m: float | None = None
+    """Standard deviation of the position; by default what a photo notes, or 50 m."""
+
+    def __post_init__(self) -> None:
+        if self.elevation_m is not None and self.lonlat_deg is None:
+            raise InputError(f"--elevation {self.elevation_m:g} needs a position; give --at too")
+
+    def place_of(self, photo: PhotoSkyline, name: str) -> Place:
+        """Return where a photo was taken; raises `InputError` if neither it nor the user knows."""
+        if self.lonlat_deg is None:
+            lon, lat, elevation_m, usual_m = noted_place(photo, name)
+        else:
+            lon, lat = self.lonlat_deg
+            elevation_m = self.elevation_m
+            usual_m = DEFAULT_WITHIN_M
+        return lon, lat, elevation_m, usual_m if self.within_m is None else self.within_m
+
+
+def orient_photos(
+    terrain: HeightField, entries: Iterable[Query], at: CameraAt
+) -> Iterator[Orientation | SkylineError]:
+    """Yield how the camera of each photo was held, or the error of a photo that cannot be used."""
+    with orienters(terrain) as orienter_at:
+        for entry in entries:
+            try:
+                skyline = entry.read()
+                orienter = orienter_at(at.place_of(skyline, entry.path))
+                found: Orientation | SkylineError = orienter.orient(skyline, name=entry.path)
+            except SkylineError as error:
+                found = error
+            yield found

@@ -1,0 +1,60 @@
+"""The position on the terrain that each pixel of a photo shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyline.camera import Projection
+from skyline.errors import InputError, suffix_of
+from skyline.files import check_outputs, lies_in_any, on_disk
+from skyline.photo.photo import read_photo
+from skyline.pose_file import read_pose
+from skyline.tasks.label import shown_pose
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import dem_names
+from skyline.terrain.provenance import DemOptions
+from skyline.view import PIXEL_FILES, PixelPlaces, Viewer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PixelsTask:
+    """A photo, its camera's pose, and the file to write."""
+
+    photo: Path
+    pose: Path
+    """File of the pose."""
+    dem: Sequence[str]
+    """Elevation files, or folders of them."""
+    crs: str | None = None
+    """CRS of elevation files that name none."""
+    output: Path
+    """File of the kinds of `PIXEL_FILES`."""
+    step: int = 1
+    """Every so many rows and columns are taken."""
+    projection: Projection | None = None
+    """By default from the photo."""
+
+
+def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
+    """Find and write the positions on the terrain that a photo's pixels show.
+
+    Raises `InputError` for an output that is a part of the DEM or of another kind, and where the
+    photo or its pose cannot be read.
+    """
+    suffix = suffix_of(task.output, PIXEL_FILES)
+    names = dem_names(task.dem)
+    check_outputs([task.output], [task.photo, task.pose, *map(Path, map(on_disk, names))])
+    if suffix == ".tif" and lies_in_any(task.output, task.dem):
+        raise InputError(
+            f"{task.output} would become a part of the DEM; choose another folder for it"
+        )
+    photo = read_photo(task.photo, projection=task.projection).blank
+    noted = read_pose(task.pose, task.photo, photo.projection)
+    with listener.slow("reading the elevation model"):
+        terrain = read_dem(names, DemOptions(crs=task.crs))
+    with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
+        pose = shown_pose(noted, viewer, listener)
+        places = viewer.places(pose, photo, task.step, progress)
+    places.save(task.output, pose)
+    return places

@@ -1,0 +1,60 @@
+"""Views from positions that a person names: where the eyes stand, and what they cannot see."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from skyline.horizons import LocalHorizons
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
+from skyline.tasks.listener import Listener
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_at
+
+_log = logging.getLogger(__name__)
+
+
+def stand_with_notes(
+    terrain: HeightField,
+    positions: Sequence[tuple[float, float]],
+    eye_height_m: float,
+    summit_within_m: float | None,
+    listener: Listener,
+) -> Viewpoints:
+    """Place eyes at longitudes and latitudes; a note names each that stands on a summit.
+
+    Parameters and errors as `stand_at`.
+    """
+    lon, lat = np.transpose(positions)
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
+    easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
+    away_m = np.hypot(eyes.easting_m - easting_m, eyes.northing_m - northing_m)
+    stands_m = eyes.eye_elevation_m - eye_height_m
+    surface_m = terrain.height_at(lon=lon, lat=lat)
+    eye_lon, eye_lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+    for k, position in enumerate(f"{one[0]:.5f},{one[1]:.5f}" for one in positions):
+        if summit_within_m:
+            listener.note(
+                f"{position}: the highest point within {summit_within_m:g} m is {eye_lon[k]:.5f},"
+                f"{eye_lat[k]:.5f}, {stands_m[k]:.0f} m high and {away_m[k]:.0f} m away"
+            )
+        elif summit_within_m is None and stands_m[k] - surface_m[k] > 0.01:
+            listener.note(
+                f"{position} is beside a summit of the model: the eye stands as high as it, "
+                f"{stands_m[k]:.0f} m, and not on its slope, {surface_m[k]:.0f} m (as "
+                "--summit-within 0 would have it)"
+            )
+    return eyes
+
+
+def warn_of_border(found: LocalHorizons) -> None:
+    """Log a warning where terrain beyond the data may be higher."""
+    unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
+    if unsure.any():
+        _log.warning(
+            "%.0f %% of the azimuths look over the DEM's border or over a hole, where higher "
+            "terrain may be hidden; give a DEM of a wider area",
+            100.0 * unsure.mean(),
+        )
