@@ -9,6 +9,7 @@ import time
 from collections import namedtuple
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ import skyline
 from skyline import cache as areas
 from skyline import read_dem, stand_at
 from skyline.cache import Area, prepare_area
-from skyline.fetch import remote
+from skyline.fetch.dem_tiles import fetch_dem
+from skyline.fetch.remote import Patience
 from skyline.location import area_of
 
 PLACE = 9.5, 46.5
@@ -44,7 +46,8 @@ def made(tmp_path_factory):
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(remote, "_FIRST_DELAY_S", 0.0)
+    hasty = partial(fetch_dem, patience=Patience(first_delay_s=0.0))
+    monkeypatch.setattr("skyline.cache.fetch_dem", hasty)
     return tmp_path / "cache"
 
 

@@ -84,7 +84,7 @@ def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
     run, tmp_path, monkeypatch, server, message
 ):
     hasty = partial(fetch_peaks, patience=Patience(retries=0, timeout_s=1))
-    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", hasty)
+    monkeypatch.setattr("skyline.cli.peaks.fetch_peaks", hasty)
     path = tmp_path / "peaks.geojson"
     path.write_text("as before")
     done = fetch(run, overpass(**server), path)
