@@ -18,7 +18,7 @@ from typer import Option
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.paper import reprojection
-from skyline.paper.strategies import PLANNERS, Candidates, Coverage, Planner, Problem
+from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.paper.verify import true_errors_px
 from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
@@ -69,7 +69,7 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
             measured = {key: float(np.mean(values)) for key, values in figures.items()}
             measured |= {f"{key}_std": float(np.std(values)) for key, values in figures.items()}
             measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
-            bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
+            bound = row.coverage * simulation.sites.valid.size / measured["mean_area"]
             papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
             about = {"row": number, "strategy": name, "n": seeds}
             rows.append({**about, **papers, **measured, "bound": bound})
@@ -104,10 +104,10 @@ TABLE_1 = (
 )  # fmt: skip
 
 _DISTANCE, _BREADTH, _HEIGHT, _SETBACK = 9.0, 150.0, 17.0, 18.0
-"""Of the mountain, in candidates: from the front row to its near end, end to end, its peaks above
+"""Of the mountain, in sites: from the front row to its near end, end to end, its peaks above
 the eyes, and how far behind the foot they stand. One set serves all rows and strategies."""
 _SIDE, _REACH, _COLUMNS = 100, 15, 64
-"""Rows and columns of candidates, the reach of a tolerance area, and, of a view's 640 columns, how
+"""Rows and columns of sites, the reach of a tolerance area, and, of a view's 640 columns, how
 many are looked at, evenly spread."""
 _CURVE_POINTS = 513
 
@@ -131,11 +131,11 @@ def mountain_curve(row: Setup) -> Float32Array:
 
 
 class Simulation:
-    """A square of candidates before a parametric mountain, for one row of Table 1.
+    """A square of sites before a parametric mountain, for one row of Table 1.
 
-    Lengths are in candidates (the pitch of the grid), and stand for metres in `skyline.paper`. The
+    Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
     eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
-    in the columns of a view. Tolerance areas, and what ROV knows of a candidate, are those of the
+    in the columns of a view. Tolerance areas, and what ROV knows of a site, are those of the
     package: `skyline.paper.reprojection`.
     """
 
@@ -144,7 +144,7 @@ class Simulation:
         steps = np.arange(_SIDE, dtype=np.float64)
         # Row 0 is the front, and the square is centred before the mountain.
         east, north = steps - (_SIDE - 1) / 2.0, -steps
-        self.candidates = Candidates(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
+        self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
         columns = (np.arange(_COLUMNS) + 0.5) * (DEFAULT_WIDTH / _COLUMNS)
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
         self._curve = mountain_curve(row)
@@ -152,14 +152,14 @@ class Simulation:
         right, back = np.meshgrid(step, step)
         self._around = np.stack([right, np.zeros_like(right), -back], axis=-1).reshape(1, -1, 3)
 
-    def render(self, candidates: Int64Array) -> Float64Array:
-        """Return the skyline points (N, Q, 3) of views at candidates (N): right, up, forward."""
-        v, depth = envelope(self._curve - self.eyes(candidates)[:, None, :], self._u)
+    def render(self, sites: Int64Array) -> Float64Array:
+        """Return the skyline points (N, Q, 3) of views at sites (N): right, up, forward."""
+        v, depth = envelope(self._curve - self.eyes(sites)[:, None, :], self._u)
         return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
 
     def areas(self, points: Float64Array) -> BoolArray:
         """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
-        window = self.candidates.window
+        window = self.sites.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
         warp = reprojection.affine_mean if self.row.affine else reprojection.non_affine
         errors = reprojection.errors_px(points, around, DEFAULT_WIDTH, warp)
@@ -167,10 +167,10 @@ class Simulation:
         areas[:, window // 2, window // 2] = True
         return np.asarray(areas)
 
-    def eyes(self, candidates: Int64Array) -> Float32Array:
+    def eyes(self, sites: Int64Array) -> Float32Array:
         """Return right, up, forward (N, 3) of eyes."""
-        row, col = self.candidates.row_col(candidates)
-        east, north = self.candidates.easting_m[col], self.candidates.northing_m[row]
+        row, col = self.sites.row_col(sites)
+        east, north = self.sites.easting_m[col], self.sites.northing_m[row]
         return np.stack([east, np.zeros(len(row)), north], axis=1).astype(np.float32)
 
 
@@ -231,24 +231,24 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
     processor time of the planner with all it asked for: renderings and areas.
     """
     started = time.process_time()
-    coverage = Coverage(simulation.candidates)
+    coverage = Coverage(simulation.sites)
     known: list[Float64Array] = []
 
-    def render(candidates: Int64Array) -> None:
-        points = simulation.render(candidates)
+    def render(sites: Int64Array) -> None:
+        points = simulation.render(sites)
         known.extend(points)
-        for one, area in zip(candidates, simulation.areas(points), strict=True):
+        for one, area in zip(sites, simulation.areas(points), strict=True):
             coverage.add(one[None], area[None])
 
-    def projected_areas(candidates: Int64Array) -> BoolArray:
-        nearest, _ = simulation.candidates.nearest(candidates, coverage.viewpoints, 1)
+    def projected_areas(sites: Int64Array) -> BoolArray:
+        nearest, _ = simulation.sites.nearest(sites, coverage.viewpoints, 1)
         source = coverage.viewpoints[nearest[:, 0]]
-        move = (simulation.eyes(candidates) - simulation.eyes(source)).astype(np.float64)
+        move = (simulation.eyes(sites) - simulation.eyes(source)).astype(np.float64)
         points = np.stack([known[row] for row in nearest[:, 0].tolist()])
         return simulation.areas(reprojection.moved(points, move[:, None])[:, 0])
 
     render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
-    everywhere = simulation.candidates.valid
+    everywhere = simulation.sites.valid
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
     for asked in planner(problem, np.random.default_rng(seed)):
         render(asked)

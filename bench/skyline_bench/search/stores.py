@@ -14,7 +14,8 @@ from skyline import build_places, build_uniform
 from skyline.arrays import Progress
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
-from skyline.paper.plan import PlanConfig, build_planned
+from skyline.paper.build import build_planned
+from skyline.paper.plan import PlanConfig
 from skyline.skylines import HEADINGS
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.store.places import Places
