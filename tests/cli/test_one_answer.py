@@ -81,7 +81,7 @@ def test_the_report_has_the_numbers_and_the_verdict_of_the_command(matched):
     ]
     is_answer = record["answer"] is not None
     assert f'<p class="result {"answer" if is_answer else "refusal"}">' in page
-    assert f"{int(is_answer)} of 1 queries answered" in page
+    assert f"{int(is_answer)} of 1 photos answered" in page
     assert (record.get("refusal") or f"within {record['answer_within_m']:g} m") in page
     assert f"confidence {record['candidates'][0]['confidence']:.2f}" in result.to_text()
 
