@@ -65,14 +65,17 @@ def _tried(
     find: _Find, terrain: HeightField, seen: HeightField, area: Rectangle, entropy: list[int]
 ) -> _Tried:
     """Make one photo that notes heights, and orient it."""
-    rng, noting = np.random.default_rng(entropy), list(_GROUPS.values())[entropy[1]]
+    rng = np.random.default_rng(entropy)
+    noting = list(_GROUPS.values())[entropy[1]]
     height_m = DEFAULT_EYE_HEIGHT_M
     if noting is not _grounded:
         height_m = float(np.exp(rng.uniform(*np.log(_ALOFT_M))))
-    config, drawn = QueryConfig(eye_height_m=height_m), int(rng.integers(2**31))
+    config = QueryConfig(eye_height_m=height_m)
+    drawn = int(rng.integers(2**31))
     (query,) = make_queries(seen, area, 1, drawn, config)
     off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
-    east, north = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
+    east = query.truth.easting_m + off.real
+    north = query.truth.northing_m + off.imag
     lon, lat = map(float, terrain.frame.to_lonlat(east, north))
     noted = replace(noting(terrain, query.truth, rng), lonlat_deg=(lon, lat))
     return query.truth, find(replace(query.skyline, noted=noted), (lon, lat)), height_m

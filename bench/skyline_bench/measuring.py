@@ -86,7 +86,8 @@ def in_turns(
 
 
 def _timed(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     work()
     taken = time.perf_counter() - wall, time.process_time() - cpu
     tick()

@@ -163,8 +163,10 @@ def made_rows(
     """Return the rows of all that is made: photos, strangers, labels, pixels and a webcam."""
     seen = perturbed(terrain, seed=seed)
     kinds = 2 + len(UNMARKED) + (strange is not None)
-    rng, steps = np.random.default_rng(seed), kinds * count
-    to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
+    rng = np.random.default_rng(seed)
+    steps = kinds * count
+    to_lonlat = terrain.frame.to_lonlat
+    held = list[_Held]()
     for query in make_queries(seen, area, count, seed):
         off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
         place = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
@@ -269,7 +271,8 @@ def webcam_row(
     camera = truth.camera()
     eyes = at_elevation(seen, truth.easting_m, truth.northing_m, truth.eye_elevation_m)
     lonlat = terrain.frame.to_lonlat(truth.easting_m + BESIDE_M, truth.northing_m)
-    rng, found = np.random.default_rng(seed), list[Orientation]()
+    rng = np.random.default_rng(seed)
+    found = list[Orientation]()
     fog = np.arange(count) % _FOGGY == _FOGGY - 1
     with DepthRenderer(seen, _RENDERED_PX) as renderer, TemporaryDirectory() as folder:
         away_m = distance_along(renderer.depth_images(eyes, 0), camera.rays())
@@ -320,7 +323,8 @@ def _oriented(
         lon, lat = map(float, lonlat)
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
-        blank, said = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1), str(error)
+        blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
+        said = str(error)
         if isinstance(query, Path):
             said = said.replace(str(query), query.stem)
         return Orientation(blank, None, refusal=said)

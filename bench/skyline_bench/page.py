@@ -82,7 +82,8 @@ def address_in(line: str) -> str:
 
 def headless() -> tuple[Any, Any]:
     """Return Chromium's options and driver, without a screen or a network beyond this machine."""
-    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    program = shutil.which("chromium")
+    driver = shutil.which("chromedriver")
     try:
         from selenium import webdriver  # noqa: PLC0415  (an extra)
         from selenium.webdriver.chrome.service import Service  # noqa: PLC0415
@@ -135,7 +136,8 @@ def page(record: options.Record = None, quick: options.Quick = False) -> None:
 def _made(folder: Path) -> tuple[Path, Path]:
     """Return a store of the sample terrain, and a photo of 12 megapixels."""
     terrain = read_dem([write_sample_dem(folder / "sample.tif")])
-    store, photo = folder / "places.h5", folder / "photo.jpg"
+    store = folder / "places.h5"
+    photo = folder / "photo.jpg"
     build_places(terrain, store, _SPACING_M, SAMPLE_BOUNDS_DEG)
     eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
     fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
@@ -188,7 +190,8 @@ def _strokes(chromium: Any) -> list[float]:
 def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
     """Drag the camera about the map, and return how the skyline follows."""
     box = chromium.find_element("css selector", ".camera").rect
-    column, row = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+    column = box["x"] + box["width"] / 2.0
+    row = box["y"] + box["height"] / 2.0
     _mouse(chromium, "mousePressed", column, row)
     _mouse(chromium, "mouseMoved", column + 6.0, row)
     time.sleep(0.5)

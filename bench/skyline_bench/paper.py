@@ -143,7 +143,8 @@ class Simulation:
         self.row = row
         steps = np.arange(_SIDE, dtype=np.float64)
         # Row 0 is the front, and the square is centred before the mountain.
-        east, north = steps - (_SIDE - 1) / 2.0, -steps
+        east = steps - (_SIDE - 1) / 2.0
+        north = -steps
         self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
         columns = (np.arange(_COLUMNS) + 0.5) * (DEFAULT_WIDTH / _COLUMNS)
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
@@ -170,7 +171,8 @@ class Simulation:
     def eyes(self, sites: Int64Array) -> Float32Array:
         """Return right, up, forward (N, 3) of eyes."""
         row, col = self.sites.row_col(sites)
-        east, north = self.sites.easting_m[col], self.sites.northing_m[row]
+        east = self.sites.easting_m[col]
+        north = self.sites.northing_m[row]
         return np.stack([east, np.zeros(len(row)), north], axis=1).astype(np.float32)
 
 
@@ -180,7 +182,8 @@ def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float
     Points (N, P, 3) are right, up and forward of each view's curve; abscissas ``u`` (Q,) of the
     columns are evenly spaced. Returned are ordinates and depths (N, Q), NaN where there are none.
     """
-    views, columns = len(points), len(u)
+    views = len(points)
+    columns = len(u)
     v = np.full(views * columns, -np.inf, dtype=np.float32)
     inverse_depth = np.full(views * columns, np.nan, dtype=np.float32)
     crossings = list(_crossings(points, u))
@@ -203,14 +206,17 @@ def _crossings(
     """
     depth = points[..., 2]
     inverse = np.float32(1.0) / np.where(depth > 0.0, depth, np.float32(np.nan))
-    abscissa, ordinate = points[..., 0] * inverse, points[..., 1] * inverse
+    abscissa = points[..., 0] * inverse
+    ordinate = points[..., 1] * inverse
     position = (abscissa - u[0]) / (u[1] - u[0])
-    one, other = position[:, :-1], position[:, 1:]
+    one = position[:, :-1]
+    other = position[:, 1:]
     # Clipped to the frame; an edge with a NaN end never starts before it stops.
     start = np.clip(np.nan_to_num(np.ceil(np.minimum(one, other)), nan=1e6), 0, 1e6)
     stop = np.clip(np.nan_to_num(np.floor(np.maximum(one, other)), nan=-1.0), -1, len(u) - 1)
     view, edge = np.nonzero(start <= stop)
-    column, last = start[view, edge].astype(np.int64), stop[view, edge].astype(np.int64)
+    column = start[view, edge].astype(np.int64)
+    last = stop[view, edge].astype(np.int64)
     while len(view):
         share = (column - one[view, edge]) / (other[view, edge] - one[view, edge])
         share = np.nan_to_num(share).astype(np.float32)
@@ -221,7 +227,10 @@ def _crossings(
             inverse[view, edge] * (1 - share) + inverse[view, edge + 1] * share,
         )
         more = column < last
-        view, edge, column, last = view[more], edge[more], column[more] + 1, last[more]
+        view = view[more]
+        edge = edge[more]
+        column = column[more] + 1
+        last = last[more]
 
 
 def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Coverage, float]:
@@ -293,7 +302,8 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     """
     eyes, others = _choose_eyes(field, viewpoints, seed)
     with HorizonRenderer(field, RenderConfig()) as renderer:
-        views, rendered = renderer.render(eyes), renderer.render(others)
+        views = renderer.render(eyes)
+        rendered = renderer.render(others)
     shape = len(views), _DISPLACEMENTS
     # Rows of `rendered` run over eyes, moves, headings; pairs over eyes, headings, moves.
     order = np.arange(len(rendered)).reshape(viewpoints, _DISPLACEMENTS, 4).swapaxes(1, 2).ravel()
@@ -303,7 +313,8 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
     eyes_there_m = (part.reshape(shape) for part in eyes_m)
     moved_m = reprojection.displacements_m(views, views.heading, *eyes_there_m)
-    points_m, alike = reprojection.skyline_points_m(views), true_px <= _THRESHOLD_PX
+    points_m = reprojection.skyline_points_m(views)
+    alike = true_px <= _THRESHOLD_PX
     rows = list[Row]()
     for name, warp in reprojection.WARPS.items():
         errors = reprojection.errors_px(points_m, moved_m, views.width, warp)

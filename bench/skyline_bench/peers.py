@@ -73,14 +73,17 @@ class EmbreePeer:
     """Skylines of one height field by Embree's rays, ``width`` columns W a view."""
 
     def __init__(self, field: HeightField, width: int) -> None:
-        self.field, self.width, self.curvature = field, width, Curvature()
+        self.field = field
+        self.width = width
+        self.curvature = Curvature()
         # On a sample, so that the samples' own offsets are short numbers in float32.
         easting, northing = field.to_map(field.rows // 2, field.cols // 2)
         self._middle_m = np.array([float(easting), float(northing)])
         self._datum_m = float(np.mean(field.height_range_m))
         # East, up, north of the middle, curved.
         easting, northing = field.to_map(*np.indices((field.rows, field.cols)))
-        east, north = easting - self._middle_m[0], northing - self._middle_m[1]
+        east = easting - self._middle_m[0]
+        north = northing - self._middle_m[1]
         heights = np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
         up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
         vertices = np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
@@ -170,22 +173,27 @@ def _around(
     It has the shape of the columns, and is NaN where no ray hits anything.
     """
     shape = columns.shape
-    columns, guess, step = columns.ravel(), guess.ravel(), step.ravel()
+    columns = columns.ravel()
+    guess = guess.ravel()
+    step = step.ravel()
     rising = rays.blocked(columns, guess)
     stride = np.where(rising, step, -step)
-    near, far = guess.copy(), np.full(len(guess), np.nan)
+    near = guess.copy()
+    far = np.full(len(guess), np.nan)
     looking = np.arange(len(columns))
     while looking.size:
         probe = near[looking] + stride[looking]
         passed = rays.blocked(columns[looking], probe) != rising[looking]
         far[looking[passed]] = probe[passed]
-        looking, probe = looking[~passed], probe[~passed]
+        looking = looking[~passed]
+        probe = probe[~passed]
         near[looking] = probe
         stride[looking] *= 2.0
         looking = looking[np.abs(probe) < _STEEPEST_TAN]
     tan = np.full(len(guess), np.nan)
     found = np.flatnonzero(~np.isnan(far))
-    low, high = np.minimum(near[found], far[found]), np.maximum(near[found], far[found])
+    low = np.minimum(near[found], far[found])
+    high = np.maximum(near[found], far[found])
     wide = np.flatnonzero(high - low > bracket)
     while wide.size:
         middle = (low[wide] + high[wide]) / 2.0
@@ -201,7 +209,8 @@ def _triangles(field: HeightField) -> NDArray[np.int32]:
     """Return the vertices of every triangle of the surface, (T, 3)."""
     triangles = Triangles.of(field.heights_m)
     corner = np.arange(field.rows * field.cols, dtype=np.int32).reshape(field.rows, field.cols)
-    north_west, south_east = corner[:-1, :-1], corner[1:, 1:]
+    north_west = corner[:-1, :-1]
+    south_east = corner[1:, 1:]
     there = triangles.north_east[1:-1, 1:-1], triangles.south_west[1:-1, 1:-1]
     halves = (north_west, corner[:-1, 1:], south_east), (north_west, south_east, corner[1:, :-1])
     return np.concatenate(
@@ -233,7 +242,8 @@ def grass_horizons(
     place but the first.
     """
     with tempfile.TemporaryDirectory() as folder:
-        dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")
+        dem = Path(folder, "dem.tif")
+        script = Path(folder, "horizons.sh")
         # The samples are the centres of the raster's cells.
         step = field.spacing_east_m, field.spacing_north_m
         corner = field.west_m - 0.5 * step[0], field.north_m + 0.5 * step[1]

@@ -133,7 +133,8 @@ def photos(
         raise InputError("--store is searched whole, and --side-km is of squares; give one of them")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     side_m = 1000.0 * (side_km or (_QUICK_SIDE_KM if quick else _SIDE_KM))
-    sections, found = list[str](), dict[Photograph, Measured]()
+    sections = list[str]()
+    found = dict[Photograph, Measured]()
     with options.store_folder(folder) as place, Terminal().progress("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, store, use_gps):
             found[measured.photograph] = measured
@@ -190,7 +191,8 @@ def measure(
         if terrain is None:
             raise InputError("photographs are to be located; give the elevation model too")
         if store is not None:
-            name, built = store.stem, BuiltStore.read(StoreSpec(path=store), store)
+            name = store.stem
+            built = BuiltStore.read(StoreSpec(path=store), store)
         else:
             name = f"{group[0].name}-area"
             (folder / name).mkdir(exist_ok=True)
@@ -258,7 +260,8 @@ def count_columns(query: PhotoSkyline, true_px: Float64Array) -> tuple[int, int,
     """Count the columns with a true skyline: those trusted, of these right and far off, and all."""
     known = np.isfinite(true_px)
     off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
-    right, far = int((off <= _RIGHT_ROWS).sum()), int((off > _FAR_ROWS).sum())
+    right = int((off <= _RIGHT_ROWS).sum())
+    far = int((off > _FAR_ROWS).sum())
     return off.size, right, far, int(known.sum())
 
 
@@ -386,7 +389,8 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
     lon, lat = first.lonlat
     m_per_deg = np.array([_M_PER_DEG * math.cos(math.radians(lat)), _M_PER_DEG])
     off = generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / m_per_deg
-    middle, half = np.array([lon, lat]) + off, side_m / 2.0 / m_per_deg
+    middle = np.array([lon, lat]) + off
+    half = side_m / 2.0 / m_per_deg
     west, south, east, north = (float(value) for value in (*(middle - half), *(middle + half)))
     map_bounds(terrain, (west, south, east, north))
     return west, south, east, north
@@ -419,7 +423,8 @@ def sky_masks(
     rows = list[Row]()
     with Terminal().progress("photographs") as progress:
         for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
-            counts, seconds = [], []
+            counts = []
+            seconds = []
             for mask in some:
                 photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
                 started = time.process_time()

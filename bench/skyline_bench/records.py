@@ -225,7 +225,8 @@ def machine() -> dict[str, object]:
     """Describe this machine and the software that matters to a measurement on it."""
     try:
         context = acquire_context()
-        renderer, driver = context.renderer, context.version
+        renderer = context.renderer
+        driver = context.version
     except ContextError:
         renderer = driver = "none"
     return {

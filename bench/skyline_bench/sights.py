@@ -35,11 +35,14 @@ _EACH_PX = 24
 def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
     """Return how many visible and hidden summits of photos of ``seen`` are named on ``model``."""
     east_m, north_m = _summits(seen)
-    off, visible, photos = list[Float64Array](), list[BoolArray](), 0
+    off = list[Float64Array]()
+    visible = list[BoolArray]()
+    photos = 0
     for number, (query, pose) in enumerate(posed):
         east, north, column, row, is_seen = _in_picture(seen, query, east_m, north_m, number)
         photos += bool(len(east))
-        names, unknown_m = tuple(map(str, range(len(east)))), np.full(len(east), np.nan)
+        names = tuple(map(str, range(len(east))))
+        unknown_m = np.full(len(east), np.nan)
         peaks = Peaks(names=names, easting_m=east, northing_m=north, height_m=unknown_m)
         with Viewer(model, peaks) as viewer:
             labels = viewer.summits(pose or _true_pose(viewer, query.truth), query.skyline)
@@ -48,8 +51,10 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
             at_px[:, int(one.name)] = one.column_px, one.row_px
         off.append(np.hypot(at_px[0] - column, at_px[1] - row))
         visible.append(is_seen)
-    every_px, is_visible = np.concatenate(off), np.concatenate(visible)
-    is_named, total = np.isfinite(every_px), int(is_visible.sum())
+    every_px = np.concatenate(off)
+    is_visible = np.concatenate(visible)
+    is_named = np.isfinite(every_px)
+    total = int(is_visible.sum())
     off_px = every_px[is_named & is_visible]
     return {
         "measured": "labels",
@@ -94,7 +99,8 @@ def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
         errors.append(np.stack([true_m, found_m, off_m, sd_m]))
     true_m, found_m, off_m, sd_m = np.concatenate(errors, axis=1)
     both = np.isfinite(true_m) & np.isfinite(found_m)
-    off_m, sd_m = off_m[both], sd_m[both]
+    off_m = off_m[both]
+    sd_m = sd_m[both]
     return {
         "measured": "pixels",
         **_about(model, seen, posed),
@@ -141,10 +147,13 @@ def _in_picture(
     seed: int,
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
     """Return easting, northing, column, row and visibility of summits in a photo, some drawn."""
-    truth, size = query.truth, query.skyline
+    truth = query.truth
+    size = query.skyline
     away_m = truth.off_m(east_m, north_m)
     near = (away_m > 2.0 * SUMMIT_RADIUS_M) & (away_m < _SIGHT_M)
-    east_m, north_m, away_m = east_m[near], north_m[near], away_m[near]
+    east_m = east_m[near]
+    north_m = north_m[near]
+    away_m = away_m[near]
     azimuth_rad = np.arctan2(east_m - truth.easting_m, north_m - truth.northing_m)
     ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
     tan = (ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)) / away_m

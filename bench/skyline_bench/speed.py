@@ -103,7 +103,8 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
         true_deg = _true_deg(terrain, compared, np.zeros(len(compared)), Curvature())
         errors = list[Row]()
         for way in ways:
-            seen, key = way.render(way.compared), (way.width, len(way.compared))
+            seen = way.render(way.compared)
+            key = (way.width, len(way.compared))
             if isinstance(seen, Views):
                 if key not in truths:
                     truths[key] = _oracle(terrain, way.width, way.compared)
@@ -137,7 +138,8 @@ def _ways(
     terrain: HeightField, batch: Viewpoints, compared: Viewpoints, quick: bool, held: ExitStack
 ) -> Iterator[_Way]:
     """Yield every way that is compared; renderers are released with ``held``."""
-    few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
+    few = compared[:_SLOW]
+    some = compared[: 2 if quick else _SLOW_COMPARED]
     width = 160 if quick else DEFAULT_WIDTH
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
         depth = held.enter_context(DepthRenderer(terrain, columns))
@@ -153,7 +155,8 @@ def _ways(
         peer = peers.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
             render = partial(peer.render, depth=bisections)
-            name, details = f"{bisections} bisections", {"bisections": bisections}
+            name = f"{bisections} bisections"
+            details = {"bisections": bisections}
             yield _Way("embree", width, name, batch, compared, render, details)
     else:
         _log.warning("Embree is left out: pip install 'skyline-bench[peers]' to measure it")
@@ -226,7 +229,8 @@ def large_dem(record: options.Record = None, quick: options.Quick = False) -> No
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     samples, viewpoints = (1000, 4) if quick else (20_000, 256)
     # Rough terrain that repeats every 60 km, in one array and no copies.
-    period, spacing_m = 2000, 30.0
+    period = 2000
+    spacing_m = 30.0
     tile = (1500.0 + 1500.0 * fractal(period, period, 1, 2.1)).astype(np.float32)
     again = np.arange(samples) % period
     heights = tile[np.ix_(again, again)]

@@ -86,7 +86,9 @@ class _File:
     @classmethod
     def read(cls, dem: Sequence[str | Path], options: DemOptions, field: HeightField) -> "_File":
         mosaic = read_files(dem, options)
-        heights_m, grid, crs = mosaic.heights_m, mosaic.grid, mosaic.crs
+        heights_m = mosaic.heights_m
+        grid = mosaic.grid
+        crs = mosaic.crs
         spacing_m = (
             (grid.step_east, grid.step_north)
             if field.provenance.resampling == "none"
@@ -217,13 +219,15 @@ def _prominent(field: HeightField) -> tuple[Int64Array, Int64Array]:
     """Return row and column of the most prominent summits that known samples surround."""
     # Of a large field, the highest samples of squares: their passes are a little too high.
     side = math.ceil(math.sqrt(field.heights_m.size / _MOST_RANKED))
-    rows, cols = field.rows // side, field.cols // side
+    rows = field.rows // side
+    cols = field.cols // side
     squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
     row, col, _ = prominences(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
     for index, (top, left) in enumerate(zip(side * row, side * col, strict=True)):
         square = field.heights_m[top : top + side, left : left + side]
         at = np.unravel_index(np.nanargmax(square), square.shape)
-        row[index], col[index] = top + at[0], left + at[1]
+        row[index] = top + at[0]
+        col[index] = left + at[1]
     window = [
         2 * round(_APART_M / step) + 1 for step in (field.spacing_north_m, field.spacing_east_m)
     ]
@@ -274,7 +278,8 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
         indexing="ij",
     )
     nodes = surface.to_map(rows.reshape(-1), cols.reshape(-1))
-    easting, northing = np.append(easting, nodes[0]), np.append(northing, nodes[1])
+    easting = np.append(easting, nodes[0])
+    northing = np.append(northing, nodes[1])
     return easting, northing, surface.height_at(easting_m=easting, northing_m=northing)
 
 
@@ -283,11 +288,13 @@ def _summit_errors(
 ) -> Row:
     """Return how far summits are too high or low, also as seen, in metres at their distance."""
     summit, eyes = _sights(file, row, col, config)
-    error_m, seen_m = [], []
+    error_m = []
+    seen_m = []
     # Of a fine lattice that reaches one sample from a summit.
     south, east = (side.ravel() for side in np.meshgrid(_LATTICE, _LATTICE, indexing="ij"))
     for index, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
-        lattice, mine = file.place(r + south, c + east), eyes[:, summit == index]
+        lattice = file.place(r + south, c + east)
+        mine = eyes[:, summit == index]
         around = _surface_around(surface, *lattice)
         error_m.append(np.nanmax(around[2]) - file.heights_m[r, c])
         true = *lattice, file.height_m(*lattice)
@@ -343,7 +350,8 @@ def _sights(
     away_m = rng.uniform(_NEAREST_M, _FARTHEST_M, shape)
     azimuth = rng.uniform(0.0, 2.0 * np.pi, shape)
     summit = np.repeat(np.arange(row.size), config.eyes)
-    east, north = away_m * np.sin(azimuth), away_m * np.cos(azimuth)
+    east = away_m * np.sin(azimuth)
+    north = away_m * np.cos(azimuth)
     easting, northing = np.array(file.place(row, col))[:, summit] + [east, north]
     elevation = file.height_m(easting, northing) + _EYE_M
     drop = Curvature().drop_per_m2
@@ -375,10 +383,13 @@ def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Ar
     is as prominent as it is high above the lowest sample. Holes (NaN) stay under water.
     """
     padded = np.pad(np.asarray(heights_m, np.float64), 1, constant_values=np.nan)
-    height_m, width = padded.ravel().tolist(), padded.shape[1]
+    height_m = padded.ravel().tolist()
+    width = padded.shape[1]
     falling = np.argsort(padded, axis=None, kind="stable")[: np.isfinite(padded).sum()][::-1]
     around = [down * width + right for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
-    top, rank, found = [-1] * padded.size, dict[int, int](), dict[int, float]()
+    top = [-1] * padded.size
+    rank = dict[int, int]()
+    found = dict[int, float]()
 
     def summit_of(place: int) -> int:
         while top[place] != place:

@@ -290,7 +290,8 @@ def export_matches(
         The suffix is not known, a photo cannot be read or is missing, or the file cannot be
         written.
     """
-    path, results = Path(path), listed(results)
+    path = Path(path)
+    results = listed(results)
     if photos is not None and len(photos) != len(results):
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")
     content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frame, photos)

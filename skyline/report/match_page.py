@@ -62,7 +62,8 @@ def report_matches(
         A photo cannot be read, a file cannot be written, or a file of another origin would be
         replaced.
     """
-    folder, results = Path(folder), listed(results)
+    folder = Path(folder)
+    results = listed(results)
     check_report_folder(folder)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)

@@ -89,7 +89,8 @@ class ResultsFile:
     """
 
     def __init__(self, path: Path, search: str) -> None:
-        self.path, self._search = path, search
+        self.path = path
+        self._search = search
         kind = RESULTS.get(path.suffix.lower())
         if kind is None:
             raise InputError(

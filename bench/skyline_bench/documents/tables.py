@@ -130,7 +130,8 @@ def adaptive(results: Results) -> Table:
             uniform = interpolated(x, y, plan["renderings"])
             if uniform is None:
                 continue
-            low, high = plan["within_200m_low"], plan["within_200m_high"]
+            low = plan["within_200m_low"]
+            high = plan["within_200m_high"]
             better = "adaptive" if uniform < low else "uniform" if uniform > high else "tie"
             after = int(np.searchsorted(x, plan["renderings"]))
             ends = grids[max(after - 1, 0) : after + 1]

@@ -64,10 +64,12 @@ class Photograph:
         """
         if self.trace is not None:
             true = read_trace(self.trace)
-            row_px, height = true.row_px, true.height_px
+            row_px = true.row_px
+            height = true.height_px
         elif self.mask is not None:
             mask = read_photo(self.mask).rgb
-            row_px, height = _upper_edge(mask), len(mask)
+            row_px = _upper_edge(mask)
+            height = len(mask)
         else:
             return None
         at = (np.arange(width_px) + 0.5) * len(row_px) / width_px - 0.5

@@ -72,7 +72,8 @@ class StoreSpec:
             BuiltStore.read(self, self.path)
         elif self.spacing_m is not None:
             uniform_grid(terrain, self.spacing_m, area)
-            width, height = area[2] - area[0], area[3] - area[1]
+            width = area[2] - area[0]
+            height = area[3] - area[1]
             if min(width, height) < self.spacing_m:
                 raise InputError(
                     f"the area is {width:.0f} x {height:.0f} m, too small for a grid of "
@@ -96,7 +97,8 @@ class StoreSpec:
             raise InputError(f"{path} has other bounds or another DEM; name another --folder")
         if not path.exists() or noted is None:
             resumed = path.exists() or parts_folder(path).exists()
-            wall, cpu = time.perf_counter(), time.process_time()
+            wall = time.perf_counter()
+            cpu = time.process_time()
             if self.plan is not None:
                 build_planned(terrain, path, self.plan, bounds_deg)
             elif self.holds == RENDERINGS and self.spacing_m is not None:
@@ -128,7 +130,9 @@ class BuiltStore:
         """Return a store that exists; times are NaN where a build was interrupted or not noted."""
         note = _noted(path)
         with open_store(path) as store:
-            rows, holds, boxes_deg = len(store), store.header.holds, store.header.boxes_deg
+            rows = len(store)
+            holds = store.header.holds
+            boxes_deg = store.header.boxes_deg
             planner = spec.planner if spec.path is None else store.header.config["planner"]
             digest = store.digest
         # A place counts as four renderings, since it looks all the way round.
@@ -164,7 +168,8 @@ def middle_deg(
 ) -> Bounds:
     """Return the middle of bounds, by default of the DEM: so far east and north at most."""
     west, south, east, north = map_bounds(terrain, bounds_deg)
-    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    half_east = min(size_m[0], east - west) / 2.0
+    half_north = min(size_m[1], north - south) / 2.0
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
     ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))

@@ -66,7 +66,8 @@ def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
 
 def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strange: bool) -> Trial:
     """Match a query; a query that is refused has no candidate."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     result: MatchResult | JointResult | None = None
     with suppress(InputError):  # No place lies within the narrowing.
         if len(query) > 1:
@@ -74,7 +75,8 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
         else:
             result = matcher.match(query[0].skyline, top=_TOP, narrowing=narrowing)
     taken = time.perf_counter() - wall, time.process_time() - cpu
-    trial, ahead = trial_of(query, result, strange), None
+    trial = trial_of(query, result, strange)
+    ahead = None
     if not strange and trial.error_m > _RIGHT_M and isinstance(result, MatchResult):
         ahead = _truth_ahead(matcher, query[0], result)
     return replace(trial, truth_ahead=ahead, seconds=taken[0], cpu_s=taken[1])
@@ -85,7 +87,8 @@ def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -
 
     None where either does not exist: without refinement, or where nothing fits.
     """
-    truth, fov_deg = query.truth, query.skyline.fov_deg or query.truth.fov_deg
+    truth = query.truth
+    fov_deg = query.skyline.fov_deg or query.truth.fov_deg
     true = Poses(
         easting_m=np.array([truth.easting_m]),
         northing_m=np.array([truth.northing_m]),
@@ -111,7 +114,9 @@ def trial_of(
     places = result.places if isinstance(result, JointResult) else result and result.candidates
     if result is None or not places:
         return Trial(distance_m(query))
-    best, truth, named = places[0], query[0].truth, False
+    best = places[0]
+    truth = query[0].truth
+    named = False
     turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.heading_deg)))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
@@ -172,7 +177,8 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     found = np.array([trial.error_m for trial in trials])
     error_m = np.where(np.isfinite(found), found, miss_m)
     within_m = np.array([trial.within_m for trial in trials], dtype=np.float64)
-    right, answered = found <= _RIGHT_M, np.isfinite(within_m)
+    right = found <= _RIGHT_M
+    answered = np.isfinite(within_m)
     share = binomtest(int(right.sum()), len(trials)).proportion_ci(0.95, "wilson")
     draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
     mean_low, mean_high = np.percentile(error_m[draws].mean(axis=1), (2.5, 97.5))

@@ -175,7 +175,8 @@ class _Country:
 
     def skyline(self, scene: SkylineScene) -> ClosedForm:
         """Return the skylines along geodesics."""
-        eyes, frame = scene.viewpoints, scene.field.frame
+        eyes = scene.viewpoints
+        frame = scene.field.frame
         turn = frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[0]
         u = columns_u(scene.width)
         azimuth_deg = (90.0 * heading + np.degrees(np.arctan(u)) + turn for heading in HEADINGS)
@@ -215,7 +216,8 @@ class _Country:
             left = float(in_turn(self.lon_deg + first * step_lon))
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
-            corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)
+            corner = (left, lat[0] + 0.5 * _STEP_DEG)
+            step = (step_lon, _STEP_DEG)
             path = folder / f"tile{first}.tif"
             paths.append(write_geotiff(path, heights, "EPSG:4326", corner, step))
         return paths
