@@ -1,9 +1,9 @@
-"""The paper's tables: its simulation (Table 1), and its predictors compared with renderings.
+"""The paper's tables: its simulation, and predictors compared with renderings.
 
-The simulation (section 5.1) compares the strategies by (A), the viewpoints rendered, corners
-included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. The
-least number of viewpoints of a strategy, ``bound``, is the number of locations to cover divided by
-the mean area of its views.
+The simulation (section 5.1, Table 1) compares the strategies by (A), the viewpoints rendered,
+corners included, and (B), the overlap: all inclusions in tolerance areas less the locations
+covered. The least number of viewpoints of a strategy, ``bound``, is the number of locations to
+cover divided by the mean area of its views.
 """
 
 import time
@@ -30,15 +30,13 @@ from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 
-_RESAMPLES = 1000
-
 
 def table1(
     seeds: Annotated[int, Option(min=1, help="How many seeds, from 0 on.")] = 10,
     record: options.Record = None,
     quick: Annotated[bool, options.quick_with(seeds=1)] = False,
 ) -> None:
-    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy, there and here.
+    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
     A, B, the area and the seconds are means over n seeds.
     """
@@ -103,13 +101,25 @@ TABLE_1 = (
     }),
 )  # fmt: skip
 
-_DISTANCE, _BREADTH, _HEIGHT, _SETBACK = 9.0, 150.0, 17.0, 18.0
-"""Of the mountain, in sites: from the front row to its near end, end to end, its peaks above
-the eyes, and how far behind the foot they stand. One set serves all rows and strategies."""
-_SIDE, _REACH, _COLUMNS = 100, 15, 64
-"""Rows and columns of sites, the reach of a tolerance area, and, of a view's 640 columns, how
-many are looked at, evenly spread."""
-_CURVE_POINTS = 513
+_SIDE = 100
+"""Rows and columns of sites."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mountain:
+    """The mountain of all rows and strategies; lengths are in sites."""
+
+    distance: float = 9.0
+    """From the front row of sites to the mountain's near end."""
+    breadth: float = 150.0
+    """From end to end."""
+    height: float = 17.0
+    """Of the peaks above the eyes."""
+    setback: float = 18.0
+    """How far the peaks stand behind the foot."""
+
+
+_MOUNTAIN = _Mountain()
 
 
 def mountain_curve(row: Setup) -> Float32Array:
@@ -119,15 +129,15 @@ def mountain_curve(row: Setup) -> Float32Array:
     further back, since a mountain has a slope. At rotation 0 the foot is parallel to the camera
     plane; a rotation turns the mountain about its near end, so that it recedes to the right.
     """
-    along = np.linspace(0.0, _BREADTH, _CURVE_POINTS)
-    one_peak = _BREADTH / row.peaks
+    along = np.linspace(0.0, _MOUNTAIN.breadth, 513)
+    one_peak = _MOUNTAIN.breadth / row.peaks
     rise = 1.0 - np.abs(2.0 * (along % one_peak) / one_peak - 1.0)
-    across = along - _BREADTH / 2.0 + _SIDE / 2.0
-    back = _SETBACK * rise
+    across = along - _MOUNTAIN.breadth / 2.0 + _SIDE / 2.0
+    back = _MOUNTAIN.setback * rise
     turn = np.radians(row.rotation_deg)
     right = across * np.cos(turn) - back * np.sin(turn) - _SIDE / 2.0
-    forward = across * np.sin(turn) + back * np.cos(turn) + _DISTANCE
-    return np.stack([right, _HEIGHT * rise, forward], axis=1).astype(np.float32)
+    forward = across * np.sin(turn) + back * np.cos(turn) + _MOUNTAIN.distance
+    return np.stack([right, _MOUNTAIN.height * rise, forward], axis=1).astype(np.float32)
 
 
 class Simulation:
@@ -145,16 +155,21 @@ class Simulation:
         # Row 0 is the front, and the square is centred before the mountain.
         east = steps - (_SIDE - 1) / 2.0
         north = -steps
-        self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
-        columns = (np.arange(_COLUMNS) + 0.5) * (DEFAULT_WIDTH / _COLUMNS)
+        reach = 15
+        self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, reach)
+        # Of a view's 640 columns 64 are looked at, evenly spread.
+        columns = (np.arange(64) + 0.5) * (DEFAULT_WIDTH / 64)
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
         self._curve = mountain_curve(row)
-        step = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+        step = np.arange(-reach, reach + 1, dtype=np.float64)
         right, back = np.meshgrid(step, step)
         self._around = np.stack([right, np.zeros_like(right), -back], axis=-1).reshape(1, -1, 3)
 
     def render(self, sites: Int64Array) -> Float64Array:
-        """Return the skyline points (N, Q, 3) of views at sites (N): right, up, forward."""
+        """Return the skyline points (N, Q, 3) of views at sites (N).
+
+        A point is right, up, forward.
+        """
         v, depth = envelope(self._curve - self.eyes(sites)[:, None, :], self._u)
         return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
 
@@ -200,7 +215,9 @@ def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float
 def _crossings(
     points: Float32Array, u: Float32Array
 ) -> Iterator[tuple[Int64Array, Float32Array, Float32Array]]:
-    """Yield where curves cross columns: flat (view, column) places, ordinates, inverse depths.
+    """Yield where curves cross columns.
+
+    These are flat indices of (view, column), ordinates and inverse depths.
 
     Each edge meets its first column in the first arrays, its second in the second, and so on.
     """
@@ -267,12 +284,12 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
 # --- predictors on real terrain -------------------------------------------------------------
 
 
-_DISPLACEMENTS, _AWAY_M = 12, 300.0
-"""Other eyes around each viewpoint, uniform in a disc of this radius."""
+_DISPLACEMENTS = 12
+"""Number of other eyes around each viewpoint."""
+_AWAY_M = 300.0
+"""Radius of the disc in which they are drawn evenly."""
 _THRESHOLD_PX = 3.0
 """Two skylines are alike within this."""
-_MARGIN_M = 3000.0
-"""Least distance of a viewpoint from the map's border."""
 
 
 def prediction_quality(
@@ -282,7 +299,7 @@ def prediction_quality(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Reprojection errors compared with renderings: which displaced views look alike.
+    """Reprojection errors against renderings: which displaced views look alike.
 
     The views are displaced from n viewpoints.
     """
@@ -341,7 +358,7 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
     """Return the viewpoints, and all displaced ones, those of one viewpoint together."""
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
-    margin = _MARGIN_M + _AWAY_M
+    margin = 3000.0 + _AWAY_M  # Of a viewpoint from the map's border
     if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
         raise InputError(
             f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "
@@ -368,10 +385,13 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
 
 
 def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:
-    """Return the share of some pairs that are right, and its 95 % interval over viewpoints."""
+    """Return the share of pairs that are right, and its 95 % interval.
+
+    The interval is over viewpoints.
+    """
     eyes = len(right) // 4
     hits, all_ = (np.count_nonzero(part.reshape(eyes, -1), axis=1) for part in (right, among))
-    drawn = np.random.default_rng(seed).integers(0, eyes, (_RESAMPLES, eyes))
+    drawn = np.random.default_rng(seed).integers(0, eyes, (1000, eyes))
     shares = hits[drawn].sum(axis=1) / np.maximum(all_[drawn].sum(axis=1), 1)
     low, high = np.quantile(shares, [0.025, 0.975])
     return hits.sum() / all_.sum() if all_.any() else np.nan, (float(low), float(high))

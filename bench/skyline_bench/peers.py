@@ -40,15 +40,6 @@ from skyline_bench.geotiff import write_geotiff
 from skyline_bench.measuring import core_count, over_cores
 from skyline_bench.truth.oracle import directions_at
 
-_STEEPEST_TAN = 1e4
-"""A column without a hit below this dip meets no data."""
-
-_COARSEST_STRIDE = 64
-_FIRST_STEP = 1.0 / 64.0
-"""Of the neighbours' difference; of 1/4 to 1/128 and none, about the fastest for Embree."""
-
-_VIEWPOINTS_A_CALL = 8
-
 _SCRIPT = """set -e
 r.in.gdal input={dem} output=dem --quiet
 g.region raster=dem
@@ -101,7 +92,7 @@ class EmbreePeer:
         share = max(-(-len(viewpoints) // core_count()), 1)
         # Of the paper's field of view, in which v is from -1 to 1.
         find = partial(self._skylines, bracket=2.0 / 2.0**depth)
-        parts = over_cores(find, viewpoints, min(share, _VIEWPOINTS_A_CALL))
+        parts = over_cores(find, viewpoints, min(share, 8))
         tan = np.concatenate([np.zeros((0, self.width)), *parts])
         eyes, heading = in_four_views(viewpoints)
         place = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
@@ -148,10 +139,10 @@ class _Rays:
 def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float64Array:
     """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
     tan = np.full(columns.shape, np.nan)
-    first = slice(0, None, _COARSEST_STRIDE)
+    stride = 64
+    first = slice(0, None, stride)
     start = np.zeros(columns[:, first].shape)
     tan[:, first] = _around(rays, columns[:, first], start, start + 0.25, bracket)
-    stride = _COARSEST_STRIDE
     while stride > 1:
         half = stride // 2
         between = columns[:, half::stride]
@@ -159,7 +150,8 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float6
         right = tan[:, stride::stride]
         right = np.concatenate([right, left[:, right.shape[1] :]], axis=1)
         guess = np.nan_to_num((left + right) / 2.0)
-        step = np.maximum(bracket, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
+        # Of shares of the neighbours' difference from 1/4 to 1/128, about the fastest for Embree.
+        step = np.maximum(bracket, 1.0 / 64.0 * np.nan_to_num(np.abs(left - right)))
         tan[:, half::stride] = _around(rays, between, guess, step, bracket)
         stride = half
     return tan
@@ -189,7 +181,7 @@ def _around(
         probe = probe[~passed]
         near[looking] = probe
         stride[looking] *= 2.0
-        looking = looking[np.abs(probe) < _STEEPEST_TAN]
+        looking = looking[np.abs(probe) < 1e4]  # Below such a dip are no data.
     tan = np.full(len(guess), np.nan)
     found = np.flatnonzero(~np.isnan(far))
     low = np.minimum(near[found], far[found])
@@ -236,7 +228,7 @@ def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
 def grass_horizons(
     field: HeightField, eyes: Viewpoints, step_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return r.horizon's elevation angles (N, A) from true north, and seconds (N - 1,).
+    """Return r.horizon's elevation angles (N, A) and seconds (N - 1,).
 
     The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
     place but the first.

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 
-PIN_HOLE, CYLINDER = "pin-hole", "cylinder"
+PIN_HOLE = "pin-hole"
+"""The mapping of a photo without distortion."""
+CYLINDER = "cylinder"
+"""The mapping of a panorama."""
 FISHEYES = ("equidistant", "equisolid", "stereographic")
 """Mappings of fisheyes."""
 _MIN_FORWARD = 0.05
@@ -143,5 +146,6 @@ def _topmost(
     known = known[np.argsort(-crossing[known], kind="stable")]
     row_px = np.full(width, np.nan)
     which = np.full(width, -1, dtype=np.intp)
-    row_px[at[known]], which[at[known]] = crossing[known], segment[known]
+    row_px[at[known]] = crossing[known]
+    which[at[known]] = segment[known]
     return row_px, which

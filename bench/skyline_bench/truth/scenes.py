@@ -120,7 +120,8 @@ def _pyramid_skyline(scene: SkylineScene) -> forms.ClosedForm:
     return forms.ClosedForm(-above / (64.0 * forms.SPACING_M) - 0.5 * (1.0 + u))
 
 
-_PIT_CELLS, _PIT_SPACING_M = 1, 16.0
+_PIT_CELLS = 1
+_PIT_SPACING_M = 16.0
 
 
 def _pit(depth_m: float) -> SkylineScene:
@@ -240,7 +241,9 @@ STEEP_CASES = (
 MARS_RADIUS_M = 3_389_500.0
 
 
-_PLAIN_SPACING_M, _PLAIN_HALF = 100.0, 128
+_PLAIN_SPACING_M = 100.0
+_PLAIN_HALF = 128
+"""Samples from the middle of the plain to its border."""
 
 
 def _plain(*eye_heights_m: float) -> SkylineScene:
