@@ -99,4 +99,4 @@ def test_the_page_has_the_numbers_and_the_verdict_of_the_command(matched):
         }
     if record["answer"] is not None:
         near = {200.0: "confidence", 1000.0: "confidence_1km"}[record["answer_within_m"]]
-        assert page["chance"] == record["answer"][near]
+        assert page["confidence"] == record["answer"][near]

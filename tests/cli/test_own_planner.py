@@ -9,7 +9,7 @@ from packages import install
 
 from skyline.store.read import open_store
 
-OPTIONS = "--grid", "1200", "--site-spacing", "300", "--coverage", "0.9", "--width", "64"
+OPTIONS = "--coarse-spacing", "1200", "--site-spacing", "300", "--coverage", "0.9", "--width", "64"
 
 
 @pytest.fixture
