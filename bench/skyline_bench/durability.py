@@ -99,7 +99,8 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
         whole = folder / "whole.h5"
         started = time.perf_counter()
         _start(terrain, whole, plan, workers).join()
-        lasts_s, unbroken = time.perf_counter() - started, whole.read_bytes()
+        lasts_s = time.perf_counter() - started
+        unbroken = whole.read_bytes()
         whole.unlink()
         tally = Counter(builds=0, kills=0, lost=0, equal=0)
         for _ in range(number, builds, len(kinds)):
@@ -156,10 +157,12 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
     past `take` of places; ``crashes`` are those and hangs of readers and of the check.
     """
     generator = np.random.default_rng(0)
-    data, tally = bytearray(whole.read_bytes()), Counter[str]()
+    data = bytearray(whole.read_bytes())
+    tally = Counter[str]()
     path = folder / "flipped.h5"
     for _ in range(flips):
-        place, bit = int(generator.integers(len(data))), 1 << int(generator.integers(8))
+        place = int(generator.integers(len(data)))
+        bit = 1 << int(generator.integers(8))
         data[place] ^= bit
         path.write_bytes(data)
         data[place] ^= bit
@@ -176,8 +179,10 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
 
 def _mutations(whole: Path, folder: Path, cases: int) -> Row:
     """Read mutated copies of a store; each must be read, or refused in one line."""
-    generator, tally = np.random.default_rng(0), Counter[str]()
-    data, path = whole.read_bytes(), folder / "mutated.h5"
+    generator = np.random.default_rng(0)
+    tally = Counter[str]()
+    data = whole.read_bytes()
+    path = folder / "mutated.h5"
     for _ in range(cases):
         path.write_bytes(mutated(data, generator))
         tally[outcome_of(partial(_read_as, path, whole), _READ_S)] += 1
@@ -191,7 +196,8 @@ def _read_as(path: Path, whole: Path) -> str:
         with open_store(path) as store, open_store(whole) as reference:
             if store.header.holds == PLACES:
                 store.places().take(np.arange(len(store)))
-            wanted, got = reference.stored(), store.stored()
+            wanted = reference.stored()
+            got = store.stored()
             same = store.header == reference.header and len(store) == len(reference)
             same = same and all(wanted[name].tobytes() == got[name].tobytes() for name in wanted)
         return "same" if same else "changed"
@@ -207,7 +213,8 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
         near = min(len(changed), 16_384) if generator.random() < 0.6 else len(changed)
         return int(generator.integers(near))
 
-    first, length = place(), int(2.0 ** generator.uniform(0.0, 12.0))
+    first = place()
+    length = int(2.0 ** generator.uniform(0.0, 12.0))
     last = min(first + length, len(changed))
     match int(generator.integers(8)):
         case 0:
@@ -257,7 +264,8 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
     """Return good files and the commands that read them, by suffix."""
     generator = np.random.default_rng(0)
     heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
-    corner, step = (_WEST_M, _NORTH_M), (_SPACING_M, _SPACING_M)
+    corner = (_WEST_M, _NORTH_M)
+    step = (_SPACING_M, _SPACING_M)
     dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
     store = folder / "store.h5"
     outcome_of(partial(_command, ["build", dem, "-o", store, "--spacing", 300]), _COMMAND_S)

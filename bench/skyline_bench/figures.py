@@ -83,7 +83,8 @@ def _draw_speed(rows: Sequence[Row]) -> Figure:
     axis = figure.subplots()
     for path, (label, colour, marker) in _WAYS.items():
         mine = [row for row in rows if row["path"] == path and row.get("rms_px")]
-        x, y = [row["ms_per_viewpoint"] for row in mine], [row["rms_px"] for row in mine]
+        x = [row["ms_per_viewpoint"] for row in mine]
+        y = [row["rms_px"] for row in mine]
         line = "-" if path in ("embree", "depth") else ""
         axis.plot(x, y, color=colour, marker=marker, label=label, linestyle=line)
     axis.set(xscale="log", yscale="log", xlabel="ms a viewpoint, all cores")
@@ -101,12 +102,14 @@ def _draw_adaptive(records: Results) -> Figure:
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots(1, len(terrains), sharey=True, squeeze=False)[0]
     for terrain, planner, record in COMPARED:
-        axis, rows = axes[terrains.index(terrain)], records.rows(record)
+        axis = axes[terrains.index(terrain)]
+        rows = records.rows(record)
         colour = "#0072B2" if planner == "ours" else "#D55E00"
         kinds = ("uniform", "o--"), ("adaptive", "D-")
         for some, (kind, style) in zip(by_planner(rows), kinds, strict=True):
             share, *ends = np.array([[row[key] for row in some] for key in _SHARES])
-            x, off = [row["renderings"] for row in some], np.abs(np.array(ends) - share)
+            x = [row["renderings"] for row in some]
+            off = np.abs(np.array(ends) - share)
             label = f"{planner}, {kind}: {some[0]['queries']} queries, {some[0]['km2']:,.0f} km²"
             axis.errorbar(x, share, off, fmt=style, color=colour, label=label, capsize=2)
         axis.set(xscale="log", xlabel="renderings, or four a place", ylim=(0.0, 1.0))
@@ -128,7 +131,8 @@ def readme_picture(
         store = Path(name) / "places.h5"
         build_places(terrain, store, bounds_deg=SAMPLE_BOUNDS_DEG)
         eye = stand_at(terrain, lon=-84.2790, lat=36.6029, summit_within_m=0.0)
-        photo, report = Path(name) / "photo.jpg", Path(name) / "report"
+        photo = Path(name) / "photo.jpg"
+        report = Path(name) / "report"
         with DepthRenderer(terrain, 512 if quick else 2048) as renderer:
             taken = Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1))
         taken.save(photo, quality=92)

@@ -1,7 +1,8 @@
-"""Made photos that note heights: from the air, as drones, towers and balloons, and from the ground.
+"""Made photos that note heights, from the air and from the ground.
 
-A drone notes its height above its take-off and the altitude of its barometer. Other photos note an
-altitude alone, many above the ellipsoid, as if it were above the sea.
+Those from the air are of drones, towers and balloons. A drone notes its height above its take-off
+and the altitude of its barometer. Other photos note an altitude alone, many above the ellipsoid, as
+if it were above the sea.
 """
 
 import math
@@ -27,12 +28,8 @@ RIGHT_EYE_M = 30.0
 HEIGHTS = """measured=queries group km2 n answered wrong lowest_m highest_m median_deg median_eye_m
     worst_eye_m strongest seconds=s"""
 """Columns of the printed table."""
-_ALOFT_M = 40.0, 400.0
-"""Heights of eyes above the ground."""
-_TAKEOFF_M = 200.0
-"""Greatest distance of a drone from its take-off."""
-_BAROMETER_SD_M, _ALTITUDE_SD_M = 90.0, 15.0
-"""Deviations of a drone's altitude and of a phone's; `skyline.match.prior` has the sources."""
+_ALTITUDE_SD_M = 15.0
+"""Standard deviation of a phone's altitude; `skyline.match.prior` has the source."""
 _GEOID_M = 50.0
 """Height of the geoid above the ellipsoid in the Alps."""
 
@@ -65,26 +62,32 @@ def _tried(
     find: _Find, terrain: HeightField, seen: HeightField, area: Rectangle, entropy: list[int]
 ) -> _Tried:
     """Make one photo that notes heights, and orient it."""
-    rng, noting = np.random.default_rng(entropy), list(_GROUPS.values())[entropy[1]]
+    rng = np.random.default_rng(entropy)
+    noting = list(_GROUPS.values())[entropy[1]]
     height_m = DEFAULT_EYE_HEIGHT_M
     if noting is not _grounded:
-        height_m = float(np.exp(rng.uniform(*np.log(_ALOFT_M))))
-    config, drawn = QueryConfig(eye_height_m=height_m), int(rng.integers(2**31))
+        height_m = float(np.exp(rng.uniform(*np.log((40.0, 400.0)))))
+    config = QueryConfig(eye_height_m=height_m)
+    drawn = int(rng.integers(2**31))
     (query,) = make_queries(seen, area, 1, drawn, config)
-    off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
-    east, north = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
-    lon, lat = map(float, terrain.frame.to_lonlat(east, north))
+    lon, lat = map(float, terrain.frame.to_lonlat(*beside_m(query.truth, rng)))
     noted = replace(noting(terrain, query.truth, rng), lonlat_deg=(lon, lat))
     return query.truth, find(replace(query.skyline, noted=noted), (lon, lat)), height_m
+
+
+def beside_m(truth: Truth, rng: np.random.Generator) -> tuple[float, float]:
+    """Draw easting and northing of a place `BESIDE_M` from a true one."""
+    off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
+    return truth.easting_m + off.real, truth.northing_m + off.imag
 
 
 def _of_drone(terrain: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPlace:
     ground_m = math.nan
     while math.isnan(ground_m):
-        away = rng.uniform(0.0, _TAKEOFF_M) * np.exp(2j * np.pi * rng.uniform())
+        away = rng.uniform(0.0, 200.0) * np.exp(2j * np.pi * rng.uniform())
         at = {"easting_m": truth.easting_m + away.real, "northing_m": truth.northing_m + away.imag}
         ground_m = float(terrain.height_at(**at))
-    altitude_m = truth.eye_elevation_m + _BAROMETER_SD_M * rng.standard_normal()
+    altitude_m = truth.eye_elevation_m + 90.0 * rng.standard_normal()
     above_m = truth.eye_elevation_m - ground_m
     return NotedPlace(elevation_m=altitude_m, takeoff_height_m=above_m)
 

@@ -1,4 +1,4 @@
-"""Measuring: times and memory of rival programs, and how values are shown.
+"""Measuring: times and memory of rival programs, areas, and how values are shown.
 
 Each program has all cores and a warm-up, and they take turns.
 """
@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Medians over the repeats of one piece of work."""
+    """The time of a piece of work, or the medians of its repeats."""
 
     seconds: float  # Wall-clock time
     cpu_seconds: float  # Processor time of the whole process, all its threads
@@ -46,8 +46,13 @@ def square_km(bounds_m: Rectangle) -> float:
     return (east - west) * (north - south) / 1e6
 
 
+def window_of(apart_m: float, *spacings_m: float) -> list[int]:
+    """Return the samples of a window that reaches ``apart_m`` to either side."""
+    return [2 * round(apart_m / step) + 1 for step in spacings_m]
+
+
 def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Viewpoints:
-    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM."""
+    """Return up to ``count`` viewpoints of a square grid in a DEM's middle."""
     side = int(np.ceil(np.sqrt(count)))
     west, south, east, north = terrain.bounds_m
     half_m = (side - 0.5) / 2.0 * spacing_m
@@ -63,7 +68,7 @@ def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Vi
 def over_cores(
     work: Callable[[Viewpoints], Result], viewpoints: Viewpoints, viewpoints_a_call: int
 ) -> list[Result]:
-    """Share viewpoints out among as many threads as there are cores; results in order."""
+    """Share viewpoints out among all cores; return the results in order."""
     parts = [
         viewpoints[start : start + viewpoints_a_call]
         for start in range(0, len(viewpoints), viewpoints_a_call)
@@ -75,22 +80,31 @@ def over_cores(
 def in_turns(
     works: Sequence[Callable[[], object]], repeats: int, tick: Callable[[], object] = lambda: None
 ) -> list[Timing]:
-    """Time each piece of work, in turns so that what else the machine does hits all alike.
+    """Time each piece of work, in turns.
+
+    What else the machine does thus hits all alike.
 
     Everything runs once before the first of ``repeats`` timed rounds; ``tick`` is called after
     each run, outside the time.
     """
-    rounds = [[_timed(work, tick) for work in works] for _ in range(repeats + 1)]
+    rounds = [[_ticked(work, tick) for work in works] for _ in range(repeats + 1)]
     medians = np.median(np.array(rounds[1:]).reshape(repeats, len(works), 2), axis=0)
     return [Timing(float(wall), float(cpu)) for wall, cpu in medians]
 
 
-def _timed(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
-    wall, cpu = time.perf_counter(), time.process_time()
-    work()
-    taken = time.perf_counter() - wall, time.process_time() - cpu
+def timed(work: Callable[[], Result]) -> tuple[Result, Timing]:
+    """Do a piece of work; return its result and its time."""
+    wall = time.perf_counter()
+    cpu = time.process_time()
+    result = work()
+    return result, Timing(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def _ticked(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
+    """Return the wall-clock and the processor time of work, and tick after it."""
+    _, timing = timed(work)
     tick()
-    return taken
+    return timing.seconds, timing.cpu_seconds
 
 
 def peak_bytes() -> int | None:

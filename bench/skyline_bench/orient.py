@@ -29,7 +29,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
-from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, height_rows
+from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, beside_m, height_rows
 from skyline_bench.measuring import Row, square_km
 from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
@@ -40,21 +40,8 @@ from skyline_bench.search.stores import middle_deg
 from skyline_bench.search.trials import ALL, groups
 from skyline_bench.sights import Posed, label_row, pixel_row
 
-NEAR_DEG, FOV_SHARE = 0.3, 0.03
-"""Errors of a heading, and of a field of view as a share of it, that are small."""
 SHARP_DEG = 0.15
 """Standard error up to which a heading within 0.3 degrees is claimed."""
-STEADY_DEG = 0.1
-"""Largest deviation of a frame's heading from the others' of a camera that stands still."""
-_FOGGY = 10
-"""Of so many frames of a webcam one is taken in fog."""
-_WEBCAM_M = 2000.0
-"""Least median distance of the skyline that a webcam is pointed at."""
-_RENDERED_PX = 2048
-_HEIGHT_SHARE = 10
-"""For one made photo in so many there is one of each kind that notes heights."""
-_PIXEL_SHARE = 10
-"""Places in pixels are compared for one made photo in so many: each takes seconds."""
 _ORIENTED = """of measured=queries group km2 n answered within_0.3_deg within_1_deg=within_1
     median_deg p95_deg median_sd_deg=median_sd within_2_sd fov_within_3_% wrong strongest
     seconds=s"""
@@ -163,12 +150,13 @@ def made_rows(
     """Return the rows of all that is made: photos, strangers, labels, pixels and a webcam."""
     seen = perturbed(terrain, seed=seed)
     kinds = 2 + len(UNMARKED) + (strange is not None)
-    rng, steps = np.random.default_rng(seed), kinds * count
-    to_lonlat, held = terrain.frame.to_lonlat, list[_Held]()
+    rng = np.random.default_rng(seed)
+    steps = kinds * count
+    to_lonlat = terrain.frame.to_lonlat
+    held = list[_Held]()
     for query in make_queries(seen, area, count, seed):
-        off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
-        place = query.truth.easting_m + off.real, query.truth.northing_m + off.imag
-        held.append((query, _oriented(orienter_at, query.skyline, to_lonlat(*place))))
+        lonlat = to_lonlat(*beside_m(query.truth, rng))
+        held.append((query, _oriented(orienter_at, query.skyline, lonlat)))
         progress(len(held), steps)
     rows = _by_distance(terrain, held)
     for kind in UNMARKED:
@@ -188,15 +176,17 @@ def made_rows(
         about = {"measured": "strangers", "group": ALL}
         rows.append(about | summarize(found, is_strange=True))
     find = partial(_oriented, orienter_at)
-    rows += height_rows(find, terrain, seen, area, -(-count // _HEIGHT_SHARE), seed)
+    # There is a photo of each kind that notes heights for ten others.
+    rows += height_rows(find, terrain, seen, area, -(-count // 10), seed)
     own: list[Posed] = [(query, None) for query in make_queries(terrain, area, count, seed + 2)]
     given: list[Posed] = [(query, None) for query, _ in held]
     answered: list[Posed] = [(query, one.pose) for query, one in held if one.answer is not None]
-    for row_of, share in ((label_row, 1), (pixel_row, _PIXEL_SHARE)):
+    # Places in pixels are compared for one photo in ten: each takes seconds.
+    for row_of, share in ((label_row, 1), (pixel_row, 10)):
         for model, posed in ((terrain, own), (seen, given), (seen, answered)):
             if posed:
                 rows.append(row_of(terrain, model, posed[: -(-count // share)]))
-    far = (query for query, _ in held if query.distance_m > _WEBCAM_M)
+    far = (query for query, _ in held if query.distance_m > 2000.0)
     camera = next(far, held[0][0])
     webcam = webcam_row(orienter_at, terrain, seen, camera, count, seed, progress)
     return [{**row, "km2": square_km(area)} for row in (*rows, webcam)]
@@ -239,7 +229,7 @@ def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any
     }
     if known and not is_strange:
         line |= {
-            "within_0.3_deg": float((off <= NEAR_DEG).mean()),
+            "within_0.3_deg": float((off <= 0.3).mean()),
             "within_1_deg": float((off <= RIGHT_DEG).mean()),
             "median_deg": float(np.median(off)),
             "p95_deg": float(np.quantile(off, 0.95)),
@@ -247,7 +237,7 @@ def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any
             "within_2_sd": float((off <= 2.0 * sd).mean()),
         }
     if fov and not is_strange:
-        line["fov_within_3_%"] = float((np.array(fov) <= FOV_SHARE).mean())
+        line["fov_within_3_%"] = float((np.array(fov) <= 0.03).mean())
     return line
 
 
@@ -260,7 +250,7 @@ def webcam_row(
     seed: int,
     progress: Progress,
 ) -> Row:
-    """Return how steady the headings of a camera's frames are that stands still, and the fog's.
+    """Return how steady the headings of a fixed camera's frames are.
 
     Weather and season differ from frame to frame. In the fog of every tenth frame 2 % of the
     contrast is left at half the distance of the nearest skyline, or nearer.
@@ -269,9 +259,10 @@ def webcam_row(
     camera = truth.camera()
     eyes = at_elevation(seen, truth.easting_m, truth.northing_m, truth.eye_elevation_m)
     lonlat = terrain.frame.to_lonlat(truth.easting_m + BESIDE_M, truth.northing_m)
-    rng, found = np.random.default_rng(seed), list[Orientation]()
-    fog = np.arange(count) % _FOGGY == _FOGGY - 1
-    with DepthRenderer(seen, _RENDERED_PX) as renderer, TemporaryDirectory() as folder:
+    rng = np.random.default_rng(seed)
+    found = list[Orientation]()
+    fog = np.arange(count) % 10 == 9
+    with DepthRenderer(seen, 2048) as renderer, TemporaryDirectory() as folder:
         away_m = distance_along(renderer.depth_images(eyes, 0), camera.rays())
         nearest_m = float(np.where(np.isfinite(away_m), away_m, 0.0).max(axis=0).min())
         for number in range(count):
@@ -298,7 +289,7 @@ def webcam_row(
         "nearest_m": nearest_m,
         "frames": int((~fog).sum()),
         "answered": len(clear),
-        "within_0.1_deg": float((spread <= STEADY_DEG).mean()) if clear else None,
+        "within_0.1_deg": float((spread <= 0.1).mean()) if clear else None,
         "spread_deg": float(np.std(turned)) if clear else None,
         "greatest_deg": float(spread.max(initial=0.0)),
         "off_deg": abs(middle),
@@ -320,14 +311,15 @@ def _oriented(
         lon, lat = map(float, lonlat)
         return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
     except SkylineError as error:
-        blank, said = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1), str(error)
+        blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
+        said = str(error)
         if isinstance(query, Path):
             said = said.replace(str(query), query.stem)
         return Orientation(blank, None, refusal=said)
 
 
 def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:
-    """Return rows of made photos by the distance of their skylines, and of those sharply held."""
+    """Return rows of made photos, by distance and of those sharply held."""
     figures = []
     for query, found in held:
         place_m = {"easting_m": query.truth.easting_m, "northing_m": query.truth.northing_m}

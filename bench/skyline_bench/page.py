@@ -1,4 +1,4 @@
-"""The page measured in a browser: loading, strokes, and the skyline that follows the mouse."""
+"""The page measured in a browser: loading, strokes, and the live skyline."""
 
 import shutil
 import subprocess
@@ -28,9 +28,6 @@ from skyline_bench.queries.pinhole import Camera
 
 _SPACING_M = 120.0
 _PHOTO_PX = (4000, 3000)
-_FOCAL_LENGTH_35MM = 31
-_LIMIT_S = 120.0
-_DRAG_HZ = 60.0
 
 _PROMISED: dict[str, Row] = {
     "server ready": {"at most": 3},
@@ -82,7 +79,8 @@ def address_in(line: str) -> str:
 
 def headless() -> tuple[Any, Any]:
     """Return Chromium's options and driver, without a screen or a network beyond this machine."""
-    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    program = shutil.which("chromium")
+    driver = shutil.which("chromedriver")
     try:
         from selenium import webdriver  # noqa: PLC0415  (an extra)
         from selenium.webdriver.chrome.service import Service  # noqa: PLC0415
@@ -135,15 +133,17 @@ def page(record: options.Record = None, quick: options.Quick = False) -> None:
 def _made(folder: Path) -> tuple[Path, Path]:
     """Return a store of the sample terrain, and a photo of 12 megapixels."""
     terrain = read_dem([write_sample_dem(folder / "sample.tif")])
-    store, photo = folder / "places.h5", folder / "photo.jpg"
+    store = folder / "places.h5"
+    photo = folder / "photo.jpg"
     build_places(terrain, store, _SPACING_M, SAMPLE_BOUNDS_DEG)
     eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
-    fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
+    focal_length_mm = 31  # As of a full frame, whose half is 18 mm wide
+    fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / focal_length_mm)))
     with DepthRenderer(terrain, 2048) as renderer:
         picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)
     large = cv2.resize(picture, _PHOTO_PX, interpolation=cv2.INTER_CUBIC)
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = _FOCAL_LENGTH_35MM
+    exif.get_ifd(0x8769)[0xA405] = focal_length_mm
     Image.fromarray(large).save(photo, quality=92, exif=exif)
     return store, photo
 
@@ -188,18 +188,20 @@ def _strokes(chromium: Any) -> list[float]:
 def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
     """Drag the camera about the map, and return how the skyline follows."""
     box = chromium.find_element("css selector", ".camera").rect
-    column, row = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+    column = box["x"] + box["width"] / 2.0
+    row = box["y"] + box["height"] / 2.0
     _mouse(chromium, "mousePressed", column, row)
     _mouse(chromium, "mouseMoved", column + 6.0, row)
     time.sleep(0.5)
     chromium.execute_script("performance.clearMeasures('look')")
+    a_second = 60.0  # Moves of the mouse
     began = time.perf_counter()
     moves = 0
     while time.perf_counter() - began < drag_s:
         moves += 1
-        turn = moves / _DRAG_HZ
+        turn = moves / a_second
         _mouse(chromium, "mouseMoved", column + 25 * np.cos(turn), row + 20 * np.sin(turn))
-        time.sleep(max(0.0, began + moves / _DRAG_HZ - time.perf_counter()))
+        time.sleep(max(0.0, began + moves / a_second - time.perf_counter()))
     seconds = time.perf_counter() - began
     latency = chromium.execute_script(_MEASURED.format("look"))
     _mouse(chromium, "mouseReleased", column, row)
@@ -223,7 +225,7 @@ def _mouse(chromium: Any, kind: str, column: float, row: float) -> None:
 def _until(true: Callable[[], object]) -> None:
     began = time.perf_counter()
     while not true():
-        if time.perf_counter() - began > _LIMIT_S:
+        if time.perf_counter() - began > 120.0:
             raise BuildError(
                 "the page did not get ready within 2 minutes; open it in a browser, see its console"
             )

@@ -1,9 +1,9 @@
-"""The paper's tables: its simulation (Table 1), and its predictors compared with renderings.
+"""The paper's tables: its simulation, and predictors compared with renderings.
 
-The simulation (section 5.1) compares the strategies by (A), the viewpoints rendered, corners
-included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. The
-least number of viewpoints of a strategy, ``bound``, is the number of locations to cover divided by
-the mean area of its views.
+The simulation (section 5.1, Table 1) compares the strategies by (A), the viewpoints rendered,
+corners included, and (B), the overlap: all inclusions in tolerance areas less the locations
+covered. The least number of viewpoints of a strategy, ``bound``, is the number of locations to
+cover divided by the mean area of its views.
 """
 
 import time
@@ -18,7 +18,7 @@ from typer import Option
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.paper import reprojection
-from skyline.paper.strategies import PLANNERS, Candidates, Coverage, Planner, Problem
+from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.paper.verify import true_errors_px
 from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
@@ -30,15 +30,13 @@ from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 
-_RESAMPLES = 1000
-
 
 def table1(
     seeds: Annotated[int, Option(min=1, help="How many seeds, from 0 on.")] = 10,
     record: options.Record = None,
     quick: Annotated[bool, options.quick_with(seeds=1)] = False,
 ) -> None:
-    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy, there and here.
+    """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
     A, B, the area and the seconds are means over n seeds.
     """
@@ -69,7 +67,7 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
             measured = {key: float(np.mean(values)) for key, values in figures.items()}
             measured |= {f"{key}_std": float(np.std(values)) for key, values in figures.items()}
             measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
-            bound = row.coverage * simulation.candidates.valid.size / measured["mean_area"]
+            bound = row.coverage * simulation.sites.valid.size / measured["mean_area"]
             papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
             about = {"row": number, "strategy": name, "n": seeds}
             rows.append({**about, **papers, **measured, "bound": bound})
@@ -103,13 +101,25 @@ TABLE_1 = (
     }),
 )  # fmt: skip
 
-_DISTANCE, _BREADTH, _HEIGHT, _SETBACK = 9.0, 150.0, 17.0, 18.0
-"""Of the mountain, in candidates: from the front row to its near end, end to end, its peaks above
-the eyes, and how far behind the foot they stand. One set serves all rows and strategies."""
-_SIDE, _REACH, _COLUMNS = 100, 15, 64
-"""Rows and columns of candidates, the reach of a tolerance area, and, of a view's 640 columns, how
-many are looked at, evenly spread."""
-_CURVE_POINTS = 513
+_SIDE = 100
+"""Rows and columns of sites."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mountain:
+    """The mountain of all rows and strategies; lengths are in sites."""
+
+    distance: float = 9.0
+    """From the front row of sites to the mountain's near end."""
+    breadth: float = 150.0
+    """From end to end."""
+    height: float = 17.0
+    """Of the peaks above the eyes."""
+    setback: float = 18.0
+    """How far the peaks stand behind the foot."""
+
+
+_MOUNTAIN = _Mountain()
 
 
 def mountain_curve(row: Setup) -> Float32Array:
@@ -119,23 +129,23 @@ def mountain_curve(row: Setup) -> Float32Array:
     further back, since a mountain has a slope. At rotation 0 the foot is parallel to the camera
     plane; a rotation turns the mountain about its near end, so that it recedes to the right.
     """
-    along = np.linspace(0.0, _BREADTH, _CURVE_POINTS)
-    one_peak = _BREADTH / row.peaks
+    along = np.linspace(0.0, _MOUNTAIN.breadth, 513)
+    one_peak = _MOUNTAIN.breadth / row.peaks
     rise = 1.0 - np.abs(2.0 * (along % one_peak) / one_peak - 1.0)
-    across = along - _BREADTH / 2.0 + _SIDE / 2.0
-    back = _SETBACK * rise
+    across = along - _MOUNTAIN.breadth / 2.0 + _SIDE / 2.0
+    back = _MOUNTAIN.setback * rise
     turn = np.radians(row.rotation_deg)
     right = across * np.cos(turn) - back * np.sin(turn) - _SIDE / 2.0
-    forward = across * np.sin(turn) + back * np.cos(turn) + _DISTANCE
-    return np.stack([right, _HEIGHT * rise, forward], axis=1).astype(np.float32)
+    forward = across * np.sin(turn) + back * np.cos(turn) + _MOUNTAIN.distance
+    return np.stack([right, _MOUNTAIN.height * rise, forward], axis=1).astype(np.float32)
 
 
 class Simulation:
-    """A square of candidates before a parametric mountain, for one row of Table 1.
+    """A square of sites before a parametric mountain, for one row of Table 1.
 
-    Lengths are in candidates (the pitch of the grid), and stand for metres in `skyline.paper`. The
+    Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
     eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
-    in the columns of a view. Tolerance areas, and what ROV knows of a candidate, are those of the
+    in the columns of a view. Tolerance areas, and what ROV knows of a site, are those of the
     package: `skyline.paper.reprojection`.
     """
 
@@ -143,23 +153,29 @@ class Simulation:
         self.row = row
         steps = np.arange(_SIDE, dtype=np.float64)
         # Row 0 is the front, and the square is centred before the mountain.
-        east, north = steps - (_SIDE - 1) / 2.0, -steps
-        self.candidates = Candidates(np.ones((_SIDE, _SIDE), dtype=bool), east, north, _REACH)
-        columns = (np.arange(_COLUMNS) + 0.5) * (DEFAULT_WIDTH / _COLUMNS)
+        east = steps - (_SIDE - 1) / 2.0
+        north = -steps
+        reach = 15
+        self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, reach)
+        # Of a view's 640 columns 64 are looked at, evenly spread.
+        columns = (np.arange(64) + 0.5) * (DEFAULT_WIDTH / 64)
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
         self._curve = mountain_curve(row)
-        step = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+        step = np.arange(-reach, reach + 1, dtype=np.float64)
         right, back = np.meshgrid(step, step)
         self._around = np.stack([right, np.zeros_like(right), -back], axis=-1).reshape(1, -1, 3)
 
-    def render(self, candidates: Int64Array) -> Float64Array:
-        """Return the skyline points (N, Q, 3) of views at candidates (N): right, up, forward."""
-        v, depth = envelope(self._curve - self.eyes(candidates)[:, None, :], self._u)
+    def render(self, sites: Int64Array) -> Float64Array:
+        """Return the skyline points (N, Q, 3) of views at sites (N).
+
+        A point is right, up, forward.
+        """
+        v, depth = envelope(self._curve - self.eyes(sites)[:, None, :], self._u)
         return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
 
     def areas(self, points: Float64Array) -> BoolArray:
         """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
-        window = self.candidates.window
+        window = self.sites.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
         warp = reprojection.affine_mean if self.row.affine else reprojection.non_affine
         errors = reprojection.errors_px(points, around, DEFAULT_WIDTH, warp)
@@ -167,10 +183,11 @@ class Simulation:
         areas[:, window // 2, window // 2] = True
         return np.asarray(areas)
 
-    def eyes(self, candidates: Int64Array) -> Float32Array:
+    def eyes(self, sites: Int64Array) -> Float32Array:
         """Return right, up, forward (N, 3) of eyes."""
-        row, col = self.candidates.row_col(candidates)
-        east, north = self.candidates.easting_m[col], self.candidates.northing_m[row]
+        row, col = self.sites.row_col(sites)
+        east = self.sites.easting_m[col]
+        north = self.sites.northing_m[row]
         return np.stack([east, np.zeros(len(row)), north], axis=1).astype(np.float32)
 
 
@@ -180,7 +197,8 @@ def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float
     Points (N, P, 3) are right, up and forward of each view's curve; abscissas ``u`` (Q,) of the
     columns are evenly spaced. Returned are ordinates and depths (N, Q), NaN where there are none.
     """
-    views, columns = len(points), len(u)
+    views = len(points)
+    columns = len(u)
     v = np.full(views * columns, -np.inf, dtype=np.float32)
     inverse_depth = np.full(views * columns, np.nan, dtype=np.float32)
     crossings = list(_crossings(points, u))
@@ -197,20 +215,25 @@ def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float
 def _crossings(
     points: Float32Array, u: Float32Array
 ) -> Iterator[tuple[Int64Array, Float32Array, Float32Array]]:
-    """Yield where curves cross columns: flat (view, column) places, ordinates, inverse depths.
+    """Yield where curves cross columns.
+
+    These are flat indices of (view, column), ordinates and inverse depths.
 
     Each edge meets its first column in the first arrays, its second in the second, and so on.
     """
     depth = points[..., 2]
     inverse = np.float32(1.0) / np.where(depth > 0.0, depth, np.float32(np.nan))
-    abscissa, ordinate = points[..., 0] * inverse, points[..., 1] * inverse
+    abscissa = points[..., 0] * inverse
+    ordinate = points[..., 1] * inverse
     position = (abscissa - u[0]) / (u[1] - u[0])
-    one, other = position[:, :-1], position[:, 1:]
+    one = position[:, :-1]
+    other = position[:, 1:]
     # Clipped to the frame; an edge with a NaN end never starts before it stops.
     start = np.clip(np.nan_to_num(np.ceil(np.minimum(one, other)), nan=1e6), 0, 1e6)
     stop = np.clip(np.nan_to_num(np.floor(np.maximum(one, other)), nan=-1.0), -1, len(u) - 1)
     view, edge = np.nonzero(start <= stop)
-    column, last = start[view, edge].astype(np.int64), stop[view, edge].astype(np.int64)
+    column = start[view, edge].astype(np.int64)
+    last = stop[view, edge].astype(np.int64)
     while len(view):
         share = (column - one[view, edge]) / (other[view, edge] - one[view, edge])
         share = np.nan_to_num(share).astype(np.float32)
@@ -221,7 +244,10 @@ def _crossings(
             inverse[view, edge] * (1 - share) + inverse[view, edge + 1] * share,
         )
         more = column < last
-        view, edge, column, last = view[more], edge[more], column[more] + 1, last[more]
+        view = view[more]
+        edge = edge[more]
+        column = column[more] + 1
+        last = last[more]
 
 
 def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Coverage, float]:
@@ -231,24 +257,24 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
     processor time of the planner with all it asked for: renderings and areas.
     """
     started = time.process_time()
-    coverage = Coverage(simulation.candidates)
+    coverage = Coverage(simulation.sites)
     known: list[Float64Array] = []
 
-    def render(candidates: Int64Array) -> None:
-        points = simulation.render(candidates)
+    def render(sites: Int64Array) -> None:
+        points = simulation.render(sites)
         known.extend(points)
-        for one, area in zip(candidates, simulation.areas(points), strict=True):
+        for one, area in zip(sites, simulation.areas(points), strict=True):
             coverage.add(one[None], area[None])
 
-    def projected_areas(candidates: Int64Array) -> BoolArray:
-        nearest, _ = simulation.candidates.nearest(candidates, coverage.viewpoints, 1)
+    def projected_areas(sites: Int64Array) -> BoolArray:
+        nearest, _ = simulation.sites.nearest(sites, coverage.viewpoints, 1)
         source = coverage.viewpoints[nearest[:, 0]]
-        move = (simulation.eyes(candidates) - simulation.eyes(source)).astype(np.float64)
+        move = (simulation.eyes(sites) - simulation.eyes(source)).astype(np.float64)
         points = np.stack([known[row] for row in nearest[:, 0].tolist()])
         return simulation.areas(reprojection.moved(points, move[:, None])[:, 0])
 
     render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
-    everywhere = simulation.candidates.valid
+    everywhere = simulation.sites.valid
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
     for asked in planner(problem, np.random.default_rng(seed)):
         render(asked)
@@ -258,12 +284,12 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
 # --- predictors on real terrain -------------------------------------------------------------
 
 
-_DISPLACEMENTS, _AWAY_M = 12, 300.0
-"""Other eyes around each viewpoint, uniform in a disc of this radius."""
+_DISPLACEMENTS = 12
+"""Number of other eyes around each viewpoint."""
+_AWAY_M = 300.0
+"""Radius of the disc in which they are drawn evenly."""
 _THRESHOLD_PX = 3.0
 """Two skylines are alike within this."""
-_MARGIN_M = 3000.0
-"""Least distance of a viewpoint from the map's border."""
 
 
 def prediction_quality(
@@ -273,7 +299,7 @@ def prediction_quality(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Reprojection errors compared with renderings: which displaced views look alike.
+    """Reprojection errors against renderings: which displaced views look alike.
 
     The views are displaced from n viewpoints.
     """
@@ -293,7 +319,8 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     """
     eyes, others = _choose_eyes(field, viewpoints, seed)
     with HorizonRenderer(field, RenderConfig()) as renderer:
-        views, rendered = renderer.render(eyes), renderer.render(others)
+        views = renderer.render(eyes)
+        rendered = renderer.render(others)
     shape = len(views), _DISPLACEMENTS
     # Rows of `rendered` run over eyes, moves, headings; pairs over eyes, headings, moves.
     order = np.arange(len(rendered)).reshape(viewpoints, _DISPLACEMENTS, 4).swapaxes(1, 2).ravel()
@@ -303,7 +330,8 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
     eyes_there_m = (part.reshape(shape) for part in eyes_m)
     moved_m = reprojection.displacements_m(views, views.heading, *eyes_there_m)
-    points_m, alike = reprojection.skyline_points_m(views), true_px <= _THRESHOLD_PX
+    points_m = reprojection.skyline_points_m(views)
+    alike = true_px <= _THRESHOLD_PX
     rows = list[Row]()
     for name, warp in reprojection.WARPS.items():
         errors = reprojection.errors_px(points_m, moved_m, views.width, warp)
@@ -330,7 +358,7 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
     """Return the viewpoints, and all displaced ones, those of one viewpoint together."""
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
-    margin = _MARGIN_M + _AWAY_M
+    margin = 3000.0 + _AWAY_M  # Of a viewpoint from the map's border
     if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
         raise InputError(
             f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "
@@ -357,10 +385,13 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
 
 
 def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:
-    """Return the share of some pairs that are right, and its 95 % interval over viewpoints."""
+    """Return the share of pairs that are right, and its 95 % interval.
+
+    The interval is over viewpoints.
+    """
     eyes = len(right) // 4
     hits, all_ = (np.count_nonzero(part.reshape(eyes, -1), axis=1) for part in (right, among))
-    drawn = np.random.default_rng(seed).integers(0, eyes, (_RESAMPLES, eyes))
+    drawn = np.random.default_rng(seed).integers(0, eyes, (1000, eyes))
     shares = hits[drawn].sum(axis=1) / np.maximum(all_[drawn].sum(axis=1), 1)
     low, high = np.quantile(shares, [0.025, 0.975])
     return hits.sum() / all_.sum() if all_.any() else np.nan, (float(low), float(high))

@@ -40,15 +40,6 @@ from skyline_bench.geotiff import write_geotiff
 from skyline_bench.measuring import core_count, over_cores
 from skyline_bench.truth.oracle import directions_at
 
-_STEEPEST_TAN = 1e4
-"""A column without a hit below this dip meets no data."""
-
-_COARSEST_STRIDE = 64
-_FIRST_STEP = 1.0 / 64.0
-"""Of the neighbours' difference; of 1/4 to 1/128 and none, about the fastest for Embree."""
-
-_VIEWPOINTS_A_CALL = 8
-
 _SCRIPT = """set -e
 r.in.gdal input={dem} output=dem --quiet
 g.region raster=dem
@@ -73,14 +64,17 @@ class EmbreePeer:
     """Skylines of one height field by Embree's rays, ``width`` columns W a view."""
 
     def __init__(self, field: HeightField, width: int) -> None:
-        self.field, self.width, self.curvature = field, width, Curvature()
+        self.field = field
+        self.width = width
+        self.curvature = Curvature()
         # On a sample, so that the samples' own offsets are short numbers in float32.
         easting, northing = field.to_map(field.rows // 2, field.cols // 2)
         self._middle_m = np.array([float(easting), float(northing)])
         self._datum_m = float(np.mean(field.height_range_m))
         # East, up, north of the middle, curved.
         easting, northing = field.to_map(*np.indices((field.rows, field.cols)))
-        east, north = easting - self._middle_m[0], northing - self._middle_m[1]
+        east = easting - self._middle_m[0]
+        north = northing - self._middle_m[1]
         heights = np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
         up = heights - self._datum_m - self.curvature.drop_per_m2 * (east**2 + north**2)
         vertices = np.stack([east, up, north], axis=-1).astype(np.float32).reshape(-1, 3)
@@ -98,7 +92,7 @@ class EmbreePeer:
         share = max(-(-len(viewpoints) // core_count()), 1)
         # Of the paper's field of view, in which v is from -1 to 1.
         find = partial(self._skylines, bracket=2.0 / 2.0**depth)
-        parts = over_cores(find, viewpoints, min(share, _VIEWPOINTS_A_CALL))
+        parts = over_cores(find, viewpoints, min(share, 8))
         tan = np.concatenate([np.zeros((0, self.width)), *parts])
         eyes, heading = in_four_views(viewpoints)
         place = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
@@ -145,10 +139,10 @@ class _Rays:
 def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float64Array:
     """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
     tan = np.full(columns.shape, np.nan)
-    first = slice(0, None, _COARSEST_STRIDE)
+    stride = 64
+    first = slice(0, None, stride)
     start = np.zeros(columns[:, first].shape)
     tan[:, first] = _around(rays, columns[:, first], start, start + 0.25, bracket)
-    stride = _COARSEST_STRIDE
     while stride > 1:
         half = stride // 2
         between = columns[:, half::stride]
@@ -156,7 +150,8 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float6
         right = tan[:, stride::stride]
         right = np.concatenate([right, left[:, right.shape[1] :]], axis=1)
         guess = np.nan_to_num((left + right) / 2.0)
-        step = np.maximum(bracket, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
+        # Of shares of the neighbours' difference from 1/4 to 1/128, about the fastest for Embree.
+        step = np.maximum(bracket, 1.0 / 64.0 * np.nan_to_num(np.abs(left - right)))
         tan[:, half::stride] = _around(rays, between, guess, step, bracket)
         stride = half
     return tan
@@ -170,22 +165,27 @@ def _around(
     It has the shape of the columns, and is NaN where no ray hits anything.
     """
     shape = columns.shape
-    columns, guess, step = columns.ravel(), guess.ravel(), step.ravel()
+    columns = columns.ravel()
+    guess = guess.ravel()
+    step = step.ravel()
     rising = rays.blocked(columns, guess)
     stride = np.where(rising, step, -step)
-    near, far = guess.copy(), np.full(len(guess), np.nan)
+    near = guess.copy()
+    far = np.full(len(guess), np.nan)
     looking = np.arange(len(columns))
     while looking.size:
         probe = near[looking] + stride[looking]
         passed = rays.blocked(columns[looking], probe) != rising[looking]
         far[looking[passed]] = probe[passed]
-        looking, probe = looking[~passed], probe[~passed]
+        looking = looking[~passed]
+        probe = probe[~passed]
         near[looking] = probe
         stride[looking] *= 2.0
-        looking = looking[np.abs(probe) < _STEEPEST_TAN]
+        looking = looking[np.abs(probe) < 1e4]  # Below such a dip are no data.
     tan = np.full(len(guess), np.nan)
     found = np.flatnonzero(~np.isnan(far))
-    low, high = np.minimum(near[found], far[found]), np.maximum(near[found], far[found])
+    low = np.minimum(near[found], far[found])
+    high = np.maximum(near[found], far[found])
     wide = np.flatnonzero(high - low > bracket)
     while wide.size:
         middle = (low[wide] + high[wide]) / 2.0
@@ -201,7 +201,8 @@ def _triangles(field: HeightField) -> NDArray[np.int32]:
     """Return the vertices of every triangle of the surface, (T, 3)."""
     triangles = Triangles.of(field.heights_m)
     corner = np.arange(field.rows * field.cols, dtype=np.int32).reshape(field.rows, field.cols)
-    north_west, south_east = corner[:-1, :-1], corner[1:, 1:]
+    north_west = corner[:-1, :-1]
+    south_east = corner[1:, 1:]
     there = triangles.north_east[1:-1, 1:-1], triangles.south_west[1:-1, 1:-1]
     halves = (north_west, corner[:-1, 1:], south_east), (north_west, south_east, corner[1:, :-1])
     return np.concatenate(
@@ -227,13 +228,14 @@ def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
 def grass_horizons(
     field: HeightField, eyes: Viewpoints, step_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return r.horizon's elevation angles (N, A) from true north, and seconds (N - 1,).
+    """Return r.horizon's elevation angles (N, A) and seconds (N - 1,).
 
     The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
     place but the first.
     """
     with tempfile.TemporaryDirectory() as folder:
-        dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")
+        dem = Path(folder, "dem.tif")
+        script = Path(folder, "horizons.sh")
         # The samples are the centres of the raster's cells.
         step = field.spacing_east_m, field.spacing_north_m
         corner = field.west_m - 0.5 * step[0], field.north_m + 0.5 * step[1]

@@ -1,4 +1,4 @@
-"""Real photographs: their skylines, their places, the stage that lost a place, and masks."""
+"""Real photographs: skylines, places, the stages that lost places, and masks."""
 
 import hashlib
 import math
@@ -31,6 +31,7 @@ from skyline.cli.terminal import Terminal
 from skyline.files import write_with_folders
 from skyline.geodesy import Bounds, in_turn
 from skyline.photo.read import read_picture
+from skyline.pose import RIGHT_WITHIN_M
 from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import map_bounds
@@ -47,19 +48,8 @@ _COLUMNS = """photo kind km2 trusted right_columns=right error_m rank
 _SUMMARY = """kind km2 photographs=n within_200m answered answered_200m answered_right
     right_columns mostly_wrong no_skyline"""
 
-_SIDE_KM, _QUICK_SIDE_KM = 22.0, 4.0
-"""Of the squares that are searched."""
-RIGHT_M, RIGHT_DEG = 200.0, 10.0
-_RIGHT_ROWS, _FAR_ROWS = 0.01, 0.03
-"""Of the photo's height: a column nearer to the truth is right, one farther than the second is far
-off."""
-_NEAR_KM = 0.3
-_SAME_AREA = 0.25
-"""Photographs nearer than this share of an area's side are searched in one area."""
-_OFF_CENTRE = 0.27
-_ODD_DEG = 0.5
-"""A found skyline this far from what the model shows at the true place is not the model's."""
-_M_PER_DEG = 111_320.0
+RIGHT_DEG = 10.0
+"""Largest error of the heading of a pose that is right."""
 _GEOD = Geod(ellps="WGS84")
 
 
@@ -132,8 +122,9 @@ def photos(
     if store and side_km:
         raise InputError("--store is searched whole, and --side-km is of squares; give one of them")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
-    side_m = 1000.0 * (side_km or (_QUICK_SIDE_KM if quick else _SIDE_KM))
-    sections, found = list[str](), dict[Photograph, Measured]()
+    side_m = 1000.0 * (side_km or (4.0 if quick else 22.0))
+    sections = list[str]()
+    found = dict[Photograph, Measured]()
     with options.store_folder(folder) as place, Terminal().progress("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, store, use_gps):
             found[measured.photograph] = measured
@@ -186,11 +177,12 @@ def measure(
         if one.kind == EXTRACT:
             yield _extracted(one), None
     located = [one for one in photographs if one.kind != EXTRACT]
-    for group in _groups(located, math.inf if store else side_m * _SAME_AREA):
+    for group in _groups(located, math.inf if store else 0.25 * side_m):
         if terrain is None:
             raise InputError("photographs are to be located; give the elevation model too")
         if store is not None:
-            name, built = store.stem, BuiltStore.read(StoreSpec(path=store), store)
+            name = store.stem
+            built = BuiltStore.read(StoreSpec(path=store), store)
         else:
             name = f"{group[0].name}-area"
             (folder / name).mkdir(exist_ok=True)
@@ -219,7 +211,8 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
             line |= {
                 "within_200m": sum(row.get("rank") == 1 for row in some) / len(some),
                 "answered": len(answered) / len(some),
-                "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
+                "answered_200m": sum(row["within_m"] == RIGHT_WITHIN_M for row in answered)
+                / len(some),
                 "answered_right": sum(true) / len(true) if true and kind == LOCATE else None,
             }
         shares = [row["right_columns"] for row in some if row.get("right_columns") is not None]
@@ -255,10 +248,15 @@ def _extracted(one: Photograph) -> Measured:
 
 
 def count_columns(query: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
-    """Count the columns with a true skyline: those trusted, of these right and far off, and all."""
+    """Count the columns with a true skyline.
+
+    Returned are the trusted ones, of these the right and the far ones, and all. A column is right
+    within 1 % of the photo's height, and far beyond 3 %.
+    """
     known = np.isfinite(true_px)
     off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
-    right, far = int((off <= _RIGHT_ROWS).sum()), int((off > _FAR_ROWS).sum())
+    right = int((off <= 0.01).sum())
+    far = int((off > 0.03).sum())
     return off.size, right, far, int(known.sum())
 
 
@@ -270,7 +268,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -
     result = matcher.match(query, narrowing=Narrowing(use_gps=use_gps))
     best = next(iter(result.candidates), None)
     errors = [_off_m(one, place, matcher) for place in result.candidates]
-    right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_M]
+    right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_WITHIN_M]
     exif = result.exif
     measured.figures |= {
         "seconds": measured.figures["seconds"] + result.seconds,
@@ -296,8 +294,9 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -
 def _stages(
     one: Photograph, measured: Measured, result: MatchResult, matcher: Matcher, viewer: Viewer
 ) -> dict[str, Any]:
-    """Return the stage that lost a place: the truth is given to one later stage after the other.
+    """Return the stage that lost a place.
 
+    The truth is given to one later stage after the other.
     docs/howto/comparing-grids.md says what each stage means.
     """
     query = result.query
@@ -306,7 +305,7 @@ def _stages(
     refused = result.refusal is not None and not result.candidates
     if refused or _found_by_truth(one, query, measured.row_px, matcher):
         return {"lost": "extraction"}
-    near = Narrowing(near=(*one.lonlat, _NEAR_KM))
+    near = Narrowing(near=(*one.lonlat, 0.3))
     try:
         there = next(iter(matcher.match(query, narrowing=near).candidates), None)
     except InputError:
@@ -319,7 +318,8 @@ def _stages(
     if there is None:
         return {"lost": "skyline"}
     gap_deg = viewer.look(there, query).median_gap_deg
-    if gap_deg is None or gap_deg > _ODD_DEG:
+    # A found skyline so far from what the model shows at the true place is not the model's.
+    if gap_deg is None or gap_deg > 0.5:
         stage = "skyline"
     elif stage == "ranking" and there.cost < result.candidates[0].cost:
         stage = "search"
@@ -338,11 +338,11 @@ def _found_by_truth(
         return False
     true = replace(query, row_px=true_px, trust=np.isfinite(true_px).astype(float))
     found = matcher.match(true).candidates
-    return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_M
+    return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_WITHIN_M
 
 
 def _fitted(one: Photograph, query: PhotoSkyline, matcher: Matcher, viewer: Viewer) -> Pose | None:
-    """Return the pose that the true one becomes; None where it is not known, or does not hold."""
+    """Return the fit of the true pose; None where it is unknown or lost."""
     if one.heading_deg is None:
         return None
     lon, lat = one.lonlat
@@ -354,7 +354,7 @@ def _fitted(one: Photograph, query: PhotoSkyline, matcher: Matcher, viewer: View
         eye_height_m=above_m,
     )  # fmt: skip
     fitted = next(iter(matcher.fit(query, pose).candidates), None)
-    if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
+    if fitted is None or _off_m(one, fitted, matcher) > RIGHT_WITHIN_M:
         return None
     return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
 
@@ -381,12 +381,13 @@ def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[
 
 
 def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
-    """Return W, S, E, N of an area that holds a place somewhere, but not in its middle."""
+    """Return W, S, E, N of an area around a place off its middle."""
     generator = np.random.default_rng(zlib.crc32(first.name.encode()))
     lon, lat = first.lonlat
-    m_per_deg = np.array([_M_PER_DEG * math.cos(math.radians(lat)), _M_PER_DEG])
-    off = generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / m_per_deg
-    middle, half = np.array([lon, lat]) + off, side_m / 2.0 / m_per_deg
+    m_per_deg = 111_320.0 * np.array([math.cos(math.radians(lat)), 1.0])
+    off = generator.uniform(-0.27, 0.27, 2) * side_m / m_per_deg
+    middle = np.array([lon, lat]) + off
+    half = side_m / 2.0 / m_per_deg
     west, south, east, north = (float(value) for value in (*(middle - half), *(middle + half)))
     map_bounds(terrain, (west, south, east, north))
     return west, south, east, north
@@ -419,7 +420,8 @@ def sky_masks(
     rows = list[Row]()
     with Terminal().progress("photographs") as progress:
         for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
-            counts, seconds = [], []
+            counts = []
+            seconds = []
             for mask in some:
                 photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
                 started = time.process_time()

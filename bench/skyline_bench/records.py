@@ -1,4 +1,4 @@
-"""The record of a benchmark: its rows, and all that it takes to measure them again.
+"""Records of benchmarks: rows, and all that is needed to measure them again.
 
 A record names the command, the data that it read, the area, the stores, the seed, the code and the
 machine. Files are named as the command named them: start a benchmark whose record others shall
@@ -31,8 +31,11 @@ from skyline.render.context import acquire_context
 from skyline.store.read import open_store
 from skyline_bench.measuring import Row, core_count
 
-READ, WRITTEN, KEPT = "skyline_bench.read", "skyline_bench.written", "skyline_bench.kept"
-"""What a command does with the files that a parameter names; what is kept changes no figure."""
+# What a command does with the files that a parameter names.
+READ = "skyline_bench.read"
+WRITTEN = "skyline_bench.written"
+KEPT = "skyline_bench.kept"
+"""A folder of files that are kept for the next time; they change no figure."""
 _CODE = "skyline", "shaders", "bench/skyline_bench", "bench/skyline_training"
 
 
@@ -225,7 +228,8 @@ def machine() -> dict[str, object]:
     """Describe this machine and the software that matters to a measurement on it."""
     try:
         context = acquire_context()
-        renderer, driver = context.renderer, context.version
+        renderer = context.renderer
+        driver = context.version
     except ContextError:
         renderer = driver = "none"
     return {

@@ -112,7 +112,8 @@ def _path_in(folder: Path, path: str) -> str | None:
 
 def _print_comparison(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     """Print which columns of two records differ, in how many rows, and by how much at most."""
-    before, after = old["rows"], new["rows"]
+    before = old["rows"]
+    after = new["rows"]
     differing = list(_differences(before, after))
     columns = {key for row in (*before, *after) for key in row}
     typer.echo(

@@ -1,8 +1,9 @@
-"""Names of summits and places of pixels in made photos, against the terrain that the photos show.
+"""Names of summits and places of pixels in made photos, against the truth.
 
-A summit is a sample that is the highest for 500 m around. It is visible if no terrain stands before
-it, up to 150 m from it: nearer ground is the summit's own. Lines of sight to summits are followed
-in steps of 1 m, and the rays of pixels in steps of 5 m.
+The truth is the terrain that the photos show. A summit is a sample that is the highest for 500 m
+around. It is visible if no terrain stands before it, up to 150 m from it: nearer ground is the
+summit's own. Lines of sight to summits are followed in steps of 1 m, and the rays of pixels in
+steps of 5 m.
 """
 
 from collections.abc import Sequence
@@ -16,30 +17,32 @@ from skyline import HeightField, Pose, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Curvature
 from skyline.peaks import SUMMIT_RADIUS_M, Peaks
+from skyline_bench.measuring import window_of
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 Posed = tuple[SyntheticQuery, Pose | None]
 """A made photo, and the pose that was found for it; None stands for the true one."""
 
-SUMMITS = 30
-"""Most summits in each photo; where there are more, these are drawn."""
-NEAR_PX = 5.0
 HEIGHT_SD_M = 10.0
 """Error of the model that other photos see."""
-_APART_M, _SIGHT_M = 500.0, 25_000.0
-_SUMMIT_STEP_M, _PIXEL_STEP_M, _SLOPE_M = 1.0, 5.0, 30.0
 _EACH_PX = 24
 """Of so many rows and columns one pixel is compared."""
 
 
 def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
-    """Return how many visible and hidden summits of photos of ``seen`` are named on ``model``."""
+    """Return how many visible and hidden summits ``model`` names.
+
+    The photos show ``seen``.
+    """
     east_m, north_m = _summits(seen)
-    off, visible, photos = list[Float64Array](), list[BoolArray](), 0
+    off = list[Float64Array]()
+    visible = list[BoolArray]()
+    photos = 0
     for number, (query, pose) in enumerate(posed):
         east, north, column, row, is_seen = _in_picture(seen, query, east_m, north_m, number)
         photos += bool(len(east))
-        names, unknown_m = tuple(map(str, range(len(east)))), np.full(len(east), np.nan)
+        names = tuple(map(str, range(len(east))))
+        unknown_m = np.full(len(east), np.nan)
         peaks = Peaks(names=names, easting_m=east, northing_m=north, height_m=unknown_m)
         with Viewer(model, peaks) as viewer:
             labels = viewer.summits(pose or _true_pose(viewer, query.truth), query.skyline)
@@ -48,8 +51,10 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
             at_px[:, int(one.name)] = one.column_px, one.row_px
         off.append(np.hypot(at_px[0] - column, at_px[1] - row))
         visible.append(is_seen)
-    every_px, is_visible = np.concatenate(off), np.concatenate(visible)
-    is_named, total = np.isfinite(every_px), int(is_visible.sum())
+    every_px = np.concatenate(off)
+    is_visible = np.concatenate(visible)
+    is_named = np.isfinite(every_px)
+    total = int(is_visible.sum())
     off_px = every_px[is_named & is_visible]
     return {
         "measured": "labels",
@@ -58,7 +63,7 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
         "summits": len(every_px),
         "visible": total,
         "named": len(off_px) / total if total else None,
-        "within_5_px": float((off_px <= NEAR_PX).sum()) / total if total else None,
+        "within_5_px": float((off_px <= 5.0).sum()) / total if total else None,
         "hidden": len(every_px) - total,
         "hidden_named": int((is_named & ~is_visible).sum()),
         "median_px": float(np.median(off_px)) if off_px.size else None,
@@ -67,10 +72,10 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
 
 
 def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
-    """Return how far the places in pixels on ``model`` are from those on ``seen``, the truth.
+    """Return how far places in pixels on ``model`` are from the true ones.
 
-    The standard error of a place along its ray is the model's error in height over the angle at
-    which the ray meets the ground.
+    The true ones are on ``seen``. The standard error of a place along its ray is the model's error
+    in height over the angle at which the ray meets the ground.
     """
     errors = list[Float64Array]()
     for query, pose in posed:
@@ -85,16 +90,18 @@ def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
             east - query.truth.easting_m - true_m * np.sin(azimuth_rad),
             north - query.truth.northing_m - true_m * np.cos(azimuth_rad),
         )
-        ahead = _SLOPE_M * np.array([[-0.5], [0.5]])
+        slope_m = 30.0  # The ground's slope is taken over so much.
+        ahead = slope_m * np.array([[-0.5], [0.5]])
         before_m, behind_m = model.height_at(
             easting_m=east + ahead * np.sin(azimuth_rad),
             northing_m=north + ahead * np.cos(azimuth_rad),
         )
-        sd_m = HEIGHT_SD_M / np.abs((behind_m - before_m) / _SLOPE_M - tan)
+        sd_m = HEIGHT_SD_M / np.abs((behind_m - before_m) / slope_m - tan)
         errors.append(np.stack([true_m, found_m, off_m, sd_m]))
     true_m, found_m, off_m, sd_m = np.concatenate(errors, axis=1)
     both = np.isfinite(true_m) & np.isfinite(found_m)
-    off_m, sd_m = off_m[both], sd_m[both]
+    off_m = off_m[both]
+    sd_m = sd_m[both]
     return {
         "measured": "pixels",
         **_about(model, seen, posed),
@@ -116,7 +123,7 @@ def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dic
 
 
 def _true_pose(viewer: Viewer, truth: Truth) -> Pose:
-    """Return the true pose of a photo; an eye below the model's ground stands on it."""
+    """Return the true pose of a photo, whose eye stands on the ground or above."""
     place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
     north_deg = float(viewer.frame.convergence_deg(**place_m))
     lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
@@ -127,9 +134,8 @@ def _true_pose(viewer: Viewer, truth: Truth) -> Pose:
 
 def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:
     """Return easting and northing of the samples that are the highest around."""
-    spacing_m = terrain.spacing_north_m, terrain.spacing_east_m
     heights = np.nan_to_num(terrain.heights_m, nan=-np.inf)
-    window = [2 * round(_APART_M / step) + 1 for step in spacing_m]
+    window = window_of(500.0, terrain.spacing_north_m, terrain.spacing_east_m)
     return terrain.to_map(*np.nonzero((heights == maximum_filter(heights, window)) & (heights > 0)))
 
 
@@ -140,11 +146,17 @@ def _in_picture(
     north_m: Float64Array,
     seed: int,
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
-    """Return easting, northing, column, row and visibility of summits in a photo, some drawn."""
-    truth, size = query.truth, query.skyline
+    """Return easting, northing, column, row and visibility of summits in a photo.
+
+    Where there are more than 30, these are drawn at random.
+    """
+    truth = query.truth
+    size = query.skyline
     away_m = truth.off_m(east_m, north_m)
-    near = (away_m > 2.0 * SUMMIT_RADIUS_M) & (away_m < _SIGHT_M)
-    east_m, north_m, away_m = east_m[near], north_m[near], away_m[near]
+    near = (away_m > 2.0 * SUMMIT_RADIUS_M) & (away_m < 25_000.0)
+    east_m = east_m[near]
+    north_m = north_m[near]
+    away_m = away_m[near]
     azimuth_rad = np.arctan2(east_m - truth.easting_m, north_m - truth.northing_m)
     ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
     tan = (ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)) / away_m
@@ -152,9 +164,9 @@ def _in_picture(
     column, row, ahead = camera.project(azimuth_rad - np.radians(truth.heading_deg), tan)
     inside = ahead & (column >= 0.0) & (column < size.width_px)
     inside &= (row >= 0.0) & (row < size.height_px)
-    drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:SUMMITS]
+    drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:30]
     farthest_m = float(away_m[drawn].max(initial=0.0))
-    step_m = np.arange(0.0, farthest_m, _SUMMIT_STEP_M)
+    step_m = np.arange(0.0, farthest_m, 1.0)
     above_m = _ground_above_m(terrain, truth, azimuth_rad[drawn], step_m)
     is_before = (step_m > 0.0) & (step_m < away_m[drawn, np.newaxis] - SUMMIT_RADIUS_M)
     over_m = np.where(is_before, above_m - tan[drawn, np.newaxis] * step_m, -np.inf)
@@ -165,7 +177,10 @@ def _in_picture(
 def _ground_above_m(
     terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, away_m: Float64Array
 ) -> Float64Array:
-    """Return the ground above the level of the eye on K rays at D distances, -inf without data."""
+    """Return the height of the ground over the eye's level on K rays at D distances.
+
+    It is -inf without data.
+    """
     ground_m = terrain.height_at(
         easting_m=truth.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],
         northing_m=truth.northing_m + away_m * np.cos(azimuth_rad)[:, np.newaxis],
@@ -184,10 +199,10 @@ def _rays(query: SyntheticQuery) -> tuple[Float64Array, Float64Array]:
 def _met_m(
     terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, tan: Float64Array
 ) -> Float64Array:
-    """Return where rays (N,) first are below the ground, straight between steps; NaN for sky."""
+    """Return where rays (N,) first meet the ground; NaN for sky."""
     found_m = np.full(len(tan), np.nan)
     reach_m = terrain.reach_m(easting_m=truth.easting_m, northing_m=truth.northing_m)
-    away_m = np.arange(0.0, reach_m, _PIXEL_STEP_M)
+    away_m = np.arange(0.0, reach_m, 5.0)
     for index in range(len(tan)):
         above_m = _ground_above_m(terrain, truth, azimuth_rad[index : index + 1], away_m)
         over_m = above_m[0] - tan[index] * away_m

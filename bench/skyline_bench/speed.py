@@ -1,4 +1,4 @@
-"""Speed: the time and the error of each program that computes skylines, and very large DEMs.
+"""Speed: the time and the error of programs that compute skylines.
 
 Times are medians after a warm-up; the programs take turns, and each has all cores. Times vary on
 shared machines, so compare only times of one run.
@@ -41,12 +41,6 @@ from skyline_bench.truth.closed_forms import fractal
 
 _log = logging.getLogger(__name__)
 
-_SPACING_M = 100.0
-_SLOW = 2
-"""Viewpoints that are timed together for the depth path and the oracle, which take them one by one:
-the time of one does not depend on how many there are."""
-_COMPARED, _SLOW_COMPARED = 24, 8
-"""Viewpoints that are compared with the oracle, and those of the depth path."""
 _STEPS = round(360.0 / DEFAULT_STEP_DEG)
 
 
@@ -88,9 +82,9 @@ def speed_error(
 
 
 def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progress) -> list[Row]:
-    batch = central_viewpoints(terrain, 16 if quick else 400, _SPACING_M)
+    batch = central_viewpoints(terrain, 16 if quick else 400, 100.0)
     drawn = np.random.default_rng(seed).permutation(len(batch))
-    compared = batch[np.sort(drawn[: 4 if quick else _COMPARED])]
+    compared = batch[np.sort(drawn[: 4 if quick else 24])]
     repeats = 2 if quick else 3
     steps = count(1)
 
@@ -103,7 +97,8 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
         true_deg = _true_deg(terrain, compared, np.zeros(len(compared)), Curvature())
         errors = list[Row]()
         for way in ways:
-            seen, key = way.render(way.compared), (way.width, len(way.compared))
+            seen = way.render(way.compared)
+            key = (way.width, len(way.compared))
             if isinstance(seen, Views):
                 if key not in truths:
                     truths[key] = _oracle(terrain, way.width, way.compared)
@@ -137,7 +132,9 @@ def _ways(
     terrain: HeightField, batch: Viewpoints, compared: Viewpoints, quick: bool, held: ExitStack
 ) -> Iterator[_Way]:
     """Yield every way that is compared; renderers are released with ``held``."""
-    few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
+    # The depth path and the oracle take viewpoints one by one, and fewer are enough.
+    few = compared[:2]
+    some = compared[: 2 if quick else 8]
     width = 160 if quick else DEFAULT_WIDTH
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
         depth = held.enter_context(DepthRenderer(terrain, columns))
@@ -153,7 +150,8 @@ def _ways(
         peer = peers.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
             render = partial(peer.render, depth=bisections)
-            name, details = f"{bisections} bisections", {"bisections": bisections}
+            name = f"{bisections} bisections"
+            details = {"bisections": bisections}
             yield _Way("embree", width, name, batch, compared, render, details)
     else:
         _log.warning("Embree is left out: pip install 'skyline-bench[peers]' to measure it")
@@ -191,7 +189,7 @@ def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
 def _true_deg(
     terrain: HeightField, eyes: Viewpoints, turn_deg: Float64Array, curvature: Curvature
 ) -> Float64Array:
-    """Return the oracle's elevation angles (N, A) by azimuths from grid azimuths (N,) on."""
+    """Return the oracle's elevation angles (N, A) from azimuths (N,) on."""
     azimuth_deg = np.arange(_STEPS) * DEFAULT_STEP_DEG
     true_deg = np.empty((len(eyes), _STEPS))
     for index in range(len(eyes)):
@@ -226,7 +224,8 @@ def large_dem(record: options.Record = None, quick: options.Quick = False) -> No
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     samples, viewpoints = (1000, 4) if quick else (20_000, 256)
     # Rough terrain that repeats every 60 km, in one array and no copies.
-    period, spacing_m = 2000, 30.0
+    period = 2000
+    spacing_m = 30.0
     tile = (1500.0 + 1500.0 * fractal(period, period, 1, 2.1)).astype(np.float32)
     again = np.arange(samples) % period
     heights = tile[np.ix_(again, again)]

@@ -1,7 +1,7 @@
-"""The summits of a DEM's file against those of the surface that skylines are rendered from.
+"""The summits of a DEM's file against the summits of its surface.
 
-The surface is the field that `read_dem` returns. Where that was warped, plain bilinear
-interpolation at the same samples, which keeps no summit, stands beside it.
+The surface, from which skylines are rendered, is the field that `read_dem` returns. Where that was
+warped, plain bilinear interpolation at the same samples, which keeps no summit, stands beside it.
 
 On the surface as it is read, horizons are rendered too: from places beside the most prominent
 summits, as far from them as true coordinates are, and from places anywhere.
@@ -32,7 +32,7 @@ from skyline.terrain.repair import repair
 from skyline.terrain.resampling import ground_spacing_m
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench import options
-from skyline_bench.measuring import Row, central_viewpoints, in_turns, square_km
+from skyline_bench.measuring import Row, central_viewpoints, in_turns, square_km, window_of
 from skyline_bench.records import write_record
 
 EXACT_M = 1.0
@@ -44,19 +44,8 @@ STOOD = {"slope": 0.0, "summit_height": None, "within_100_m": 100.0}
 LOW_DEG = 3.0
 """Upper bound of the elevation angles that a summit's horizon should have."""
 
-_MOST_RANKED = 2_000_000
 _APART_M = 1000.0
 """A summit is the highest sample so far around."""
-
-_LATTICE = np.linspace(-1.0, 1.0, 17)
-_SIGHT_STEPS = 200
-_EYE_M = 2.0
-
-
-_NEAREST_M, _FARTHEST_M = 2000.0, 20_000.0
-"""Distances from which eyes look at a summit."""
-_PROMINENT = 10
-"""The most prominent summits, that eyes stand beside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +75,9 @@ class _File:
     @classmethod
     def read(cls, dem: Sequence[str | Path], options: DemOptions, field: HeightField) -> "_File":
         mosaic = read_files(dem, options)
-        heights_m, grid, crs = mosaic.heights_m, mosaic.grid, mosaic.crs
+        heights_m = mosaic.heights_m
+        grid = mosaic.grid
+        crs = mosaic.crs
         spacing_m = (
             (grid.step_east, grid.step_north)
             if field.provenance.resampling == "none"
@@ -141,7 +132,7 @@ def summits(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file and of its surface, how they are seen, and horizons beside them."""
+    """Summits of a DEM's file and surface, how they are seen, and horizons."""
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = measure(dem, terrain, crs, QUICK if quick else SummitsConfig())
     columns = """surface spacing_m km2 summits=n lowest_m highest_m summits_off sights
@@ -159,7 +150,7 @@ def measure(
     crs: str | None = None,
     config: SummitsConfig = SummitsConfig(),
 ) -> list[Row]:
-    """Return a row for each surface of a DEM's files, of which ``field`` is the one as read."""
+    """Return a row for each surface of a DEM's files; ``field`` is as read."""
     file = _File.read(dem, DemOptions(crs=crs), field)
     row, col = file.summits(config.summits)
     surfaces = {"as read": field}
@@ -185,7 +176,7 @@ def measure(
 
 
 def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> Row:
-    """Return how high horizons are from places beside summits, by where the eye then stands.
+    """Return how high horizons beside summits are, by where the eye stands.
 
     The shares of azimuths below 3 degrees, more than 1 degree off what is seen from the summit
     itself, and whose horizon is nearer than a sample; the first from the summit itself too.
@@ -214,26 +205,29 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
 
 
 def _prominent(field: HeightField) -> tuple[Int64Array, Int64Array]:
-    """Return row and column of the most prominent summits that known samples surround."""
+    """Return row and column of the ten most prominent summits.
+
+    Known samples surround them.
+    """
     # Of a large field, the highest samples of squares: their passes are a little too high.
-    side = math.ceil(math.sqrt(field.heights_m.size / _MOST_RANKED))
-    rows, cols = field.rows // side, field.cols // side
+    side = math.ceil(math.sqrt(field.heights_m.size / 2_000_000))
+    rows = field.rows // side
+    cols = field.cols // side
     squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
     row, col, _ = prominences(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
     for index, (top, left) in enumerate(zip(side * row, side * col, strict=True)):
         square = field.heights_m[top : top + side, left : left + side]
         at = np.unravel_index(np.nanargmax(square), square.shape)
-        row[index], col[index] = top + at[0], left + at[1]
-    window = [
-        2 * round(_APART_M / step) + 1 for step in (field.spacing_north_m, field.spacing_east_m)
-    ]
+        row[index] = top + at[0]
+        col[index] = left + at[1]
+    window = window_of(_APART_M, field.spacing_north_m, field.spacing_east_m)
     inner = minimum_filter(~np.isnan(field.heights_m), window, mode="constant", cval=False)
-    kept = np.flatnonzero(inner[row, col])[:_PROMINENT]
+    kept = np.flatnonzero(inner[row, col])[:10]
     return row[kept], col[kept]
 
 
 def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
-    """Return how many places anywhere are on summits, and whose horizons this changes."""
+    """Return how many places are on summits, and how many others change."""
     rng = np.random.default_rng(0)
     west, south, east, north = field.bounds_m
     drawn = rng.uniform((west, south), (east, north), (4 * config.anywhere, 2))
@@ -262,7 +256,10 @@ def _bilinear(file: _File, field: HeightField) -> HeightField:
 
 
 def _surface_around(surface: HeightField, easting: Float64Array, northing: Float64Array) -> _Places:
-    """Return places of the surface around a summit, its samples among them, and their heights."""
+    """Return places and heights of the surface around a summit.
+
+    The surface's samples are among them.
+    """
     sides = surface.to_grid(
         easting_m=[easting.min(), easting.max()], northing_m=[northing.max(), northing.min()]
     )
@@ -274,20 +271,24 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
         indexing="ij",
     )
     nodes = surface.to_map(rows.reshape(-1), cols.reshape(-1))
-    easting, northing = np.append(easting, nodes[0]), np.append(northing, nodes[1])
+    easting = np.append(easting, nodes[0])
+    northing = np.append(northing, nodes[1])
     return easting, northing, surface.height_at(easting_m=easting, northing_m=northing)
 
 
 def _summit_errors(
     surface: HeightField, file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> Row:
-    """Return how far summits are too high or low, also as seen, in metres at their distance."""
+    """Return how far summits are too high or low, also as they are seen."""
     summit, eyes = _sights(file, row, col, config)
-    error_m, seen_m = [], []
+    error_m = []
+    seen_m = []
     # Of a fine lattice that reaches one sample from a summit.
-    south, east = (side.ravel() for side in np.meshgrid(_LATTICE, _LATTICE, indexing="ij"))
+    steps = np.linspace(-1.0, 1.0, 17)
+    south, east = (side.ravel() for side in np.meshgrid(steps, steps, indexing="ij"))
     for index, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
-        lattice, mine = file.place(r + south, c + east), eyes[:, summit == index]
+        lattice = file.place(r + south, c + east)
+        mine = eyes[:, summit == index]
         around = _surface_around(surface, *lattice)
         error_m.append(np.nanmax(around[2]) - file.heights_m[r, c])
         true = *lattice, file.height_m(*lattice)
@@ -318,7 +319,7 @@ def _greatest_tan(places: _Places, eyes: Float64Array) -> Float64Array:
 
 
 def _sample_errors(surface: HeightField, file: _File) -> Row:
-    """Return how far the surface is from the file's samples, a tenth of the rows."""
+    """Return how far the surface is from a tenth of the file's samples."""
     row, col = np.meshgrid(
         np.arange(0, file.grid.rows, 10), np.arange(file.grid.cols), indexing="ij"
     )
@@ -334,20 +335,21 @@ def _sample_errors(surface: HeightField, file: _File) -> Row:
 def _sights(
     file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> tuple[Int64Array, Float64Array]:
-    """Draw eyes about each summit; keep those below it that see it over the file's terrain.
+    """Draw eyes about each summit, below it, that see it over the terrain.
 
     Return the summits (S,) that eyes (3, S) see: easting, northing, elevation.
     """
     rng = np.random.default_rng(0)
     shape = row.size * config.eyes
-    away_m = rng.uniform(_NEAREST_M, _FARTHEST_M, shape)
+    away_m = rng.uniform(2000.0, 20_000.0, shape)
     azimuth = rng.uniform(0.0, 2.0 * np.pi, shape)
     summit = np.repeat(np.arange(row.size), config.eyes)
-    east, north = away_m * np.sin(azimuth), away_m * np.cos(azimuth)
+    east = away_m * np.sin(azimuth)
+    north = away_m * np.cos(azimuth)
     easting, northing = np.array(file.place(row, col))[:, summit] + [east, north]
-    elevation = file.height_m(easting, northing) + _EYE_M
+    elevation = file.height_m(easting, northing) + 2.0
     drop = Curvature().drop_per_m2
-    share = (np.arange(_SIGHT_STEPS) + 0.5) / _SIGHT_STEPS
+    share = (np.arange(200) + 0.5) / 200
     # The last stretch is the summit's own cap.
     share = share[:, np.newaxis] * (1.0 - 2.0 * max(file.spacing_m) / away_m)
     between_m = file.height_m(easting - share * east, northing - share * north)
@@ -359,7 +361,7 @@ def _sights(
 
 
 def _place_cpu_ms(surface: HeightField, count: int) -> float:
-    """Return processor milliseconds of rendering a place about the middle, the median of three."""
+    """Return the processor milliseconds of rendering a place."""
     eyes = central_viewpoints(surface, count, 80.0)
     with PanoramaRenderer(surface, BINS) as renderer:
         (timing,) = in_turns([lambda: renderer.render(eyes)], 3)
@@ -375,10 +377,13 @@ def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Ar
     is as prominent as it is high above the lowest sample. Holes (NaN) stay under water.
     """
     padded = np.pad(np.asarray(heights_m, np.float64), 1, constant_values=np.nan)
-    height_m, width = padded.ravel().tolist(), padded.shape[1]
+    height_m = padded.ravel().tolist()
+    width = padded.shape[1]
     falling = np.argsort(padded, axis=None, kind="stable")[: np.isfinite(padded).sum()][::-1]
     around = [down * width + right for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
-    top, rank, found = [-1] * padded.size, dict[int, int](), dict[int, float]()
+    top = [-1] * padded.size
+    rank = dict[int, int]()
+    found = dict[int, float]()
 
     def summit_of(place: int) -> int:
         while top[place] != place:

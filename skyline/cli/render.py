@@ -73,7 +73,7 @@ def render(
         _of_planners(
             metavar="M",
             help="Metres between the sites from which the planner chooses.",
-            show_default=f"{_PLANNED.candidate_m:g}",
+            show_default=f"{_PLANNED.site_spacing_m:g}",
         ),
     ] = None,
     threshold_px: Annotated[

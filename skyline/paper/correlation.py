@@ -1,10 +1,12 @@
-r"""Matchers of renderings: views joined to profiles all the way round, with a pose fitted to each.
+r"""Matchers of renderings, which fit a pose at each location of a store.
+
+The views of a location are joined to its profile, a skyline all the way round.
 
 `CorrelationMatcher` is the baseline: sliding normalized correlation, exact over every heading,
 location and assumed pitch.
 
-With the query q, its weights w, the profile y, n = 1 where y is known (else y = n = 0) and a
-turn of s bins, over the bins i of the query:
+With the photo's skyline q, its weights w, the profile y, n = 1 where y is known (else y = n = 0)
+and a turn of s bins, over the bins i of the photo:
 
 .. math::
 
@@ -17,14 +19,14 @@ turn of s bins, over the bins i of the query:
     \mathrm{ncc}(s) = \frac{\sum w_i q_i y_{i+s} - W a b}
     {\sqrt{(\sum w_i n_{i+s} q_i^2 - W a^2)\,(\sum w_i y_{i+s}^2 - W b^2)}}
 
-Each sum is a circular correlation of an array of the query with one of the profile, so all turns
-come from one product of Fourier transforms. A turn has no correlation where too little of the query
-overlaps the profile (W below a share of the query's weight), or where either curve is flat over the
-overlap. The score is 1 - ncc, in [0, 2].
+Each sum is a circular correlation of an array of the photo with one of the profile, so all turns
+come from one product of Fourier transforms. A turn has no correlation where too little of the photo
+overlaps the profile (W below a share of the photo's weight), or where either curve is flat over the
+overlap. The cost is 1 - ncc, in [0, 2].
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -53,33 +55,28 @@ from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-_BINS = 2048
-"""A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""
-
 TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
-"""Scores are in px of a view of the paper's width, whatever the width of the store."""
+"""Costs are in px of a view of the paper's width, whatever the width of the store."""
 
-_PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
-"""Pitches of `at_pitches`; the camera is taken not to roll."""
-_VIEWS_AT_ONCE = 1024
-_CHUNK = 8
-"""Locations at a time; keeps the arrays of the transforms in the cache."""
-_MIN_OVERLAP = 0.8
-"""Least share of the query's weight that must lie over known profile."""
-_FLAT_PX = 0.1
-"""Curves with a smaller standard deviation over the overlap have no correlation."""
+PITCHES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
+"""Pitches that matchers of renderings assume, since cameras are held about level."""
+
+MIN_OVERLAP = 0.8
+"""Least share of a photo's weight that must land on known profile."""
+
 _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Skylines of L locations all the way round, in B equal steps of grid azimuth.
+    """Skylines of L locations all the way round, in B bins of grid azimuth.
 
-    `at_pitches` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
+    `at_pitches` puts a photo's skyline into such bins, with bin B / 2 straight ahead. A photo whose
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
     """
 
     eyes: Viewpoints
+    """The eyes at the L locations."""
     y: Float32Array
     """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
     where no view looks or the view has no data."""
@@ -100,7 +97,7 @@ class Profiles:
 
     @property
     def bin_px(self) -> float:
-        """Width of a bin in px, so that azimuth and elevation have one unit at the horizon."""
+        """Width of a bin in px, the unit of elevation at the horizon."""
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
 
     def poses(
@@ -111,7 +108,7 @@ class Profiles:
         roll_deg: Float64Array,
         fov_deg: float,
     ) -> Poses:
-        """Return one pose at each location, of costs and angles (L,)."""
+        """Return the pose at each location that has a cost and angles (L,)."""
         return Poses(
             easting_m=self.eyes.easting_m,
             northing_m=self.eyes.northing_m,
@@ -125,17 +122,20 @@ class Profiles:
 
     @classmethod
     def from_views(cls, chunks: Iterable[tuple[Views, KeypointColumns]]) -> "Profiles":
-        """Join views by location; a location may have views in any of the four headings.
+        """Return the profiles of locations that have views in any heading.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
         `skyline.skylines.polyline_vertices`). The views of one location may lie in
         different chunks. Of two views with the same eye and heading the later one counts.
         """
-        eyes, curves, keypoints, bins = [], [], [], _BINS
+        bins = 2048  # One has 0.176 degrees, like a pixel in the middle of a view of 640 columns.
+        eyes = []
+        curves = []
+        keypoints = []
         count = 0
         for views, table in chunks:
-            place = views.easting_m, views.northing_m, views.eye_elevation_m
-            eyes.append(np.stack(place, axis=1))
+            position_m = views.easting_m, views.northing_m, views.eye_elevation_m
+            eyes.append(np.stack(position_m, axis=1))
             y = quadrants(views, bins, FLAG_NO_DATA | FLAG_OUT_OF_IMAGE, np.float32)[0]
             curves.append((views.heading, y))
             view, slot = np.nonzero(table != NO_KEYPOINT)
@@ -144,7 +144,8 @@ class Profiles:
             keypoints.append(np.stack([view + count, np.rint(turn).astype(np.intp) % bins]))
             count += len(views)
         eye, location = np.unique(np.concatenate(eyes), axis=0, return_inverse=True)
-        joined, first = np.full((len(eye), bins), np.nan, dtype=np.float32), 0
+        joined = np.full((len(eye), bins), np.nan, dtype=np.float32)
+        first = 0
         for heading, y in curves:
             row = location[first : first + len(y), np.newaxis]
             joined[row, quadrant_bins(heading, bins)] = y
@@ -158,13 +159,19 @@ class Profiles:
         return cls(standing, joined, key % bins, start)
 
 
-def at_pitches(query: Rays, bins: int) -> list[tuple[float, Float64Array, Float64Array]]:
-    """Return each pitch that matchers of renderings assume, with y and weight as of `on_bins`."""
-    return [(pitch_deg, *on_bins(query, pitch_deg, bins)) for pitch_deg in _PITCHES_DEG]
+def at_pitches(
+    rays: Rays, bins: int, pitches_deg: Sequence[float] = PITCHES_DEG
+) -> list[tuple[float, Float64Array, Float64Array]]:
+    """Return a photo's skyline at each pitch that is assumed.
+
+    Each pitch in degrees comes with the tangents and the weights, (B,) each, that `on_bins` returns
+    at it. The camera is taken not to roll.
+    """
+    return [(pitch_deg, *on_bins(rays, pitch_deg, bins)) for pitch_deg in pitches_deg]
 
 
 class ProfileMatcher(SearchMethod):
-    """Base class of matchers of renderings, which fit one pose at every location."""
+    """Base class of matchers of renderings, which fit a pose everywhere."""
 
     holds = RENDERINGS
 
@@ -175,8 +182,8 @@ class ProfileMatcher(SearchMethod):
     def open(
         cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
     ) -> Self:
-        """Return a matcher of an open store of renderings that is not empty."""
-        parts = [slice(k, k + _VIEWS_AT_ONCE) for k in range(0, len(store), _VIEWS_AT_ONCE)]
+        """Return a matcher of an open store with one rendering or more."""
+        parts = [slice(k, k + 1024) for k in range(0, len(store), 1024)]
         return cls(Profiles.from_views((store.views(p), store.keypoint_columns(p)) for p in parts))
 
     def eyes(self) -> Viewpoints:
@@ -196,37 +203,42 @@ class ProfileMatcher(SearchMethod):
     def fit(self, rays: Rays) -> Poses:
         """Return the best pose at each location of `profiles`; see `Profiles.poses`.
 
-        `at_pitches` levels the rays at the assumed pitches and puts them on the profiles' bins. The
-        cost is infinite at a location where nothing fits.
+        `at_pitches` levels the photo at the assumed pitches and puts it into the profiles' bins.
+        The cost is infinite at a location where nothing fits.
         """
 
 
 class CorrelationMatcher(ProfileMatcher):
     """The plain baseline: the greatest normalized correlation wins.
 
-    The transforms of profiles are computed anew for each query: to keep them would save little
+    The transforms of profiles are computed anew for each photo: to keep them would save little
     time, and take several times the memory of the profiles.
     """
 
-    def fit(self, query: Rays) -> Poses:
-        """Return the best pose at every location; score is 1 - ncc."""
+    def fit(self, rays: Rays) -> Poses:
+        """Return the best pose at every location; its cost is 1 - ncc."""
         profiles = self.profiles
-        pitches = at_pitches(query, profiles.bins)
-        chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
+        pitches = at_pitches(rays, profiles.bins)
+        # The arrays of the transforms of eight locations stay in the processor's cache.
+        chunks = [profiles.y[k : k + 8] for k in range(0, len(profiles), 8)]
         ncc = [self._greatest(pitches, chunk) for chunk in chunks]
         peak, pitch_deg, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
         axis = turn + profiles.bins // 2
         heading_deg = axis % profiles.bins * (360.0 / profiles.bins)
         none = np.zeros(len(profiles))
-        return profiles.poses(1.0 - peak, heading_deg, pitch_deg, none, query.fov_deg)
+        return profiles.poses(1.0 - peak, heading_deg, pitch_deg, none, rays.fov_deg)
 
     def _greatest(
         self, pitches: list[tuple[float, Float64Array, Float64Array]], y: Float32Array
     ) -> tuple[Float64Array, Float64Array, IntArray]:
-        """Return the greatest ncc of each location (-inf if none), its pitch and its turn."""
+        """Return the greatest ncc at each location, with its pitch and turn.
+
+        It is -inf where there is none.
+        """
         transforms = _transformed(y)
         row = np.arange(len(y))
-        best, pitch_deg = np.full(len(y), -np.inf), np.zeros(len(y))
+        best = np.full(len(y), -np.inf)
+        pitch_deg = np.zeros(len(y))
         turn = np.zeros(len(y), dtype=np.intp)
         for assumed_deg, q, weight in pitches:
             ncc = self._ncc(transforms, q, weight)
@@ -238,35 +250,41 @@ class CorrelationMatcher(ProfileMatcher):
         return best, pitch_deg, turn
 
     def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
-        """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
+        """Return ncc (L, B) of a photo's curve at every turn, -inf for none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
         of_n, of_y, of_y2 = transforms
-        query_w, query_wq, query_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        of_w, of_wq, of_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        sum_y, sum_y2 = fft.irfft(of_y * query_w, bins), fft.irfft(of_y2 * query_w, bins)
-        covariance = fft.irfft(of_y * query_wq, bins)
+        sum_y = fft.irfft(of_y * of_w, bins)
+        sum_y2 = fft.irfft(of_y2 * of_w, bins)
+        covariance = fft.irfft(of_y * of_wq, bins)
         if of_n is None:
-            # All of the query then lands on known profile, and its mean over that is 0.
-            total, enough = np.full(1, weight.sum()), np.full(1, True)
+            # All of the photo then lands on known profile, and its mean over that is 0.
+            total = np.full(1, weight.sum())
+            enough = np.full(1, True)
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
-            total = fft.irfft(of_n * query_w, bins)
-            enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
+            total = fft.irfft(of_n * of_w, bins)
+            enough = total >= MIN_OVERLAP * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
-            sum_q = fft.irfft(of_n * query_wq, bins)
-            variance_q = fft.irfft(of_n * query_wq2, bins) - sum_q**2 / total
+            sum_q = fft.irfft(of_n * of_wq, bins)
+            variance_q = fft.irfft(of_n * of_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
-        flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
+        # A curve whose standard deviation is below 0.1 px is flat.
+        flat = (0.1 * TANGENT_PER_PX) ** 2 * total
         usable = enough & (variance_q > flat) & (variance_y > flat)
         scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
         return np.where(usable, covariance / scale, -np.inf)
 
 
 def _transformed(y: Float32Array) -> _Transforms:
-    """Return the Fourier transforms (L, B / 2 + 1) of n, None if it is 1 throughout, y and y**2."""
+    """Return the Fourier transforms (L, B / 2 + 1) of n, y and y**2.
+
+    The transform of n is None if n is 1 throughout.
+    """
     n = np.isfinite(y).astype(np.float64)
     y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
     mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)

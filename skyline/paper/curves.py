@@ -1,4 +1,4 @@
-"""Section 3, matching: local skylines, their Chamfer distance, and the affine map of two skylines.
+"""Section 3, matching: local skylines, Chamfer distances, and affine maps of skylines.
 
 Curves are over azimuth and tangent of elevation, both in px of a 640 column view. A patch is the
 local skyline of a keypoint, S samples of it relative to the keypoint.
@@ -19,73 +19,48 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, In
 from skyline.paper.correlation import TANGENT_PER_PX, Profiles
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
-_TOLERANCE_PX = 1.0
-"""Tolerance of the polyline whose vertices are the query's keypoints; the store's have the same."""
-
-_MAX_KEYPOINTS = 64
-"""Greatest number of keypoints of a query."""
-
-_HALF_PX, _STEP_PX = 40.0, 4.0
-"""Reach of a local skyline to either side of its keypoint, and distance of its samples."""
-
-MIN_OVERLAP = 0.8
-"""Least share of the query's weight that must land on known profile."""
-
-_PAIRS = 4096
-"""Pairs of patches compared at a time; keeps the arrays of one step in the cache."""
-
-_FAR_PX = np.float32(1e6)
-
-_CLOSELY = 4
-"""Stored patches, the nearest by squared difference, that a query patch is compared with."""
-
 INLIER_PX = 4.0
 """A correspondence agrees with a map that puts its point this near."""
 
-_RANSAC_ROUNDS = 100
-
-_MIN_INLIERS = 3
-"""Fewer correspondences define no affine map."""
-
-_MAX_SCALE = 1.25
-"""Singular values of a map lie between 1 / 1.25 and 1.25."""
-
-_MAX_TURN_DEG = 15.0
-
-_ALIGN_ROUNDS, _DAMPING = 6, 1e-3
-
 
 def patch_offsets(bin_px: float) -> IntArray:
-    """Return the offsets of a patch's samples in bins of a width, symmetric about 0."""
-    step = max(1, round(_STEP_PX / bin_px))
-    half = max(1, round(_HALF_PX / bin_px / step))
+    """Return the offsets of a patch's samples from its keypoint, in bins.
+
+    Samples are about 4 px apart, and reach about 40 px to either side.
+    """
+    step = max(1, round(4.0 / bin_px))
+    half = max(1, round(40.0 / bin_px / step))
     return np.arange(-half, half + 1, dtype=np.intp) * step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QueryCurve:
-    """The query at one assumed attitude: R points of its skyline and Q keypoints, in px."""
+class PhotoCurve:
+    """A photo's skyline at one assumed pitch: R points and Q keypoints."""
 
     points_px: Float64Array
-    """(R, 2) float64. x from the optical axis, and y."""
+    """(R, 2) float64. Points of the skyline: x from the optical axis, and y."""
     weight: Float64Array
-    """(R,) float64."""
+    """(R,) float64. Weights of the points."""
     point_bins: IntArray
-    """(R,) intp. Bin B / 2 is straight ahead."""
+    """(R,) intp. Bins of the points; bin B / 2 is straight ahead."""
     bins: IntArray
     """(Q,) intp. Bins of the keypoints."""
     local_bins: IntArray
-    """(3,) intp. Points of a local skyline, relative to its keypoint."""
+    """(3,) intp. Bins of three points of a local skyline, relative to its keypoint."""
     local_px: Float64Array
-    """(Q, 3, 2) float64. Those points."""
+    """(Q, 3, 2) float64. These points of each local skyline."""
     patches: Float32Array
     """(Q, S) float32. Local skylines relative to their keypoints; NaN where unknown."""
     pitch_deg: float
+    """The assumed pitch."""
 
     @classmethod
     def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
-        """Take the query at one of its pitches; see `skyline.paper.correlation.at_pitches`."""
-        table = polyline_vertices(y[np.newaxis], _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
+        """Return the curve at one of the pitches of `at_pitches`.
+
+        At most 64 keypoints are found, with the tolerance of a store's keypoints, 1 px.
+        """
+        table = polyline_vertices(y[np.newaxis], 1.0 * TANGENT_PER_PX, 64)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
         y_px = y / TANGENT_PER_PX
         bin_px = 2.0 * np.pi / len(y_px) / TANGENT_PER_PX
@@ -109,16 +84,19 @@ class QueryCurve:
 
     @property
     def min_known(self) -> int:
-        """Samples that two patches must have in common."""
+        """Number of samples that two patches must have in common."""
         return 3 * int(self.patches.shape[1]) // 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredCurves:
-    """C locations of a store: skylines and, padded to the most, K keypoints each, in px."""
+    """Skylines of C locations of a store, with K keypoints each.
+
+    Locations with fewer keypoints are padded.
+    """
 
     y_px: Float32Array
-    """(C, B) float32. NaN where unknown."""
+    """(C, B) float32. Ordinates of the skylines; NaN where unknown."""
     bins: IntArray
     """(C, K) intp. Bins of the keypoints; 0 where padded."""
     patches: Float32Array
@@ -129,7 +107,7 @@ class StoredCurves:
 
     @classmethod
     def of(cls, profiles: Profiles, rows: IntArray) -> Self:
-        """Take the locations ``rows``."""
+        """Return the skylines of the locations ``rows``."""
         offsets = patch_offsets(profiles.bin_px)
         y_px = profiles.y[rows] / np.float32(TANGENT_PER_PX)
         begin = profiles.keypoint_start[rows]
@@ -147,17 +125,17 @@ class StoredCurves:
         return len(self.y_px)
 
     def at(self, bins: IntArray) -> Float32Array:
-        """Return y in px (C, ...) at bins (C, ...) of each location, which may be off the turn."""
+        """Return the ordinates (C, ...) at bins (C, ...), counted round the turn."""
         return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
 
 
 def local_patches(
     curves: FloatArray, row: IntArray, column: IntArray, offsets: IntArray
 ) -> FloatArray:
-    """Return closed curves (N, B) around M keypoints, relative to the keypoint: (M, S).
+    """Return patches (M, S) of closed curves (N, B) around M keypoints.
 
     Keypoints are at a curve's ``row`` (M,) and ``column`` (M,); ``offsets`` (S,) are columns from
-    there. A value is NaN in a gap.
+    there. Values count from the keypoint's, and are NaN in a gap.
     """
     at = (column[:, np.newaxis] + offsets) % curves.shape[1]
     patch: FloatArray = curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
@@ -165,27 +143,33 @@ def local_patches(
 
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:
-    """Return the symmetric Chamfer distances (M,) of pairs of patches, each (M, S), in px.
+    """Return the Chamfer distances (M,) in px of pairs of patches, each (M, S).
 
-    The samples of a patch are points (step_px * i, value). The distance is the mean over the
-    points of either patch of the distance to the nearest point of the other, the two means
-    averaged. Only offsets at which both patches are known (not NaN) take part; it is infinite for
-    a pair without any.
+    The samples of a patch are points (step_px * i, value). Each point of a patch has a distance to
+    the nearest point of the other; the distance of the pair is the mean of these over both patches.
+    Only offsets at which both patches are known (not NaN) take part; it is infinite for a pair
+    without any.
     """
+    pairs = 4096  # Compared at a time: the arrays of one step stay in the processor's cache.
     return np.concatenate(
         [np.zeros(0, dtype=np.float32)]
         + [
-            _chamfer_block(a[k : k + _PAIRS].T, b[k : k + _PAIRS].T, np.float32(step_px))
-            for k in range(0, len(a), _PAIRS)
+            _chamfer_block(a[k : k + pairs].T, b[k : k + pairs].T, np.float32(step_px))
+            for k in range(0, len(a), pairs)
         ]
     )
 
 
 def _chamfer_block(a: Float32Array, b: Float32Array, step_px: np.float32) -> Float32Array:
-    """Return `chamfer_px` of (S, M) arrays; samples come first, so each step runs along pairs."""
+    """Return `chamfer_px` of (S, M) arrays.
+
+    Samples come first, so that each step runs along pairs.
+    """
     known = np.isfinite(a) & np.isfinite(b)
     # Unknown points are put so far off, on opposite sides, that none is the nearest of any point.
-    a, b = np.where(known, a, _FAR_PX), np.where(known, b, -_FAR_PX)
+    far_px = np.float32(1e6)
+    a = np.where(known, a, far_px)
+    b = np.where(known, b, -far_px)
     x = step_px * np.arange(len(a), dtype=np.float32)
     from_a = np.empty_like(a)
     from_b = np.full_like(b, np.inf)
@@ -201,33 +185,36 @@ def _chamfer_block(a: Float32Array, b: Float32Array, step_px: np.float32) -> Flo
 
 
 def nearest_patches(
-    query: Float32Array, stored: Float32Array, min_known: int, step_px: float
+    patches: Float32Array, stored: Float32Array, min_known: int, step_px: float
 ) -> tuple[IntArray, Float32Array]:
-    """Return the stored patch of each location nearest to each query patch, and its distance.
+    """Return the stored patch nearest to each of a photo's, and its distance.
 
-    The Chamfer distance is computed for the few stored patches that come nearest by mean squared
+    The Chamfer distance is computed for the four stored patches that come nearest by mean squared
     vertical difference, which products of matrices give. Curves that are near by Chamfer distance
-    are near vertically unless they are steep, so the few rarely miss the nearest.
+    are near vertically unless they are steep, so the four rarely miss the nearest.
 
-    The query has patches (Q, S), the locations (C, K, S), in px; NaN where unknown, all NaN where a
-    location has fewer than K. Pairs with fewer than ``min_known`` common offsets are not compared.
-    Returned are indices (C, Q) into the K patches, and distances (C, Q), infinite where nothing
-    could be compared.
+    The photo has ``patches`` (Q, S), the locations (C, K, S), in px; NaN where unknown, all NaN
+    where a location has fewer than K. Pairs with fewer than ``min_known`` common offsets are not
+    compared. Returned are, for each location, indices (C, Q) into its K patches, and distances
+    (C, Q), infinite where nothing could be compared.
     """
-    query_known, stored_known = np.isfinite(query), np.isfinite(stored)
-    m, n = query_known.astype(np.float32), stored_known.astype(np.float32)
-    a, b = np.where(query_known, query, 0.0), np.where(stored_known, stored, 0.0)
+    is_known = np.isfinite(patches)
+    is_stored = np.isfinite(stored)
+    m = is_known.astype(np.float32)
+    n = is_stored.astype(np.float32)
+    a = np.where(is_known, patches, 0.0)
+    b = np.where(is_stored, stored, 0.0)
     left = np.concatenate([a * a, m, -2.0 * a], axis=1).astype(np.float32)
     right = np.concatenate([n, b * b, b], axis=2).astype(np.float32)
     common = m @ n.transpose(0, 2, 1)
     total = left @ right.transpose(0, 2, 1)
     squared = np.where(common >= min_known, total / np.maximum(common, 1.0), np.float32(np.inf))
-    closely = min(_CLOSELY, stored.shape[1])
+    closely = min(4, stored.shape[1])
     near = np.argpartition(squared, closely - 1, axis=2)[:, :, :closely]
     comparable = np.isfinite(np.take_along_axis(squared, near, axis=2))
     which, q, slot = np.nonzero(comparable)
     distance = np.full(near.shape, np.inf, dtype=np.float32)
-    distance[which, q, slot] = chamfer_px(query[q], stored[which, near[which, q, slot]], step_px)
+    distance[which, q, slot] = chamfer_px(patches[q], stored[which, near[which, q, slot]], step_px)
     best = np.argmin(distance, axis=2)[:, :, np.newaxis]
     return (
         np.take_along_axis(near, best, axis=2)[:, :, 0],
@@ -236,7 +223,7 @@ def nearest_patches(
 
 
 def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> Float64Array:
-    """Return the affine maps that most correspondences agree on, by OpenCV's RANSAC.
+    """Return the affine maps on which most correspondences agree, by OpenCV's RANSAC.
 
     Points of a low skyline lie nearly on a line, which leaves an affine map undetermined across
     that line. Where the affine map is not plausible, the similarity on which most correspondences
@@ -247,14 +234,16 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
     plausible one is found.
     """
     maps = np.full((len(target), 2, 3), np.nan)
+    # Fewer than three correspondences define no affine map.
+    is_defined = used.sum(axis=1) >= 3
     for estimate in (cv2.estimateAffine2D, cv2.estimateAffinePartial2D):
-        for row in np.flatnonzero(~plausible(maps) & (used.sum(axis=1) >= _MIN_INLIERS)):
+        for row in np.flatnonzero(~plausible(maps) & is_defined):
             found, _ = estimate(
                 source[used[row]],
                 target[row, used[row]],
                 method=cv2.RANSAC,
                 ransacReprojThreshold=INLIER_PX,
-                maxIters=_RANSAC_ROUNDS,
+                maxIters=100,
             )
             if found is not None:
                 maps[row] = found
@@ -263,15 +252,20 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
 
 
 def plausible(maps: Float64Array) -> BoolArray:
-    """Return which maps (F, 2, 3) neither mirror nor turn nor scale too much; False for NaN."""
+    """Return which maps (F, 2, 3) neither mirror, nor turn or scale too much.
+
+    A turn is at most 15 degrees, and singular values lie between 1 / 1.25 and 1.25. A map of NaN is
+    not plausible.
+    """
+    max_scale = 1.25
     linear = np.nan_to_num(maps[..., :2])
     scale = np.linalg.svd(linear, compute_uv=False)
     turn_deg = np.degrees(np.arctan2(linear[..., 1, 0], linear[..., 0, 0]))
     return np.asarray(
         (np.linalg.det(linear) > 0.0)
-        & (scale[..., 0] <= _MAX_SCALE)
-        & (scale[..., 1] >= 1.0 / _MAX_SCALE)
-        & (np.abs(turn_deg) <= _MAX_TURN_DEG)
+        & (scale[..., 0] <= max_scale)
+        & (scale[..., 1] >= 1.0 / max_scale)
+        & (np.abs(turn_deg) <= 15.0)
     )
 
 
@@ -282,14 +276,15 @@ def align_curves(
     y_px: Float32Array,
     bin_px: float,
 ) -> Float64Array:
-    """Return better affine maps (C, 2, 3) from one curve to each of C closed curves.
+    """Improve affine maps (C, 2, 3) from a curve to each of C closed curves.
 
-    Damped Gauss-Newton on the vertical distance between the warped points and the curve at the
-    azimuth they land on. A point farther off than about `INLIER_PX` counts less and less.
+    Six damped steps of Gauss-Newton lessen the vertical distance between the warped points and the
+    closed curve at the azimuth where they land. A point farther off than about `INLIER_PX` counts
+    less and less. A map of NaN stays NaN.
 
-    Maps to start from are (C, 2, 3); NaN stays NaN. Points (R, 2) of the one curve have x from
-    straight ahead, and a trust (R,) in each; the others are (C, B), over a whole turn, in bins of a
-    width.
+    The abscissas of the curve's points (R, 2) count from straight ahead, and each point has a
+    weight (R,). Ordinates of the closed curves are (C, B), over a whole turn, in bins ``bin_px``
+    wide.
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)
@@ -299,7 +294,7 @@ def align_curves(
     begin = np.arange(count)[:, np.newaxis] * (bins + 1)
     homogeneous = np.concatenate([points_px, np.ones((len(points_px), 1))], axis=1)
     affine = affine.copy()
-    for _ in range(_ALIGN_ROUNDS):
+    for _ in range(6):
         x, y = np.moveaxis(np.nan_to_num(affine) @ homogeneous.T, 1, 0)
         position = x / bin_px + bins // 2
         position -= bins * np.floor(position / bins)
@@ -311,11 +306,12 @@ def align_curves(
         steepness = flat_slope.take(at + (share > 0.5))
         miss = y - there
         usable = np.isfinite(miss) & np.isfinite(steepness)
-        miss, steepness = np.where(usable, miss, 0.0), np.where(usable, steepness, 0.0)
+        miss = np.where(usable, miss, 0.0)
+        steepness = np.where(usable, steepness, 0.0)
         pull = np.where(usable, weight, 0.0) / (1.0 + (miss / INLIER_PX) ** 2)
         normal, gradient = _normal_equations(pull, steepness, miss, homogeneous)
         diagonal = np.einsum("ckk->ck", normal)
-        damping = _DAMPING * diagonal + 1e-9 * (1.0 + diagonal.max(axis=1, keepdims=True))
+        damping = 1e-3 * diagonal + 1e-9 * (1.0 + diagonal.max(axis=1, keepdims=True))
         normal += damping[:, :, np.newaxis] * np.eye(6)
         affine -= np.linalg.solve(normal, gradient[:, :, np.newaxis]).reshape(count, 2, 3)
     return affine
@@ -324,7 +320,7 @@ def align_curves(
 def _normal_equations(
     pull: Float64Array, steepness: Float64Array, miss: Float64Array, points: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the matrices (C, 6, 6) and right-hand sides (C, 6) of the least squares.
+    """Return matrices (C, 6, 6) and right-hand sides (C, 6) of least squares.
 
     A miss changes with the map's entries by (-steepness * p, p), where p are the homogeneous
     points (R, 3) that all maps share; so all sums over the points are products of two matrices.

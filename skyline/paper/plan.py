@@ -1,4 +1,4 @@
-"""Sections 4 and 4.3 on real terrain: a strategy chooses viewpoints, which are rendered and stored.
+"""Sections 4 and 4.3 on real terrain: a strategy chooses viewpoints.
 
 A coarse grid is rendered first. Each heading and each square of the coarse grid is then a planning
 problem of its own. All run in step, so that all views requested in a round are rendered as one
@@ -8,25 +8,19 @@ batch. All random choices follow from the seed.
 import logging
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
-from skyline.errors import InputError, StoreMismatchError
-from skyline.geodesy import Bounds, Rectangle
+from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
-from skyline.paper.strategies import PLANNERS, Candidates, Coverage, Planner, Problem
-from skyline.paper.verify import Verification, verify_coverage
+from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.plugins import load
-from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS, Views
-from skyline.store.header import StoreHeader
-from skyline.store.merge import sorted_once
-from skyline.store.write import check_store_path, write_store
-from skyline.survey.build import BuildResult, finished_store
-from skyline.survey.plans import lattice_m, map_bounds, rendering_columns, rendering_header
+from skyline.survey.plans import lattice_m
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
@@ -34,8 +28,6 @@ _log = logging.getLogger(__name__)
 
 _REACH_M = 300.0
 """Greatest extent of a tolerance area from its view."""
-
-_MOST_CANDIDATES = 20_000_000
 
 Render = Callable[[Viewpoints, UInt8Array], Views]
 """Renders N viewpoints along N headings; returns N views in the same order."""
@@ -52,37 +44,44 @@ class PlanConfig:
     strategy: str = "lpov"
     """The name of a planner: an entry point of `skyline.paper.strategies.PLANNERS`."""
     coarse_m: float = 1000.0
-    """Distance between viewpoints of the coarse grid; a whole multiple of ``candidate_m``."""
-    candidate_m: float = 50.0
-    """Distance between candidates; at most 300."""
+    """Distance between viewpoints of the coarse grid; a whole multiple of ``site_spacing_m``."""
+    site_spacing_m: float = 50.0
+    """Distance between sites; at most 300."""
     threshold_px: float = 3.0
     """A location is covered where the reprojection error of some view is at most this."""
     coverage: float = 0.98
-    """Share of the candidates to cover in each heading, in (0, 1]."""
+    """Share of the sites to cover in each heading, in (0, 1]."""
     seed: int = 0
+    """Seed of all random choices."""
 
     def __post_init__(self) -> None:
         load(PLANNERS, self.strategy)
         for name, value, unit, most in (
             ("coverage", self.coverage, "", 1.0),
             ("threshold", self.threshold_px, " px", np.inf),
-            ("candidate spacing", self.candidate_m, " m", _REACH_M),
+            ("site spacing", self.site_spacing_m, " m", _REACH_M),
             ("coarse spacing", self.coarse_m, " m", np.inf),
         ):
             if not 0.0 < value <= most or np.isinf(value):
                 limit = "" if np.isinf(most) else f", at most {most:g}{unit}"
                 raise InputError(f"{name} is {value}{unit}; expected a number above 0{limit}")
-        if abs(self.coarse_m / self.candidate_m - self.stride) > 1e-9 * self.stride:
+        if abs(self.coarse_m / self.site_spacing_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
-                f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
-                f"{self.candidate_m} m; choose one that is, for example "
-                f"{self.stride * self.candidate_m} m"
+                f"coarse spacing is {self.coarse_m} m, no whole multiple of the site spacing of "
+                f"{self.site_spacing_m} m; choose one that is, for example "
+                f"{self.stride * self.site_spacing_m} m"
             )
 
     @property
     def stride(self) -> int:
-        """Candidates from one viewpoint of the coarse grid to the next."""
-        return max(1, round(self.coarse_m / self.candidate_m))
+        """Steps between sites from one viewpoint of the coarse grid to the next."""
+        return max(1, round(self.coarse_m / self.site_spacing_m))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as the header of a store has them."""
+        # The header's name for the spacing of sites is older than the name here.
+        names = {"site_spacing_m": "candidate_m"}
+        return {names.get(name, name): value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +90,7 @@ class Plan:
 
     field: HeightField
     config: PlanConfig
-    candidates: Candidates
+    sites: Sites
     coverages: tuple[Coverage, ...]
     """One for each heading: its viewpoints and their tolerance areas."""
     views: Views
@@ -99,77 +98,23 @@ class Plan:
     batches: int
     """Rounds of rendering."""
     render_s: float
+    """Seconds of rendering."""
     plan_s: float
-    """Seconds on everything but rendering."""
+    """Seconds of everything else."""
 
     @property
     def coverage(self) -> float:
-        """Predicted share of the candidates that is covered, over all headings."""
+        """Predicted share of the sites that is covered, over all headings."""
         return float(np.mean([one.fraction() for one in self.coverages]))
 
     @property
     def overlap(self) -> int:
-        """Inclusions in tolerance areas less covered candidates, over all headings."""
+        """Inclusions in tolerance areas less covered sites, over all headings."""
         return sum(one.overlap for one in self.coverages)
 
-    def viewpoints(self, candidates: Int64Array) -> Viewpoints:
-        """Return viewpoints at candidates (N)."""
-        return _viewpoints(self.field, self.candidates, candidates)
-
-
-def build_planned(
-    terrain: HeightField,
-    path: str | Path,
-    planned: PlanConfig,
-    bounds_deg: Bounds | None = None,
-    config: RenderConfig | None = None,
-    progress: Progress | None = None,
-) -> tuple[BuildResult, Plan, Verification] | None:
-    """Let a strategy choose viewpoints until the area is covered, and store their renderings.
-
-    The store is written at the end of the plan. Returns the build, the plan, and the share of its
-    coverage that renderings confirm; None if the store already exists with the same settings.
-
-    Bounds are W, S, E, N in degrees, by default all of the terrain. ``progress`` is called after
-    each batch with the share that is covered, of 100.
-
-    Raises `InputError` where the area cannot be planned, and `StoreMismatchError` where the store
-    at ``path`` was built from another DEM or with other settings.
-    """
-    started = time.perf_counter()
-    path, config = Path(path).resolve(), config or RenderConfig()
-    settings: dict[str, object] = {
-        "planner": planned.strategy,
-        "plan": asdict(planned),
-        "bounds_deg": bounds_deg,
-    }
-    header = rendering_header(terrain, settings, config)
-    check_store_path(path)
-    if _is_planned(path, header):
-        return None
-    with HorizonRenderer(terrain, config) as renderer:
-        area = map_bounds(terrain, bounds_deg)
-        done = plan(terrain, renderer.render, planned, area, progress)
-        header = replace(header, renderer=renderer.description)
-        columns = rendering_columns(header, done.views)
-        order = sorted_once(header, columns)
-        # A plan takes long, and another store may have been written meanwhile.
-        if not _is_planned(path, header):
-            write_store(path, header, columns, order)
-        built = BuildResult(len(order), len(order), time.perf_counter() - started)
-        return built, done, verify_coverage(done, renderer.render)
-
-
-def _is_planned(path: Path, header: StoreHeader) -> bool:
-    """Return whether a store is finished; raises `StoreMismatchError` for any other store."""
-    if not path.exists():
-        return False
-    if finished_store(path, header) is None:
-        raise StoreMismatchError(
-            f"store {path} was planned for other bounds; write to another file, and join the "
-            "two with `skyline store merge`"
-        )
-    return True
+    def viewpoints(self, chosen: Int64Array) -> Viewpoints:
+        """Return viewpoints at sites (N)."""
+        return _viewpoints(self.field, self.sites, chosen)
 
 
 def plan(
@@ -179,21 +124,21 @@ def plan(
     bounds_m: Rectangle | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Choose viewpoints and render them until the coverage asked for is reached.
+    """Choose viewpoints and render them until the configured coverage is reached.
 
     The area is west, south, east, north, by default all of the terrain. Raises `InputError` for a
     spacing larger than the area, or an area wholly in holes.
     """
     started = time.perf_counter()
-    candidates = lay_out(terrain, config, bounds_m)
-    coarse, squares = _coarse_grid(candidates, config)
-    headings = [_Heading(terrain, config, candidates, squares, heading) for heading in HEADINGS]
+    sites = lay_out(terrain, config, bounds_m)
+    coarse, squares = _coarse_grid(sites, config)
+    headings = [_Heading(terrain, config, sites, squares, heading) for heading in HEADINGS]
     requests = [coarse for _ in headings]
     views: list[Views] = []
     render_s = 0.0
     while any(map(len, requests)):
         rendering = time.perf_counter()
-        eyes = _viewpoints(terrain, candidates, np.concatenate(requests))
+        eyes = _viewpoints(terrain, sites, np.concatenate(requests))
         asked = [len(some) for some in requests]
         views.append(render(eyes, np.repeat(np.array(HEADINGS, np.uint8), asked)))
         render_s += time.perf_counter() - rendering
@@ -208,35 +153,36 @@ def plan(
     plan_s = time.perf_counter() - started - render_s
     coverages = tuple(one.coverage for one in headings)
     joined = Views.concatenate(views)
-    return Plan(terrain, config, candidates, coverages, joined, len(views), render_s, plan_s)
+    return Plan(terrain, config, sites, coverages, joined, len(views), render_s, plan_s)
 
 
 class _Heading:
-    """The views rendered along one heading, and a planner at work in each square of it."""
+    """The views along one heading, and a planner at work in each square."""
 
     def __init__(
         self,
         field: HeightField,
         config: PlanConfig,
-        candidates: Candidates,
+        sites: Sites,
         squares: Int64Array,
         heading: int,
     ) -> None:
         self.heading = heading
-        self.coverage = Coverage(candidates)
-        self._field, self._config = field, config
+        self.coverage = Coverage(sites)
+        self._field = field
+        self._config = config
         self._points: list[Float64Array] = []
         self._width = 0
         self._planned: list[tuple[Problem, Iterator[Int64Array]]] = []
         planner: Planner = load(PLANNERS, config.strategy)
-        for number, square in enumerate(np.unique(squares[candidates.valid])):
-            region = candidates.valid & (squares == square)
+        for number, square in enumerate(np.unique(squares[sites.valid])):
+            region = sites.valid & (squares == square)
             problem = Problem(self.coverage, region, config.coverage, self.projected_areas)
             generator = np.random.default_rng([config.seed, heading, number])
             self._planned.append((problem, planner(problem, generator)))
 
     def requests(self) -> Int64Array:
-        """Return the candidates that planners ask for; none where the heading is covered."""
+        """Return the sites that planners choose next, none once all is covered."""
         asked = [np.zeros(0, dtype=np.int64)]
         if self.coverage.fraction() < self._config.coverage:
             for problem, chosen in self._planned:
@@ -251,30 +197,31 @@ class _Heading:
         if given.ndim != 1 or not np.isin(given, np.flatnonzero(problem.region)).all():
             raise InputError(
                 f"planner {self._config.strategy!r} chose {chosen}; expected indices (n,) of "
-                "candidates in the problem's region"
+                "sites in the problem's region"
             )
         return given.astype(np.int64, copy=False)
 
     def add(self, viewpoints: Int64Array, views: Views) -> None:
-        """Add views (N) rendered at candidates (N)."""
-        points, self._width = skyline_points_m(views), views.width
+        """Add views (N) rendered at sites (N)."""
+        points = skyline_points_m(views)
+        self._width = views.width
         self._points.extend(points)
         self.coverage.add(viewpoints, self._areas(points, views))
 
-    def projected_areas(self, candidates: Int64Array) -> BoolArray:
-        """Return the tolerance areas (N, K, K) of N candidates that have not been rendered.
+    def projected_areas(self, chosen: Int64Array) -> BoolArray:
+        """Return the tolerance areas (N, K, K) of N sites that are not rendered.
 
         Each has the skyline points of the nearest rendered view, moved by Equation 1.
         """
         coverage = self.coverage
-        nearest, _ = coverage.candidates.nearest(candidates, coverage.viewpoints, 1)
+        nearest, _ = coverage.sites.nearest(chosen, coverage.viewpoints, 1)
         source, there = (
-            _viewpoints(self._field, coverage.candidates, some)
-            for some in (coverage.viewpoints[nearest[:, 0]], candidates)
+            _viewpoints(self._field, coverage.sites, some)
+            for some in (coverage.viewpoints[nearest[:, 0]], chosen)
         )
         move = displacements_m(
             source,
-            np.full(len(candidates), self.heading),
+            np.full(len(chosen), self.heading),
             there.easting_m[:, np.newaxis],
             there.northing_m[:, np.newaxis],
             there.eye_elevation_m[:, np.newaxis],
@@ -288,20 +235,18 @@ class _Heading:
             eyes,
             np.full(len(eyes), self.heading),
             ground_of(self._field),
-            size=self.coverage.candidates.window,
-            spacing_m=self._config.candidate_m,
+            size=self.coverage.sites.window,
+            spacing_m=self._config.site_spacing_m,
             width=self._width,
         )
         return np.asarray(errors <= self._config.threshold_px)
 
 
-def lay_out(
-    field: HeightField, config: PlanConfig, bounds_m: Rectangle | None = None
-) -> Candidates:
-    """Lay candidates over an area, at whole multiples of their spacing.
+def lay_out(field: HeightField, config: PlanConfig, bounds_m: Rectangle | None = None) -> Sites:
+    """Lay sites over an area, at whole multiples of their spacing.
 
-    A candidate is valid where an eye can stand off the holes and off the map's border. Raises
-    `InputError` for a spacing larger than the area, or an area wholly in holes.
+    A site is valid where an eye can stand, off the holes and off the map's border. Raises
+    `InputError` for a spacing larger than the area, or more than 20 million sites.
     """
     bounds_m = bounds_m or field.bounds_m
     west, south, east, north = bounds_m
@@ -310,44 +255,44 @@ def lay_out(
             f"spacing of {config.coarse_m:g} m is larger than the area of {east - west:.0f} x "
             f"{north - south:.0f} m; choose a smaller spacing or a larger area"
         )
-    easting_m, northing_m = lattice_m(bounds_m, config.candidate_m, _MOST_CANDIDATES)
+    easting_m, northing_m = lattice_m(bounds_m, config.site_spacing_m, most=20_000_000)
     valid = _can_stand(field, *np.meshgrid(easting_m, northing_m))
-    return Candidates(valid, easting_m, northing_m, int(_REACH_M // config.candidate_m))
+    return Sites(valid, easting_m, northing_m, int(_REACH_M // config.site_spacing_m))
 
 
-def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
-    """Return the places around which the surface is known for a sample to every side."""
-    ground = field.height_at(easting_m=easting, northing_m=northing)
+def _can_stand(field: HeightField, easting_m: Float64Array, northing_m: Float64Array) -> BoolArray:
+    """Return where the surface is known up to a sample to every side."""
+    ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)
     for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        ground = ground + field.height_at(
-            easting_m=easting + east * field.spacing_east_m,
-            northing_m=northing + north * field.spacing_north_m,
+        ground_m = ground_m + field.height_at(
+            easting_m=easting_m + east * field.spacing_east_m,
+            northing_m=northing_m + north * field.spacing_north_m,
         )
-    return ~np.isnan(ground)
+    return ~np.isnan(ground_m)
 
 
-def _coarse_grid(candidates: Candidates, config: PlanConfig) -> tuple[Int64Array, Int64Array]:
-    """Return the valid candidates of the coarse grid, and each candidate's square of it.
+def _coarse_grid(sites: Sites, config: PlanConfig) -> tuple[Int64Array, Int64Array]:
+    """Return the valid sites of the coarse grid, and each site's square.
 
     Squares (rows, cols) are numbered from south to north, and in a row from west to east. Raises
-    `InputError` where the coarse grid has no valid candidate.
+    `InputError` where the coarse grid has no valid site.
     """
     row, col = (
-        np.rint(axis / config.candidate_m).astype(np.int64)
-        for axis in (candidates.northing_m, candidates.easting_m)
+        np.rint(axis / config.site_spacing_m).astype(np.int64)
+        for axis in (sites.northing_m, sites.easting_m)
     )
     stride = config.stride
-    coarse = (row[:, None] % stride == 0) & (col % stride == 0) & candidates.valid
+    coarse = (row[:, None] % stride == 0) & (col % stride == 0) & sites.valid
     if not coarse.any():
         raise InputError(
             f"no viewpoint of the {config.coarse_m:g} m grid falls on the surface in easting "
-            f"{col[0] * config.candidate_m:.0f} to {col[-1] * config.candidate_m:.0f}, northing "
-            f"{row[-1] * config.candidate_m:.0f} to {row[0] * config.candidate_m:.0f}; choose a "
-            "smaller spacing or a larger area"
+            f"{col[0] * config.site_spacing_m:.0f} to {col[-1] * config.site_spacing_m:.0f}, "
+            f"northing {row[-1] * config.site_spacing_m:.0f} to "
+            f"{row[0] * config.site_spacing_m:.0f}; choose a smaller spacing or a larger area"
         )
     return np.flatnonzero(coarse), (row // stride)[:, None] * len(col) + col // stride
 
 
-def _viewpoints(field: HeightField, at: Candidates, candidates: Int64Array) -> Viewpoints:
-    row, col = at.row_col(candidates)
-    return stand_on(field, easting_m=at.easting_m[col], northing_m=at.northing_m[row])
+def _viewpoints(field: HeightField, sites: Sites, chosen: Int64Array) -> Viewpoints:
+    row, col = sites.row_col(chosen)
+    return stand_on(field, easting_m=sites.easting_m[col], northing_m=sites.northing_m[row])

@@ -1,4 +1,4 @@
-"""Section 4.2, Equations 1 to 4: reprojection errors, and the tolerance areas they bound.
+"""Section 4.2, Equations 1 to 4: reprojection errors and tolerance areas.
 
 The skyline points X of a view are moved to another eye (Equation 1) and projected there. These
 images are compared with a warp of the view's own skyline; the paper's warp is Equation 4.
@@ -21,6 +21,8 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
+"""The warp that changes nothing."""
+
 Warp = Callable[[Float64Array, Float64Array], Float64Array]
 """Takes skyline points (N, P, 3) and displacements (N, C, 3); returns warps (N, C, 2, 3), NaN where
 there is none."""
@@ -28,22 +30,15 @@ there is none."""
 _SAFE_DEPTH_SHARE = 0.05
 """A point or a skyline at depth z keeps more than this share of z; nearer, a warp is unstable."""
 
-_RIDGE = 1e-9
-
-_AT_ONCE = 1 << 18
-"""Points projected together, to stay in the processor's cache."""
-
-_COLUMNS = 80
-"""Points of a view, evenly spread. On the terrain of Davos, 80 give the same decisions as 640."""
-
-_FEWEST_POINTS = 3
-"""A view with fewer points in the other frame predicts nothing there."""
-
 _ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
 
 
-def skyline_points_m(views: Views, columns: int = _COLUMNS) -> Float64Array:
-    """Return skyline points X (N, P, 3) of views, at most ``columns`` a view; NaN is unknown."""
+def skyline_points_m(views: Views, columns: int = 80) -> Float64Array:
+    """Return skyline points X (N, P, 3) of views; NaN is unknown.
+
+    A view has at most ``columns`` points, evenly spread. On the terrain of Davos, 80 give the same
+    decisions as 640.
+    """
     # Points of the skyline itself, not means: a mean of two ridges is on neither.
     stride = slice(0, None, -(-views.width // columns))
     depth = views.depth_m[:, stride].astype(np.float64)
@@ -58,9 +53,10 @@ def displacements_m(
     northing_m: ArrayLike,
     eye_elevation_m: ArrayLike,
 ) -> Float64Array:
-    """Return the displacements t (N, C, 3) from N eyes, along N headings, to C others each.
+    """Return the displacements t (N, C, 3) of C others from each eye.
 
-    An unknown height, NaN, leaves right and forward known.
+    Axes are those of the N views along the eyes' headings. An unknown height, NaN, leaves right and
+    forward known.
     """
     own = (eyes.easting_m, eyes.eye_elevation_m, eyes.northing_m)
     other = (easting_m, eye_elevation_m, northing_m)
@@ -93,7 +89,7 @@ def moved(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array
 
 
 def projected(points_m: Float64Array) -> Float64Array:
-    """Return abscissas and ordinates (..., 2) of points (..., 3) in front of the eye."""
+    """Return the images (..., 2) of points (..., 3): abscissas and ordinates."""
     return np.asarray(points_m[..., :2] / points_m[..., 2:])
 
 
@@ -116,12 +112,12 @@ def equation_4(depth_m: Float64Array, displacements_m: Float64Array) -> Float64A
 
 
 def non_affine(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return the identity as the warp: the paper's comparison without Equation 4."""
+    """Return the identity, the paper's comparison without Equation 4."""
     return np.broadcast_to(IDENTITY, (*displacements_m.shape[:2], 2, 3))
 
 
 def affine_mean(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return Equation 4 at the mean depth of the points: the warp of the planners."""
+    """Return Equation 4 at the mean depth of the points, as planners do."""
     depth = np.ma.masked_invalid(points_m[..., 2]).mean(axis=1)
     return equation_4(np.ma.filled(depth, np.nan), displacements_m)
 
@@ -133,10 +129,10 @@ def affine_median(points_m: Float64Array, displacements_m: Float64Array) -> Floa
 
 
 def affine_least_squares(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return the warps that take points nearest to their images, to compare with Equation 4.
+    """Return the warps that take points nearest to their images.
 
-    Where the points lie on a line, or are fewer than three, many warps are equally near; the
-    result is the one nearest to the identity.
+    They are compared with Equation 4. Where the points lie on a line, or are fewer than three, many
+    warps are equally near; the result is the one nearest to the identity.
     """
     images = projected(moved(points_m, displacements_m))
     usable = np.isfinite(images[..., 0])
@@ -146,7 +142,7 @@ def affine_least_squares(points_m: Float64Array, displacements_m: Float64Array) 
     weight = usable.astype(np.float64)
     normal = np.einsum("ncp,npij->ncij", weight, products, optimize=True)
     trace = np.trace(normal, axis1=2, axis2=3)[..., np.newaxis, np.newaxis]
-    normal += _RIDGE * (trace + 1.0) * np.eye(3)
+    normal += 1e-9 * (trace + 1.0) * np.eye(3)
     change_uv = np.where(usable[..., np.newaxis], images - here[:, np.newaxis], 0.0)
     right_side = np.einsum("npi,ncpk->ncik", design, change_uv, optimize=True)
     change = np.linalg.solve(normal, right_side)
@@ -165,15 +161,18 @@ WARPS: dict[str, Warp] = {
 def errors_px(
     points_m: Float64Array, displacements_m: Float64Array, width: int, warp: Warp = affine_mean
 ) -> Float32Array:
-    """Return reprojection errors (N, C): mean distances of warped points from their images.
+    """Return reprojection errors (N, C) of N views seen from C other eyes each.
 
-    Skyline points of N views are (N, P, 3), NaN where unknown; displacements to C other eyes from
-    each view (N, C, 3), NaN for no eye. Views have ``width`` columns W, and an error is in px
+    An error is the mean distance of warped points from their images.
+
+    Skyline points of the views are (N, P, 3), NaN where unknown; displacements to the other eyes
+    (N, C, 3), NaN for no eye. Views have ``width`` columns W, and an error is in px
     (2 / W in v). It is infinite where the view predicts nothing: no warp, fewer than three points
     in frame, no eye.
     """
     errors = np.empty(displacements_m.shape[:2], dtype=np.float32)
-    some = max(1, _AT_ONCE // max(1, displacements_m.shape[1] * points_m.shape[1]))
+    # So many points projected together stay in the processor's cache.
+    some = max(1, (1 << 18) // max(1, displacements_m.shape[1] * points_m.shape[1]))
     for begin in range(0, len(points_m), some):
         part = slice(begin, begin + some)
         errors[part] = _errors(points_m[part], displacements_m[part], warp) / pixel_size(width)
@@ -193,7 +192,7 @@ def _errors(points_m: Float64Array, displacements_m: Float64Array, warp: Warp) -
     usable = np.isfinite(distance)
     count = usable.sum(axis=2)
     mean = np.where(usable, distance, 0.0).sum(axis=2) / np.maximum(count, 1)
-    return np.where(count >= _FEWEST_POINTS, mean, np.inf)
+    return np.where(count >= 3, mean, np.inf)
 
 
 def tolerance_errors_px(
@@ -206,7 +205,9 @@ def tolerance_errors_px(
     spacing_m: float,
     width: int,
 ) -> Float32Array:
-    """Return the reprojection errors (N, K, K) of Equation 4 around N views, px.
+    """Return the reprojection errors (N, K, K) in px around N views.
+
+    They are those of Equation 4 at the mean depth.
 
     The tolerance area is where these are within a threshold. Row 0 is the northernmost and column 0
     the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error is 0. It

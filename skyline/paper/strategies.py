@@ -1,9 +1,9 @@
 """Section 4.3: the paper's five strategies, each of which chooses the next viewpoint.
 
-A planning problem is one heading. Candidates lie on a grid of rows (north to south) and columns
-(west to east); a candidate's index is ``row * cols + col``. The tolerance area of a view is a
-boolean window of K x K candidates around it, K = 2 * reach + 1, rows southward and columns eastward
-whatever the heading.
+A planning problem is one heading. Sites, at which views may be rendered, lie on a grid of rows
+(north to south) and columns (west to east); the index of a site is ``row * cols + col``. The
+tolerance area of a view is a boolean window of K x K sites around it, K = 2 * reach + 1. Its rows
+go southward and its columns eastward whatever the heading.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,45 +19,39 @@ PLANNERS = "skyline.planners"
 """Group of the entry points that are planners."""
 
 _DRAWN = 10
-"""Candidates that ROV and AROV draw for each viewpoint they select."""
-
-_RANKED = 64
-"""Candidates that LPOV ranks for each viewpoint it selects, at most."""
-
-_INTERPOLATED_FROM = 4
-"""Number of nearest rendered views from which an area is interpolated."""
+"""Number of sites that ROV and AROV draw for each viewpoint they select. The paper gives none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """Locations of a grid at which viewpoints may be placed."""
+class Sites:
+    """The grid of locations from which viewpoints are chosen."""
 
     valid: BoolArray
-    """(rows, cols) bool. False where no eye can stand: holes, the map's border."""
+    """(rows, cols) bool. False where no eye can stand: on holes and on the map's border."""
     easting_m: Float64Array
     """(cols,) float64."""
     northing_m: Float64Array
     """(rows,) float64. Descending."""
     reach: int
-    """Greatest extent of a tolerance area from its view, in candidates; at least 1."""
+    """Greatest extent of a tolerance area from its view, in sites; at least 1."""
 
     @property
     def window(self) -> int:
-        """K, the side of a tolerance area's window in candidates."""
+        """The side K of a tolerance area's window, in sites."""
         return 2 * self.reach + 1
 
-    def row_col(self, candidates: Int64Array) -> tuple[Int64Array, Int64Array]:
-        """Return the rows and columns of candidate indices."""
-        return candidates // self.valid.shape[1], candidates % self.valid.shape[1]
+    def row_col(self, sites: Int64Array) -> tuple[Int64Array, Int64Array]:
+        """Return the rows and columns of sites."""
+        return sites // self.valid.shape[1], sites % self.valid.shape[1]
 
     def nearest(
-        self, candidates: Int64Array, others: Int64Array, number: int
+        self, sites: Int64Array, others: Int64Array, number: int
     ) -> tuple[Int64Array, Float64Array]:
-        """Return the indices and the distances of the ``others`` (M) nearest to each candidate (N).
+        """Return which of the ``others`` (M) are nearest to each site (N).
 
-        Both are (N, min(number, M)), nearest first; distances are in candidates.
+        Indices into ``others`` and distances in sites are (N, min(number, M)), the nearest first.
         """
-        row, col = self.row_col(candidates)
+        row, col = self.row_col(sites)
         other_row, other_col = self.row_col(others)
         apart = np.hypot(row[:, None] - other_row, col[:, None] - other_col)
         chosen = np.argsort(apart, axis=1, kind="stable")[:, :number]
@@ -65,24 +59,25 @@ class Candidates:
 
 
 class Coverage:
-    """The union of the tolerance areas of rendered views, which all look along one heading.
+    """The union of the tolerance areas of views along one heading.
 
     Attributes
     ----------
-    candidates : Candidates
+    sites : Sites
     viewpoints : (N,) int64
-        Candidates rendered so far, in the order they were added.
+        Sites rendered so far, in the order in which they were added.
     areas : (N, K, K) bool
-        Their tolerance areas, clipped to valid candidates.
+        Their tolerance areas, without sites that are not valid.
     uncovered : (rows, cols) bool
-        Valid candidates in no tolerance area.
+        Valid sites in no tolerance area.
     """
 
-    def __init__(self, candidates: Candidates) -> None:
-        self.candidates = candidates
-        reach, size = candidates.reach, (candidates.window, candidates.window)
+    def __init__(self, sites: Sites) -> None:
+        self.sites = sites
+        reach = sites.reach
+        size = (sites.window, sites.window)
         # Windows look into padded arrays, so that the grid's border is no special case.
-        valid = np.pad(candidates.valid, reach)
+        valid = np.pad(sites.valid, reach)
         uncovered = valid.copy()
         self.uncovered = uncovered[reach:-reach, reach:-reach]
         self._valid_windows = sliding_window_view(valid, size)
@@ -91,54 +86,54 @@ class Coverage:
         self.areas = np.zeros((0, *size), dtype=bool)
 
     def add(self, viewpoints: Int64Array, areas: BoolArray) -> None:
-        """Add the tolerance areas (N, K, K) of views rendered at candidates (N)."""
-        row, col = self.candidates.row_col(viewpoints)
+        """Add the tolerance areas (N, K, K) of views rendered at sites (N)."""
+        row, col = self.sites.row_col(viewpoints)
         areas = areas & self._valid_windows[row, col]
         for at, area in zip(zip(row, col, strict=True), areas, strict=True):
             self._open_windows[at] &= ~area
         self.viewpoints = np.concatenate([self.viewpoints, viewpoints])
         self.areas = np.concatenate([self.areas, areas])
 
-    def gains(self, candidates: Int64Array, areas: BoolArray) -> Int64Array:
-        """Return how many uncovered candidates areas (N, K, K) at candidates (N) would cover."""
-        gained = self._open_windows[self.candidates.row_col(candidates)] & areas
+    def gains(self, sites: Int64Array, areas: BoolArray) -> Int64Array:
+        """Return how many sites areas (N, K, K) at sites (N) would newly cover."""
+        gained = self._open_windows[self.sites.row_col(sites)] & areas
         return np.asarray(np.count_nonzero(gained, axis=(1, 2)), dtype=np.int64)
 
     def fraction(self, region: BoolArray | None = None) -> float:
-        """Return the covered share of the valid candidates (in a region)."""
-        valid = self.candidates.valid if region is None else self.candidates.valid & region
-        left, whole = int((self.uncovered & valid).sum()), int(valid.sum())
-        return 1.0 - left / max(whole, 1)
+        """Return the covered share of the valid sites, or of those in a region."""
+        valid = self.sites.valid if region is None else self.sites.valid & region
+        left = int((self.uncovered & valid).sum())
+        return 1.0 - left / max(int(valid.sum()), 1)
 
     @property
     def overlap(self) -> int:
-        """The paper's criterion (B): inclusions in tolerance areas less covered candidates."""
-        covered = self.candidates.valid & ~self.uncovered
+        """The paper's criterion (B): inclusions in tolerance areas less covered sites."""
+        covered = self.sites.valid & ~self.uncovered
         return int(np.count_nonzero(self.areas)) - int(np.count_nonzero(covered))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """A region of one heading to cover. A planner knows nothing else of terrain and views."""
+    """A region to cover along one heading: all that a planner knows."""
 
     coverage: Coverage
-    """Holds the views rendered so far whenever a planner is resumed; the regions of one heading
+    """Has the views rendered so far whenever a planner goes on. The regions of one heading
     share it."""
     region: BoolArray
-    """(rows, cols) bool. The candidates to cover, from which viewpoints are chosen."""
+    """(rows, cols) bool. The sites to cover, from which viewpoints are chosen."""
     target: float
-    """Share of the region's valid candidates to cover, in (0, 1]."""
+    """Share of the region's valid sites to cover, in (0, 1]."""
     projected_areas: Callable[[Int64Array], BoolArray]
-    """Returns the tolerance areas (N, K, K) of views at candidates (N), which are not rendered:
-    skyline points of rendered views are projected there. Only ROV calls it."""
+    """Returns the tolerance areas (N, K, K) of views at sites (N) that are not rendered: skyline
+    points of rendered views are projected there. Only ROV calls it."""
 
     @property
     def is_covered(self) -> bool:
         """True if the region is covered to the target."""
         return self.coverage.fraction(self.region) >= self.target
 
-    def open_candidates(self) -> Int64Array:
-        """Return the uncovered candidates of the region, ascending."""
+    def open_sites(self) -> Int64Array:
+        """Return the uncovered sites of the region, ascending."""
         return np.flatnonzero(self.coverage.uncovered & self.region)
 
 
@@ -150,9 +145,9 @@ class Planner(Protocol):
     """
 
     def __call__(self, problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
-        """Yield candidates (n,) of the problem's region to render, by their indices.
+        """Yield sites (n,) of the problem's region to render, by their indices.
 
-        When the planner is resumed, ``problem.coverage`` has the tolerance areas of these views. It
+        When the planner goes on, ``problem.coverage`` has the tolerance areas of these views. It
         ends when the region is covered. Whatever it draws comes from ``generator``, so that the
         same seed gives the same plan.
         """
@@ -161,39 +156,38 @@ class Planner(Protocol):
 def rov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Random Optimistic Viewpoint.
 
-    Draws candidates from the uncovered area, computes their tolerance areas by projecting known
-    skyline points, and selects the candidate whose area has the largest overlap with the uncovered
-    area.
+    Draws sites from the uncovered area, computes their tolerance areas by projecting known skyline
+    points, and selects the site whose area has the largest overlap with the uncovered area.
     """
     while not problem.is_covered:
-        drawn = draw(generator, problem.open_candidates(), _DRAWN)
+        drawn = draw(generator, problem.open_sites(), _DRAWN)
         yield best(problem.coverage, drawn, problem.projected_areas(drawn))
 
 
 def arov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
-    """Approximated Random Optimistic Viewpoint: ROV with areas interpolated, not computed."""
+    """Approximated Random Optimistic Viewpoint: ROV with interpolated areas."""
     while not problem.is_covered:
-        drawn = draw(generator, problem.open_candidates(), _DRAWN)
+        drawn = draw(generator, problem.open_sites(), _DRAWN)
         yield best(problem.coverage, drawn, interpolated_areas(problem.coverage, drawn))
 
 
 def hov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Hierarchy Optimistic Viewpoint.
 
-    Goes from coarse to fine over lattices of candidates, each half as wide as the one before. The
-    candidates of a level are a fixed pattern: their areas are interpolated once, as the level
-    begins, and AROV's choice among those uncovered follows until the level is covered.
+    Goes from coarse to fine over lattices of sites, each with half the spacing of the one before.
+    The sites of a level are a fixed pattern: their areas are interpolated once, as the level
+    begins, and AROV's choice among the uncovered ones follows until the level is covered.
     """
-    spacing = 1 << (max(problem.coverage.candidates.valid.shape) // 2).bit_length() - 1
+    spacing = 1 << (max(problem.coverage.sites.valid.shape) // 2).bit_length() - 1
     while not problem.is_covered:
         yield from _level(problem, spacing)
         spacing = max(1, spacing // 2)
 
 
 def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
-    """Select among the region's candidates at whole multiples of a spacing, from half of it on."""
+    """Select among the sites of one level of `hov`, ``spacing`` sites apart."""
     coverage = problem.coverage
-    chosen = np.zeros(problem.coverage.candidates.valid.shape, dtype=bool)
+    chosen = np.zeros(problem.coverage.sites.valid.shape, dtype=bool)
     chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
     lattice = np.flatnonzero(chosen & problem.region)
     # At spacing 1 the strategy stops at the region's own target.
@@ -217,17 +211,17 @@ def _level(problem: Problem, spacing: int) -> Iterator[Int64Array]:
 def sov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Shape-Assisted Optimistic Viewpoint.
 
-    Takes each tolerance area for an ellipse and packs candidates along its minor axis, where the
-    next ellipse of its kind would touch it; selects among them as AROV does. Where no packed
-    candidate is uncovered, candidates are drawn as in AROV.
+    Takes each tolerance area for an ellipse and packs sites along its minor axis, where an equal
+    ellipse would touch it; selects among them as AROV does. Where no packed site is uncovered,
+    sites are drawn as in AROV.
     """
     yield from _preselected(problem, generator, _pack)
 
 
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
-    """Mark the candidates on the minor axes of the viewpoints after the first ``known``."""
+    """Mark the sites on the minor axes of viewpoints after the first ``known``."""
     coverage = problem.coverage
-    row, col = coverage.candidates.row_col(coverage.viewpoints[known:])
+    row, col = coverage.sites.row_col(coverage.viewpoints[known:])
     axis = minor_axes(coverage.areas[known:])
     for sign in (-2.0, 2.0):
         to_row = np.rint(row + sign * axis[:, 0]).astype(np.int64)
@@ -238,10 +232,11 @@ def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
 
 
 def minor_axes(areas: BoolArray) -> Float64Array:
-    """Return the minor semi-axes (N, 2) (rows, columns) of the ellipses with areas' moments.
+    """Return the minor semi-axes (N, 2) of areas (N, K, K) taken for ellipses.
 
-    Moments are taken about the viewpoint, the ellipse's centre. A filled ellipse has the variance
-    b^2 / 4 along its semi-axis b; a cell adds its own 1 / 12.
+    A semi-axis is a step along rows and columns. The ellipse has the area's moments about the
+    viewpoint, its centre: a filled ellipse has the variance b^2 / 4 along its semi-axis b, and a
+    cell adds its own 1 / 12.
     """
     reach = areas.shape[1] // 2
     step = np.arange(-reach, reach + 1, dtype=np.float64)
@@ -257,21 +252,22 @@ def minor_axes(areas: BoolArray) -> Float64Array:
 def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
     """Line Planning Optimistic Viewpoint.
 
-    Pre-locates a viewpoint on each line joining a pair of rendered viewpoints; selects among
-    those uncovered as AROV does. Where none is uncovered, candidates are drawn as in AROV.
+    Locates a site on each line joining a pair of rendered viewpoints; selects among the uncovered
+    ones, of which at most 64 are compared, as AROV does. Where none is uncovered, sites are drawn
+    as in AROV.
 
-    The viewpoint's distances from the two ends are in proportion to the linear sizes (square
-    roots of the areas) of their tolerance areas. The paper calls the weights proportional to an
-    end's size. As weights of the ends themselves they would draw viewpoints towards large areas,
-    contrary to the effect that the paper describes: few viewpoints where areas are large.
+    The distances of a site from the two ends are in proportion to the linear sizes (square roots of
+    the areas) of their tolerance areas. The paper calls the weights proportional to an end's size.
+    As weights of the ends themselves they would draw sites towards large areas, contrary to the
+    effect that the paper describes: few viewpoints where areas are large.
     """
-    yield from _preselected(problem, generator, _locate, _RANKED)
+    yield from _preselected(problem, generator, _locate, ranked=64)
 
 
 def _locate(problem: Problem, known: int, located: BoolArray) -> None:
-    """Mark candidates on the lines from viewpoints after the first ``known`` to all viewpoints."""
+    """Mark sites on the lines from viewpoints after the first ``known``."""
     coverage = problem.coverage
-    row, col = coverage.candidates.row_col(coverage.viewpoints)
+    row, col = coverage.sites.row_col(coverage.viewpoints)
     size = np.sqrt(np.count_nonzero(coverage.areas, axis=(1, 2)))
     weight = size / (size[known:, None] + size)
     to_row = weight * row[known:, None] + (1.0 - weight) * row
@@ -285,30 +281,34 @@ def _preselected(
     mark: Callable[[Problem, int, BoolArray], None],
     ranked: int | None = None,
 ) -> Iterator[Int64Array]:
-    """Select among the candidates that ``mark`` sets, or among ``ranked`` drawn from these."""
+    """Select among the sites that ``mark`` marks, as AROV does.
+
+    Where there are more than ``ranked``, so many are drawn from them.
+    """
     coverage = problem.coverage
-    marked = np.zeros(problem.coverage.candidates.valid.shape, dtype=bool)
+    marked = np.zeros(problem.coverage.sites.valid.shape, dtype=bool)
     known = 0
     while not problem.is_covered:
         mark(problem, known, marked)
         known = len(coverage.viewpoints)
-        candidates = np.flatnonzero(marked & coverage.uncovered & problem.region)
-        if not candidates.size:
-            candidates = draw(generator, problem.open_candidates(), _DRAWN)
+        sites = np.flatnonzero(marked & coverage.uncovered & problem.region)
+        if not sites.size:
+            sites = draw(generator, problem.open_sites(), _DRAWN)
         elif ranked is not None:
-            candidates = draw(generator, candidates, ranked)
-        yield best(coverage, candidates, interpolated_areas(coverage, candidates))
+            sites = draw(generator, sites, ranked)
+        yield best(coverage, sites, interpolated_areas(coverage, sites))
 
 
-def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
-    """Return areas (N, K, K) of candidates (N), interpolated from the nearest rendered views.
+def interpolated_areas(coverage: Coverage, sites: Int64Array) -> BoolArray:
+    """Return tolerance areas (N, K, K) of sites (N), interpolated between views.
 
-    The weight of a view falls with its distance; a location is inside where views with at least
-    half of the weight hold it. Before anything is rendered an area is the candidate itself.
+    The four nearest rendered views count, each with a weight that falls with its distance. A
+    location is inside where views with at least half of the weight hold it. Before anything is
+    rendered an area is the site itself.
     """
-    grid = coverage.candidates
-    share = np.zeros((len(candidates), grid.window, grid.window), dtype=np.float32)
-    chosen, apart = grid.nearest(candidates, coverage.viewpoints, _INTERPOLATED_FROM)
+    grid = coverage.sites
+    share = np.zeros((len(sites), grid.window, grid.window), dtype=np.float32)
+    chosen, apart = grid.nearest(sites, coverage.viewpoints, 4)
     weight = 1.0 / np.maximum(apart, 0.5)
     weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
     for place in range(chosen.shape[1]):
@@ -318,13 +318,13 @@ def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
     return areas
 
 
-def best(coverage: Coverage, candidates: Int64Array, areas: BoolArray) -> Int64Array:
-    """Return the candidate, shape (1,), whose area covers most uncovered ground."""
-    return candidates[[np.argmax(coverage.gains(candidates, areas))]]
+def best(coverage: Coverage, sites: Int64Array, areas: BoolArray) -> Int64Array:
+    """Return the site (1,) whose area covers most uncovered ground."""
+    return sites[[np.argmax(coverage.gains(sites, areas))]]
 
 
-def draw(generator: np.random.Generator, candidates: Int64Array, number: int) -> Int64Array:
-    """Return up to a number of candidates drawn at random without repetition."""
-    if len(candidates) <= number:
-        return candidates
-    return generator.choice(candidates, number, replace=False)
+def draw(generator: np.random.Generator, sites: Int64Array, number: int) -> Int64Array:
+    """Return up to a number of sites, drawn at random without repetition."""
+    if len(sites) <= number:
+        return sites
+    return generator.choice(sites, number, replace=False)

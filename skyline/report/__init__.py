@@ -1,1 +1,1 @@
-"""Results to look at and to pass on: pictures, maps, HTML pages, and files for other programs."""
+"""Results to look at and to pass on: pages, pictures, maps and files."""

@@ -1,8 +1,9 @@
-"""A copy of a photo with the place and the heading of a pose in its EXIF (2.32, 4.6.6).
+"""Copies of photos with the place and the heading of a pose in EXIF.
 
-A JPEG keeps its pixels bit for bit. All of its EXIF but the GPS directory keeps its position, since
-maker's notes and previews depend on offsets. Any other photo is written as a JPEG of the upright
-picture. XMP tags of the camera's place and attitude are removed.
+The tags are those of EXIF 2.32, 4.6.6. A JPEG keeps its pixels bit for bit. All of its EXIF but the
+GPS directory keeps its position, since maker's notes and previews depend on offsets. Any other
+photo is written as a JPEG of the upright picture. XMP tags of the camera's place and attitude are
+removed.
 """
 
 import io
@@ -33,12 +34,21 @@ from skyline.photo.xmp import (
 from skyline.pose import Pose
 
 _EXIF = b"Exif\x00\x00"
-_APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA
+"""The beginning of a segment with EXIF."""
+_APP0 = 0xE0
+"""The marker of a JPEG's first segment, JFIF."""
+_APP1 = 0xE1
+"""The marker of segments with EXIF or XMP."""
+_SCAN = 0xDA
+"""The marker with which the pixels begin."""
 _LONGEST = 0xFFFF - 2
 """Greatest number of bytes in a segment, without its length."""
 _NO_EXIF = b"II*\x00\x08\x00\x00\x00" + bytes(6)
 """A TIFF with one empty directory."""
-_SHORT, _LONG = 3, 4
+_SHORT = 3
+"""TIFF's type of 16-bit numbers."""
+_LONG = 4
+"""TIFF's type of 32-bit numbers."""
 _Segment = tuple[int, bytes]
 """A JPEG's segment: its marker and its body."""
 _OF_THE_PHOTO = {
@@ -54,11 +64,11 @@ _POSE = re.compile(
 )
 """XMP's names of place and attitude, in any namespace: EXIF's GPS tags and those of drones."""
 _PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
-"""More of them, in the namespace of panoramas."""
+"""Names of place and attitude that count in the namespace of panoramas alone."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None:
-    """Write a copy of a photo with the place and the heading of a candidate in its EXIF.
+    """Write a copy of a photo with a pose's place and heading in its EXIF.
 
     Other GPS tags of the photo (its error, the time of a fix, a destination) belong to another pose
     and are removed.
@@ -78,7 +88,8 @@ def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None
         The photo cannot be read, its EXIF has no room, or the copy cannot be written.
     """
     source = Path(source)
-    rgb, jpeg = read_photo(source).rgb, source.read_bytes()
+    rgb = read_photo(source).rgb
+    jpeg = source.read_bytes()
     with opened_image(source) as image:
         is_jpeg = image.format in {"JPEG", "MPO"}
         if not is_jpeg:
@@ -93,8 +104,9 @@ def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None
 
 
 def _gps(candidate: Pose) -> dict[int, object]:
-    """Return the GPS tags of a place and a heading; EXIF's word for a place "by hand" is MANUAL."""
-    below, turn = candidate.eye_elevation_m < 0.0, 360_000
+    """Return the GPS tags of a pose's place and heading."""
+    is_below = candidate.eye_elevation_m < 0.0
+    # EXIF's word for a place that a person sets is MANUAL.
     is_by_hand = candidate.rank is None and not candidate.refined
     method = "MANUAL" if is_by_hand else f"SKYLINE: {candidate.origin}"
     gps: dict[int, object] = {
@@ -103,10 +115,10 @@ def _gps(candidate: Pose) -> dict[int, object]:
         GPS.GPSLatitude: _sexagesimal(candidate.lat),
         GPS.GPSLongitudeRef: "W" if candidate.lon < 0.0 else "E",
         GPS.GPSLongitude: _sexagesimal(candidate.lon),
-        GPS.GPSAltitudeRef: b"\x01" if below else b"\x00",
+        GPS.GPSAltitudeRef: b"\x01" if is_below else b"\x00",
         GPS.GPSAltitude: IFDRational(round(100.0 * abs(candidate.eye_elevation_m)), 100),
         GPS.GPSImgDirectionRef: "T",
-        GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg) % turn, 1000),
+        GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg) % 360_000, 1000),
         GPS.GPSMapDatum: "WGS-84",
         GPS.GPSProcessingMethod: b"ASCII\0\0\0" + method.encode("ascii"),
     }
@@ -116,14 +128,17 @@ def _gps(candidate: Pose) -> dict[int, object]:
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
-    """Return degrees, minutes and seconds of an absolute angle, to a ten-thousandth of a second."""
+    """Return the degrees, minutes and seconds of an angle without its sign.
+
+    It is rounded to a ten-thousandth of a second.
+    """
     whole, rest = divmod(round(abs(degrees) * 36_000_000), 36_000_000)
     minutes, seconds = divmod(rest, 600_000)
     return IFDRational(whole, 1), IFDRational(minutes, 1), IFDRational(seconds, 10_000)
 
 
 def _exif_of_tags(tags: Image.Exif) -> bytes:
-    """Return the EXIF of a file without an EXIF block: the tags of a TIFF."""
+    """Return tags of a file without an EXIF block, as a TIFF."""
     tags.get_ifd(IFD.Exif)
     for tag in set(tags) - _OF_THE_PHOTO:
         del tags[tag]
@@ -131,10 +146,11 @@ def _exif_of_tags(tags: Image.Exif) -> bytes:
 
 
 def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> bytes:
-    """Return EXIF with a GPS directory and a main directory that points to it appended.
+    """Return EXIF with a GPS directory appended.
 
-    If the picture was ``made_upright``, the orientation becomes upright, and the preview, which was
-    not turned, is dropped. EXIF without a main directory counts as empty.
+    A main directory that points to it is appended too. If the picture was ``made_upright``, the
+    orientation becomes upright, and the preview, which was not turned, is dropped. EXIF without a
+    main directory counts as empty.
     """
     order = ">" if exif.startswith(b"MM") else "<"
     try:
@@ -153,7 +169,8 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
         preview_at = 0
         entries[Base.Orientation] = struct.pack(f"{order}HHIHxx", Base.Orientation, _SHORT, 1, 1)
     exif += bytes(len(exif) % 2)
-    at, count = len(exif), len(entries.keys() | {IFD.GPSInfo})
+    at = len(exif)
+    count = len(entries.keys() | {IFD.GPSInfo})
     gps_at = at + 2 + 12 * count + 4
     entries[IFD.GPSInfo] = struct.pack(f"{order}HHII", IFD.GPSInfo, _LONG, 1, gps_at)
     for tag, value in gps.items():
@@ -172,8 +189,9 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
 
 
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
-    """Return a JPEG with its EXIF replaced, and its XMP without place and attitude."""
-    kept, start = list[_Segment](), 0
+    """Return a JPEG with new EXIF, and without a pose in its XMP."""
+    kept = list[_Segment]()
+    start = 0
     for marker, body, end in _segments(jpeg):
         start = end
         if not (marker == _APP1 and body.startswith(_EXIF)):
@@ -182,7 +200,9 @@ def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
     kept.insert(1 if kept and kept[0][0] == _APP0 else 0, (_APP1, exif))
     for _, body in kept:
         if len(body) > _LONGEST:
-            kind, part = ("EXIF", "its preview picture") if body is exif else ("XMP", "some of it")
+            is_exif = body is exif
+            kind = "EXIF" if is_exif else "XMP"
+            part = "its preview picture" if is_exif else "some of it"
             raise InputError(
                 f"the photo's {kind} would have {len(body)} bytes; expected at most {_LONGEST}: "
                 f"remove {part}"
@@ -194,8 +214,8 @@ def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
 def _without_pose(segments: Sequence[_Segment]) -> list[_Segment]:
     """Return a JPEG's segments without the place and the attitude in XMP.
 
-    An extended packet that notes any is left out, and so is a packet that cannot be parsed: nobody
-    knows what it notes.
+    An extended packet that notes either is left out, and so is a packet that cannot be parsed:
+    nobody knows what it notes.
     """
     extended = [segment for segment in segments if segment[1].startswith(EXTENDED)]
     dropped = list[_Segment]()
@@ -233,11 +253,12 @@ def _is_pose(name: Name) -> bool:
 
 
 def _is_pose_or_extended(name: Name) -> bool:
+    """Return whether a property is a pose, or points to an extended packet."""
     return name == HAS_EXTENDED or _is_pose(name)
 
 
 def _segments(jpeg: bytes) -> Iterator[tuple[int, bytes, int]]:
-    """Yield the marker, the body and the end of each segment before the first scan."""
+    """Yield marker, body and end of each segment before the pixels."""
     at = 2
     while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != _SCAN:
         if jpeg[at + 1] == 0xFF:

@@ -1,4 +1,4 @@
-"""The folder of a report: the names of its files, and whose files they are."""
+"""The folder of a report: which files are in it, and whose they are."""
 
 import re
 from pathlib import Path
@@ -7,11 +7,12 @@ from skyline.errors import InputError
 from skyline.files import REPORT_PAGE, check_folder, is_own_page
 
 CANDIDATES = "matches.geojson"
+"""The file of candidates."""
 _FILES = re.compile(rf"{REPORT_PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")
 
 
 def check_report_folder(folder: Path) -> None:
-    """Check that a report in a folder would replace no file but those of an earlier report.
+    """Check that a report would replace no files but an earlier report's.
 
     The page of a report has a mark; where there is none, no file is an earlier report's. Raises
     `InputError` as `check_folder`, and for a file that would be replaced.

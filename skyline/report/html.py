@@ -1,4 +1,4 @@
-"""HTML pages of text, tables and pictures in one file that loads nothing from a network.
+"""HTML pages in one file: text, tables and pictures, without a network.
 
 Each function returns HTML; texts given to them, file names included, are escaped.
 """
@@ -52,7 +52,7 @@ footer { margin-top: 3rem; font-size: 0.85rem; }
 
 
 def page(title: str, lead: str, sections: Iterable[str], foot: str = "") -> str:
-    """Return a whole page: title, a sentence or two of introduction, `section`s and a footer."""
+    """Return a whole page, whose ``lead`` is a sentence or two of introduction."""
     body = "\n".join(sections)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{PAGE_MARK}\n'
@@ -71,9 +71,10 @@ def section(title: str, parts: Iterable[str]) -> str:
 
 
 def text(words: str, kind: str = "", links: Iterable[tuple[str, str]] = ()) -> str:
-    """Return a paragraph; ``links`` are addresses and their words, appended to the paragraph.
+    """Return a paragraph.
 
-    ``kind`` highlights a result: ``answer``, ``refusal`` or ``pose``.
+    ``links``, each an address and its words, are appended to it. ``kind`` highlights a result:
+    ``answer``, ``refusal`` or ``pose``.
     """
     shown = _escaped(words)
     for link in links:
@@ -83,7 +84,7 @@ def text(words: str, kind: str = "", links: Iterable[tuple[str, str]] = ()) -> s
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
-    """Return a table with one text per column in each row; numbers are aligned to the right."""
+    """Return a table; columns of numbers are aligned to the right."""
     aligned = [all(map(_NUMBER.fullmatch, column)) for column in zip(*rows, strict=True)]
     body = "".join(_row("td", row, aligned) + "\n" for row in rows)
     above = f"<caption>{_escaped(caption)}</caption>" if caption else ""
@@ -98,7 +99,10 @@ def figures(pictures: Iterable[str]) -> str:
 
 
 def picture(data: bytes, caption: str, *, wide: bool = True) -> str:
-    """Return a PNG or JPEG as a figure; ``wide`` gives it the whole width of the page."""
+    """Return a PNG or JPEG as a figure.
+
+    ``wide`` gives it the whole width of the page.
+    """
     mime = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
     content = base64.b64encode(data).decode()
     return (
@@ -113,7 +117,7 @@ def _escaped(text: str) -> str:
 
 
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
-    """Return a row of cells, those of ``aligned`` columns set to the right."""
+    """Return a row of a table; cells of ``aligned`` columns are set right."""
     cells = (
         f"<{tag}{' class=n' if right else ''}>{_escaped(text)}</{tag}>"
         for text, right in zip(texts, aligned, strict=True)

@@ -14,19 +14,20 @@ from skyline.fonts import fonts_for, packages_with, undrawn_letters
 from skyline.peaks import S
 
 _MARK = "Software", "Skyline"
-"""A text in the PNG files that are written here, and its name."""
+"""Name and content of a text in the PNG files that are written here."""
 _OPTIONS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 4}, "metadata": dict([_MARK])},
     "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
 }
 """Options of JPEG: without optimization a file has a tenth more bytes, but takes half the time; at
 reduced colour resolution thin coloured lines fade."""
-_NAMED = 5
-"""Names that a sentence lists."""
 
 
 def encode_figure(figure: Figure, kind: str = "png") -> bytes:
-    """Return a figure, at its own resolution, encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
+    """Return a figure encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``.
+
+    It has its own resolution.
+    """
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
     return picture.getvalue()
@@ -39,18 +40,21 @@ def is_figure(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PlacedLabel:
-    """A label in a band of rows above a picture; its leader line descends at ``anchor_px``."""
+    """A label in a band of rows above a picture."""
 
     index: int
     """Index of the label in the order given."""
     anchor_px: float
+    """Column in which the label's leader line descends."""
     left_px: float
+    """Left end of the label and its gap."""
     right_px: float
+    """Right end of the label and its gap."""
     row: int
     """0 is the lowest row, next to the picture."""
 
     def disturbs(self, other: "PlacedLabel") -> bool:
-        """Return whether two labels overlap, or the leader of one runs through the other."""
+        """Return whether two labels, or one and the other's leader, overlap."""
         if self.row == other.row:
             return self.left_px < other.right_px and other.left_px < self.right_px
         low, high = (self, other) if self.row < other.row else (other, self)
@@ -64,9 +68,10 @@ class Label(Generic[S]):
     peak: S
     text: str
     families: tuple[str, ...]
+    """Names of the fonts, the first choice first."""
 
     def extent_px(self, figure: Figure, size_pt: float) -> tuple[float, float]:
-        """Return the width and height in pixels of the label that a figure draws horizontally."""
+        """Return the width and height in pixels of the label, drawn horizontally."""
         box = Text(0, 0, self.text, figure=figure, fontsize=size_pt, **self.style)
         extent = box.get_window_extent()
         return float(extent.width), float(extent.height)
@@ -78,7 +83,7 @@ class Label(Generic[S]):
 
 
 def labels_of(peaks: Sequence[S], texts: Sequence[str]) -> tuple[list[Label[S]], tuple[str, ...]]:
-    """Return the labels that the installed fonts draw, and the names of the other peaks."""
+    """Return the labels that installed fonts draw, and the other peaks' names."""
     labels = [Label(*one) for one in zip(peaks, texts, fonts_for(texts), strict=True)]
     no_font = tuple(one.peak.name for one in labels if not one.families)
     return [one for one in labels if one.families], no_font
@@ -91,12 +96,12 @@ def place_labels(
     rows: int,
     gap_px: float = 8.0,
 ) -> list[PlacedLabel]:
-    """Place labels centred on the columns of their leader lines, in the order given.
+    """Place labels, in the order given, over their leader lines.
 
-    A label lies in the lowest row with room for it, within the picture's width and with a gap on
-    either side. Where leader lines are too near for that, the label begins or ends at its own line
-    in the lowest row, and all others move up a row. A label that fits in none of the rows is left
-    out.
+    A label is centred on the column of its line, and lies in the lowest row with room for it,
+    within the picture's width and with a gap on either side. Where leader lines are too near for
+    that, the label begins or ends at its own line in the lowest row, and all others move up a row.
+    A label that fits in none of the rows is left out.
     """
     placed: list[PlacedLabel] = []
     for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
@@ -132,7 +137,7 @@ class UnnamedPeaks:
 
     @property
     def counted(self) -> str:
-        """How many names are missing, to end a sentence in a picture; empty for none."""
+        """The number of missing names, to end a sentence; empty for none."""
         words = ""
         if self.no_room:
             have = "peak has" if self.no_room == 1 else "peaks have"
@@ -144,7 +149,7 @@ class UnnamedPeaks:
 
     @property
     def named(self) -> str:
-        """As `counted`, with the names that no font draws, and Debian's packages of fonts."""
+        """As `counted`, with names that no font draws and packages of fonts."""
         if not self.no_font:
             return self.counted
         packages = packages_with(undrawn_letters(self.no_font))
@@ -153,6 +158,6 @@ class UnnamedPeaks:
 
 
 def some_of(names: Sequence[str]) -> str:
-    """Return the first names of a list in words, and the number of the others."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
+    """Return the first five names in words, and the number of the others."""
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return ", ".join(names[:5]) + more

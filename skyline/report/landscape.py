@@ -1,4 +1,4 @@
-"""The terrain and the named summits that one eye sees in a panorama.
+"""The terrain and the summits that one eye sees in a panorama.
 
 Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; a point is
 seen if its elevation angle is greater than those of all nearer points.
@@ -33,23 +33,13 @@ ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""
 COLUMNS = 2265
 """Pixels across a row."""
-_LEAST_FOV_DEG = 5.0
-_SURFACE_STEP_DEG = 0.1
-
-_COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
-_BLOCK = 64
-"""Columns are followed to the farthest corner of the blocks of this many samples a side that cover
-the terrain."""
-_RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
-"""A point is a ridge if the next terrain in sight is farther by more than this factor and, beyond
-that, by more than this many samples."""
-_RANGES_A_DOUBLING = 10
 _NOTHING_DEG = -90.0
+"""Skyline of a column that sees no terrain."""
 
 
 @dataclass(frozen=True, slots=True)
 class PanoramaConfig:
-    """The view that a panorama shows; by default the full turn from north to north.
+    """The view that a panorama shows; by default the full turn from north.
 
     Attributes
     ----------
@@ -67,10 +57,10 @@ class PanoramaConfig:
     summit_within_m: float | None = None
 
     def __post_init__(self) -> None:
-        if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
+        if not (5.0 <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
             raise InputError(
                 f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "
-                f"expected a field of view of {_LEAST_FOV_DEG:g} to 360"
+                "expected a field of view of 5 to 360"
             )
 
     @property
@@ -99,8 +89,12 @@ def panorama_view(
     config: PanoramaConfig,
     surface: HeightField | None = None,
 ) -> PanoramaView:
-    """Return the view of one eye and its visible peaks; raises as `Landscape.of`."""
-    start_deg, fov_deg = config.start_deg, config.fov_deg
+    """Return the view of one eye with its visible peaks.
+
+    Raises as `Landscape.of`.
+    """
+    start_deg = config.start_deg
+    fov_deg = config.fov_deg
     columns = row_count(fov_deg) * COLUMNS
     azimuth_deg = start_deg + np.arange(0.5, columns) * (fov_deg / columns)
     landscape = Landscape.of(terrain, eye, azimuth_deg)
@@ -115,7 +109,7 @@ def panorama_view(
     ]
     surface_deg = None
     if surface is not None:
-        both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
+        both = horizons_of(terrain, eye, 0.1, surface=surface)
         surface_deg = np.interp(
             landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
         )
@@ -123,15 +117,19 @@ def panorama_view(
 
 
 def row_count(fov_deg: float) -> int:
-    """Return the number of rows of a panorama, each at most `ROW_DEG` wide."""
+    """Return the number of rows of a panorama."""
     return int(np.ceil(fov_deg / ROW_DEG - 1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """The terrain that one eye sees: P points in C columns of azimuth, outwards in each."""
+    """The terrain that one eye sees: P points in C columns of azimuth.
+
+    The points of a column go outwards.
+    """
 
     terrain: HeightField
+    """The elevation model."""
     eye: Viewpoints
     """A single eye."""
     azimuth_deg: Float64Array
@@ -147,7 +145,7 @@ class Landscape:
 
     @classmethod
     def of(cls, terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array) -> Self:
-        """Find the terrain that one eye sees at azimuths (C,) in equal steps.
+        """Return the terrain that one eye sees at equal steps of azimuth (C,).
 
         The Earth is curved, with refraction k = 0.13; ridges have the exact height of the surface.
         Raises `InputError` if no terrain is visible.
@@ -156,33 +154,13 @@ class Landscape:
         turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
         grid_rad = np.radians(azimuth_deg - turn_deg)
         steps_m = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))
-        # No terrain from a step on stands above this angle; a metre covers all rounding.
-        up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)
-        most_deg = np.maximum.accumulate(np.degrees(np.arctan(up_m / steps_m))[::-1])[::-1]
-        so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
-        found = []
-        for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
-            for first in range(0, len(steps_m), _STEPS_AT_ONCE):
-                open_ = so_far_deg[start : start + _COLUMNS_AT_ONCE] < most_deg[first]
-                columns = start + np.flatnonzero(open_)
-                rays = grid_rad[columns], steps_m[first : first + _STEPS_AT_ONCE]
-                on_deg = ground_elevation_deg(terrain, eye, curvature, *rays).astype(np.float32)
-                rising_deg = np.concatenate([so_far_deg[columns, np.newaxis], on_deg], axis=1)
-                np.maximum.accumulate(rising_deg, axis=1, out=rising_deg)
-                so_far_deg[columns] = rising_deg[:, -1]
-                ray, nth = np.nonzero(rising_deg[:, 1:] > rising_deg[:, :-1])
-                found.append((columns[ray], first + nth, rising_deg[ray, nth + 1]))
-        column, step, up_deg = (np.concatenate(part) for part in zip(*found, strict=True))
-        if not len(column):
-            raise InputError(
-                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
-            )
-        order = np.argsort(column, kind="stable")  # Steps are in order already.
-        column, step, up_deg = column[order], step[order], up_deg[order]
+        column, step, up_deg = _rising(terrain, eye, curvature, grid_rad, steps_m)
         distance_m = steps_m[step]
         behind_m = np.append(distance_m[1:], np.inf)
         behind_m[np.append(np.diff(column) > 0, True)] = np.inf
-        is_ridge = behind_m > _RIDGE_JUMP * distance_m + _RIDGE_SAMPLES * terrain.spacing_m
+        # The next terrain in sight behind a ridge is clearly farther than its neighbours on a
+        # slope.
+        is_ridge = behind_m > 1.04 * distance_m + 4.0 * terrain.spacing_m
         ridge = step[is_ridge]
         crest_deg = highest_between_deg(
             terrain,
@@ -197,12 +175,13 @@ class Landscape:
         highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
         seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
         begins = np.searchsorted(column[seen], np.arange(len(azimuth_deg) + 1))
-        points = distance_m[seen], up_deg[seen], is_ridge[seen]
-        return cls(terrain, eye, azimuth_deg, begins, *points)
+        return cls(
+            terrain, eye, azimuth_deg, begins, distance_m[seen], up_deg[seen], is_ridge[seen]
+        )
 
     @property
     def skyline_deg(self) -> Float32Array:
-        """Highest elevation angle in each column, (C,); -90 if the column sees no terrain."""
+        """Highest elevation angle in each column, (C,); -90 without terrain."""
         highest = self.elevation_deg[np.maximum(self.begins[1:], 1) - 1]
         return np.where(np.diff(self.begins) > 0, highest, np.float32(_NOTHING_DEG))
 
@@ -223,7 +202,10 @@ class Landscape:
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return the indices of the points seen at angles (E,) in K columns, (E, K); P is sky."""
+        """Return which points (E, K) are seen at angles (E,) in K columns.
+
+        The index P stands for sky.
+        """
         begins = self.begins[columns.start : columns.stop + 1]
         seen = np.full((len(begins) - 1, len(elevation_deg)), len(self.distance_m))
         for row, (begin, end) in zip(seen, itertools.pairwise(begins), strict=True):
@@ -232,24 +214,70 @@ class Landscape:
         return seen.T
 
     def ridges(self) -> tuple[Float64Array, Float32Array]:
-        """Return the distances (R,) at which ranges begin, increasing, and their ridges (R, C).
+        """Return the distances (R,) and the ridges (R, C) of ranges.
 
-        A ridge is the elevation angle of a range's highest point; NaN where the range has none.
+        A range begins at its distance and ends where the next begins; ten of them double the
+        distance. A ridge is the elevation angle of a range's highest point; NaN where the range has
+        none.
         """
+        a_doubling = 10
         first_m = float(self.distance_m.min(initial=np.inf))
         distance_m = self.distance_m[self.is_ridge]
-        ranges = (np.log2(distance_m / first_m) * _RANGES_A_DOUBLING).astype(np.intp)
+        ranges = (np.log2(distance_m / first_m) * a_doubling).astype(np.intp)
         shape = ranges.max(initial=0) + 1, len(self.azimuth_deg)
         ridge_deg = np.full(shape, np.nan, np.float32)
         # The last of several in a range stands highest.
         ridge_deg[ranges, self.column[self.is_ridge]] = self.elevation_deg[self.is_ridge]
-        return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
+        return first_m * 2.0 ** (np.arange(len(ridge_deg)) / a_doubling), ridge_deg
+
+
+def _rising(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    steps_m: Float64Array,
+) -> tuple[Int64Array, Int64Array, Float32Array]:
+    """Return column, step and elevation angle (P,) of points above all nearer ones.
+
+    Columns look along grid azimuths (C,), and steps are distances (S,). The points of a column
+    follow one another, outwards. Raises `InputError` if there are none.
+    """
+    # No terrain from a step on stands above this angle; a metre covers all rounding.
+    up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)
+    most_deg = np.maximum.accumulate(np.degrees(np.arctan(up_m / steps_m))[::-1])[::-1]
+    so_far_deg = np.full(len(grid_rad), _NOTHING_DEG, dtype=np.float32)
+    found = []
+    # So many columns and steps at once stay in the processor's cache.
+    for start in range(0, len(grid_rad), 128):
+        for first in range(0, len(steps_m), 256):
+            is_open = so_far_deg[start : start + 128] < most_deg[first]
+            columns = start + np.flatnonzero(is_open)
+            rays = grid_rad[columns], steps_m[first : first + 256]
+            on_deg = ground_elevation_deg(terrain, eye, curvature, *rays).astype(np.float32)
+            rising_deg = np.concatenate([so_far_deg[columns, np.newaxis], on_deg], axis=1)
+            np.maximum.accumulate(rising_deg, axis=1, out=rising_deg)
+            so_far_deg[columns] = rising_deg[:, -1]
+            ray, nth = np.nonzero(rising_deg[:, 1:] > rising_deg[:, :-1])
+            found.append((columns[ray], first + nth, rising_deg[ray, nth + 1]))
+    column, step, up_deg = (np.concatenate(part) for part in zip(*found, strict=True))
+    if not len(column):
+        raise InputError(
+            "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
+        )
+    order = np.argsort(column, kind="stable")  # Steps are in order already.
+    return column[order], step[order], up_deg[order]
 
 
 def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64Array:
-    """Return distances from underfoot to beyond the farthest corner of the terrain."""
+    """Return distances from underfoot to beyond the terrain's farthest corner.
+
+    The terrain is covered by blocks of 64 samples a side, and the last distance is beyond their
+    corners.
+    """
+    block = 64
     rows, cols = (
-        np.arange(0.5 * _BLOCK, max(count - 1, 1) + 0.5 * _BLOCK, _BLOCK)
+        np.arange(0.5 * block, max(count - 1, 1) + 0.5 * block, block)
         for count in (terrain.rows, terrain.cols)
     )
     easting_m, northing_m = terrain.to_map(rows, cols)
@@ -257,7 +285,7 @@ def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64
         np.abs(easting_m - eye.easting_m[0]).max(), np.abs(northing_m - eye.northing_m[0]).max()
     )
     step_m = terrain.spacing_m
-    corner_m = 0.5 * _BLOCK * np.hypot(terrain.spacing_east_m, terrain.spacing_north_m)
+    corner_m = 0.5 * block * np.hypot(terrain.spacing_east_m, terrain.spacing_north_m)
     reach_m = float(farthest_m + corner_m)
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
     near = np.arange(UNDERFOOT_SAMPLES * step_m, turn_m, step_m)

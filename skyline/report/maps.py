@@ -1,7 +1,7 @@
-"""Maps over shaded relief, lit from the north-west: candidates of a match, and tiles.
+"""Maps over shaded relief: the candidates of a match, and tiles.
 
-A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the world, x counts from
-the west, y from the north.
+Light falls from the north-west. A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles
+span the world, x counts from the west, y from the north.
 """
 
 import math
@@ -30,31 +30,16 @@ from skyline.report.labels import Label, UnnamedPeaks, labels_of
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-_BEST_COLOUR, _OTHER_COLOUR = "#d1103d", "#1f5fbf"
 _LEAST_SIDE_M = 2000.0
-_MARGIN = 0.2
-"""Share of a map's side kept free on each side of the outermost places."""
-_WEDGE_SHARE = 0.16
-_MOST_PEAKS = 12
-_NEAR_BORDER = 0.2
-"""Share of the map's width near its sides in which a centred label would cross the border."""
-_DOT_SHARE, _DOT_POINTS = 0.35, (0.25, 2.25)
-"""Diameter of a viewpoint's dot as a share of the distance to the next, and its limits."""
-_WIDTH_IN, _DPI = 5.8, 150.0
-_HALO = [withStroke(linewidth=2.5, foreground="white")]
-_MOST_PIXELS = 900
-_NO_TERRAIN = "#eef0ee"
-_EDGE_POINTS = 65
+"""Least side of the map of a candidate; that of the map of all candidates is twice as long."""
+_WIDTH_IN = 5.8
+"""Width of a map."""
 _TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
 """Colours of heights, low to high."""
-_DARKEST = 0.35
-"""Brightness of a slope facing away from the light, relative to level ground."""
 TILE_PX = 256
+"""Pixels along a tile's side."""
 MAX_ZOOM = 20
-_MESH = 9
-"""Points along a tile's side at which the projection is computed; between them it is
-interpolated."""
-_NOWHERE_M = -1e9
+"""Greatest zoom of a tile."""
 _RGB = 255.0 * LinearSegmentedColormap.from_list("heights", _TINTS)(np.arange(256))[:, :3]
 """Colours (256, 3) from the lowest height to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
@@ -62,26 +47,34 @@ _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 
 
 def overview_area(places: Sequence[Pose | Viewpoints], terrain: HeightField | None) -> Bbox:
-    """Return the area around places, metres of the frame, as far as the terrain covers it."""
+    """Return the area around places, as far as the terrain covers it."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
     return _area_around(easting, northing, 2.0 * _LEAST_SIDE_M, terrain)
 
 
 def detail_area(candidate: Pose, terrain: HeightField | None) -> Bbox:
-    """Return the area of about a kilometre around one candidate, more if it is less certain."""
+    """Return the area of a kilometre around a candidate.
+
+    It is larger if the candidate's ellipse is.
+    """
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
-    place = np.array([candidate.easting_m]), np.array([candidate.northing_m])
-    return _area_around(*place, side_m, terrain)
+    return _area_around(
+        np.array([candidate.easting_m]), np.array([candidate.northing_m]), side_m, terrain
+    )
 
 
 def _area_around(
     easting: Float64Array, northing: Float64Array, least_m: float, terrain: HeightField | None
 ) -> Bbox:
-    """Return the square around places, at least ``least_m`` wide, as far as terrain covers it."""
+    """Return the part of a square around places that terrain covers.
+
+    The square is at least ``least_m`` wide, with a fifth of its side free on each side of the
+    outermost places.
+    """
     widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
-    half = max(widest / (1.0 - 2.0 * _MARGIN), least_m) / 2.0
+    half = max(widest / (1.0 - 2.0 * 0.2), least_m) / 2.0
     east = float(easting.min() + easting.max()) / 2.0
     north = float(northing.min() + northing.max()) / 2.0
     area = Bbox.from_extents(east - half, north - half, east + half, north + half)
@@ -97,32 +90,33 @@ def draw_match_map(
     terrain: HeightField | None,
     sightings: Sequence[Sighting],
 ) -> Figure:
-    """Draw candidates, each with its rank, its field of view and its 95 % ellipse.
+    """Draw candidates with their ranks, fields of view and 95 % ellipses.
 
     The first stands out over the others. The store's viewpoints are dots; ``sightings`` are the
     peaks visible from the first candidate. Without terrain the map has no relief.
     """
     size_in = _WIDTH_IN, _WIDTH_IN * area.height / area.width + 0.5
-    figure = Figure(size_in, _DPI, layout="constrained")
+    figure = Figure(size_in, 150.0, layout="constrained")
     axis = figure.subplots()
     draw_relief(axis, terrain, area)
     shown = _draw_viewpoints(axis, viewpoints, area)
-    reach_m = _WEDGE_SHARE * max(area.width, area.height)
+    reach_m = 0.16 * max(area.width, area.height)
     for index, candidate in reversed(list(enumerate(candidates))):
         _draw_candidate(axis, candidate, index == 0, reach_m)
     peaks = [peak for peak in sightings if area.contains(peak.easting_m, peak.northing_m)]
     labels, no_font = labels_of(peaks, [peak.label for peak in peaks])
-    _draw_peaks(axis, labels[:_MOST_PEAKS], area)
+    most_peaks = 12
+    _draw_peaks(axis, labels[:most_peaks], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
     title = f"{shown:,} of the store's viewpoints (dots)"
-    title += UnnamedPeaks(max(0, len(labels) - _MOST_PEAKS), no_font).counted.replace("; ", "\n", 1)
+    title += UnnamedPeaks(max(0, len(labels) - most_peaks), no_font).counted.replace("; ", "\n", 1)
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 
 
 def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
-    """Draw the locations of the store within an area; return their number.
+    """Draw the positions of the store within an area; return their number.
 
     A dot is smaller than the distance to its neighbour, so that the map shows between them.
     """
@@ -130,14 +124,14 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
     inside = places[((area.min <= places) & (places <= area.max)).all(axis=1)]
     distances_m, _ = cKDTree(places).query(inside, k=2)
     point_m = area.width / (72.0 * _WIDTH_IN)
-    size = np.clip(_DOT_SHARE * np.asarray(distances_m)[:, 1] / point_m, *_DOT_POINTS)
+    size = np.clip(0.35 * np.asarray(distances_m)[:, 1] / point_m, 0.25, 2.25)
     axis.scatter(inside[:, 0], inside[:, 1], size**2, color="black", alpha=0.7, linewidths=0.0)
     return len(inside)
 
 
 def _draw_candidate(axis: Axes, candidate: Pose, is_first: bool, reach_m: float) -> None:
-    """Draw a candidate's place, view and ellipse; the first stands out."""
-    colour = _BEST_COLOUR if is_first else _OTHER_COLOUR
+    """Draw a candidate's position, view and ellipse; the first stands out."""
+    colour = "#d1103d" if is_first else "#1f5fbf"
     order = 4.0 if is_first else 3.0
     reach_m *= 1.0 if is_first else 0.6
     wedge = Polygon(view_wedge_m(candidate, reach_m), closed=True, zorder=order)
@@ -163,11 +157,11 @@ def _draw_candidate(axis: Axes, candidate: Pose, is_first: bool, reach_m: float)
 
 
 def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> None:
+    """Draw peaks with their names, which do not cross the border."""
     for label in labels:
         peak = label.peak
         across = (peak.easting_m - area.x0) / area.width
-        near_west, near_east = across < _NEAR_BORDER, across > 1.0 - _NEAR_BORDER
-        side = "left" if near_west else "right" if near_east else "center"
+        side = "left" if across < 0.2 else "right" if across > 0.8 else "center"
         place = peak.easting_m, peak.northing_m
         axis.plot(*place, "^", color="black", markeredgecolor="white", markersize=7, zorder=5)
         axis.annotate(
@@ -178,7 +172,7 @@ def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> No
             ha=side,
             va="top",
             fontsize=8,
-            path_effects=_HALO,
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
             annotation_clip=True,
             zorder=5,
             **label.style,
@@ -186,16 +180,17 @@ def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> No
 
 
 def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
-    """Draw the terrain of an area, lit from the north-west and tinted by height.
+    """Draw the terrain of an area, shaded and tinted by height.
 
     Without terrain the map stays plain, with a note.
     """
-    axis.set_facecolor(_NO_TERRAIN)
+    axis.set_facecolor("#eef0ee")
     axis.set(xlim=(area.x0, area.x1), ylim=(area.y0, area.y1), aspect="equal")
     heights = np.array(np.nan)
     if terrain is not None:
-        pixel_m = max(terrain.spacing_m / 2.0, max(area.size) / _MOST_PIXELS)
-        columns, rows = 1 + int(area.width / pixel_m), 1 + int(area.height / pixel_m)
+        pixel_m = max(terrain.spacing_m / 2.0, max(area.size) / 900)
+        columns = 1 + int(area.width / pixel_m)
+        rows = 1 + int(area.height / pixel_m)
         # Coordinates of the pixels' centres, and of one pixel beyond each side.
         east = np.clip(area.x0 + pixel_m * np.arange(-0.5, columns + 1), area.x0, area.x1)
         north = np.clip(area.y1 - pixel_m * np.arange(-0.5, rows + 1), area.y0, area.y1)
@@ -209,7 +204,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
 
 
 def draw_bearings(axis: Axes, frame: Frame, area: Bbox) -> None:
-    """Draw degrees along the borders and across the map, a bar of ground lengths and true north."""
+    """Draw degrees, a bar of lengths on the ground, and true north."""
     _draw_degrees(axis, frame, area)
     centre = {"easting_m": (area.x0 + area.x1) / 2.0, "northing_m": (area.y0 + area.y1) / 2.0}
     scale = float(frame.scale(**centre))
@@ -232,11 +227,13 @@ def draw_bearings(axis: Axes, frame: Frame, area: Bbox) -> None:
 
 
 def _draw_degrees(axis: Axes, frame: Frame, area: Bbox) -> None:
-    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+    """Draw degrees along the borders, and their lines across the map."""
+    points = 65
+    along = np.linspace(0.0, 1.0, points)
     easting = area.x0 + along * area.width
     northing = area.y0 + along * area.height
     lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
-    lon = in_turn(lon, float(lon[_EDGE_POINTS // 2, _EDGE_POINTS // 2]))
+    lon = in_turn(lon, float(lon[points // 2, points // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
     for degrees, place, edge, names, way in (
         (lon, easting, lon[0], "EW", axis.set_xticks),
@@ -255,7 +252,10 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Bbox) -> None:
 
 
 def _nice_length(length: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a length."""
+    """Return the greatest round number that does not exceed a length.
+
+    Round numbers are 1, 2 and 5 times a power of ten.
+    """
     power = 10.0 ** math.floor(math.log10(length))
     return float(
         max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length * (1.0 + 1e-9)) * power
@@ -263,21 +263,23 @@ def _nice_length(length: float) -> float:
 
 
 def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) -> UInt8Array:
-    """Return shaded relief as RGBA (H, W, 4) uint8, transparent where there is no height.
+    """Return shaded relief as RGBA (H, W, 4) uint8.
 
-    The heights (H + 2, W + 2), metres, are those of the picture's pixels, ``pixel_m`` apart, and of
-    the pixels one beyond; rows run south. ``range_m`` are the heights of the lowest and the highest
-    tint.
+    It is transparent where there is no height. The heights (H + 2, W + 2), metres, are those of the
+    picture's pixels, ``pixel_m`` apart, and of one pixel beyond each side; rows run south.
+    ``range_m`` are the heights of the lowest and the highest tint.
     """
     east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
     north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
     up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
     lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
-    inner, (low, high) = heights[1:-1, 1:-1], range_m
+    inner = heights[1:-1, 1:-1]
+    low, high = range_m
     known = np.isfinite(inner)
     share = np.clip((np.where(known, inner, low) - low) / (high - low), 0.0, 1.0)
     tinted = _RGB[np.rint(share * (len(_RGB) - 1)).astype(np.uint8)]
-    shade = _DARKEST + (1.0 - _DARKEST) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
+    darkest = 0.35  # Brightness of a slope facing away from the light, 1 if it faces the light.
+    shade = darkest + (1.0 - darkest) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
     picture = np.empty((*inner.shape, 4), dtype=np.uint8)
     picture[..., :3] = np.rint(tinted * shade[..., np.newaxis])
     picture[..., 3] = np.where(known, 255, 0)
@@ -285,7 +287,10 @@ def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) 
 
 
 def tint_range_m(heights: FloatArray) -> tuple[float, float]:
-    """Return the heights of the lowest and the highest tint of terrain: all but its extremes."""
+    """Return the heights of the lowest and the highest tint of terrain.
+
+    Of the heights, half a percent are lower and half a percent are higher.
+    """
     low, high = np.nanpercentile(heights, [0.5, 99.5])
     return float(low), max(float(high), float(low) + 1.0)
 
@@ -313,23 +318,28 @@ class ReliefTiles:
             raise InputError(
                 f"tile {zoom}/{x}/{y}; expected a zoom of 0 to {MAX_ZOOM}, x and y below 2**zoom"
             )
-        frame, step = self._terrain.frame, (TILE_PX + 2) / (_MESH - 1)
-        easting, northing = frame.from_lonlat(*_lonlat(zoom, x, y))
+        mesh = 9
+        step = (TILE_PX + 2) / (mesh - 1)
+        easting, northing = self._terrain.frame.from_lonlat(*_lonlat(zoom, x, y, mesh))
         across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
         pixel_m = float(across) if np.isfinite(across) else 1e6
         # Far from a frame's middle its projection may be undefined.
-        places = (np.where(np.isfinite(at), at, _NOWHERE_M) for at in (easting, northing))
+        places = (np.where(np.isfinite(at), at, -1e9) for at in (easting, northing))
         east, north = (
-            ndimage.zoom(at, (TILE_PX + 2) / _MESH, order=1, mode="nearest") for at in places
+            ndimage.zoom(at, (TILE_PX + 2) / mesh, order=1, mode="nearest") for at in places
         )
         heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
         picture = relief(heights, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
 
-def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
-    """Return longitude and latitude (M, M) of a mesh over a tile with a border of one pixel."""
-    along = (np.linspace(-1.0, TILE_PX, _MESH) + 0.5) / TILE_PX
+def _lonlat(zoom: int, x: int, y: int, mesh: int) -> tuple[Float64Array, Float64Array]:
+    """Return longitude and latitude of a mesh (M, M) over a tile.
+
+    It reaches one pixel beyond each side. The projection is computed at the mesh alone, and
+    interpolated between.
+    """
+    along = (np.linspace(-1.0, TILE_PX, mesh) + 0.5) / TILE_PX
     east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)
     lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * south))))
     return 360.0 * east - 180.0, lat

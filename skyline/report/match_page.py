@@ -22,10 +22,7 @@ from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
 from skyline.store.header import PACKAGE_VERSION
-from skyline.view import Sight, Viewer, peaks_in_picture
-
-_DETAIL_SHARE = 0.4
-"""A second map is drawn where it shows less than this share of the first one's side."""
+from skyline.view import SeenPeak, Sight, Viewer, peaks_in_picture
 
 
 def report_matches(
@@ -49,12 +46,12 @@ def report_matches(
         The matcher that made the results. Relief and the candidates' skylines are drawn from its
         terrain, or else from the DEM that its store names; without either they are left out.
     results : iterable of MatchResult
-        Each is shown with its photo, its candidates and a map. The pose drawn over the photo is
-        that of the first candidate.
+        Each is shown with its photo, its candidates and a map. The first candidate is drawn over
+        the photo.
     peaks : Peaks, optional
         Peaks to name in pictures and maps.
     photos : iterable of (H, W, 3) uint8 or None, optional
-        RGB of each result's photo, of the query's size; None for a trace or a mask. By default
+        RGB of each result's photo, of its skyline's size; None for a trace or a mask. By default
         read from the files that the results are named after.
     done : str
         Sentences about how the results were found.
@@ -65,15 +62,21 @@ def report_matches(
         A photo cannot be read, a file cannot be written, or a file of another origin would be
         replaced.
     """
-    folder, results = Path(folder), listed(results)
+    folder = Path(folder)
+    results = listed(results)
     check_report_folder(folder)
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
-    viewer, pictures = None, dict[str, bytes]()
+    pictures = dict[str, bytes]()
+    viewer = None
     if terrain is not None:
-        curvature, thread = matcher.header.curvature, matcher.render_thread
-        viewer = Viewer(terrain, peaks, curvature=curvature, render_thread=thread)
+        viewer = Viewer(
+            terrain,
+            peaks,
+            curvature=matcher.header.curvature,
+            render_thread=matcher.render_thread,
+        )
     with viewer or contextlib.nullcontext():
         sections = [
             _section(pictures, number, one, photo, matcher, viewer, done)
@@ -83,7 +86,8 @@ def report_matches(
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"
     whole = page("Where the photos were taken", lead, sections, made_by)
-    is_new, path = not folder.exists(), folder / REPORT_PAGE
+    is_new = not folder.exists()
+    path = folder / REPORT_PAGE
     try:
         # The page first: its mark says whose the other files are, should this be stopped.
         write_with_folders(path, whole)
@@ -98,13 +102,17 @@ def report_matches(
 
 
 def _answered(results: Sequence[MatchResult]) -> str:
-    """Return the number of answered searches in words; empty if all poses were set by hand."""
+    """Return the number of answered searches in words.
+
+    The words are empty if all poses were set by hand.
+    """
     searched = [one for one in results if one.best is None or one.best.rank]
     answered = sum(one.answer is not None for one in searched)
-    return f"{answered} of {len(searched)} queries answered. " if searched else ""
+    return f"{answered} of {len(searched)} photos answered. " if searched else ""
 
 
 def _about(viewer: Viewer | None) -> str:
+    """Return sentences on the elevation model and the names of peaks."""
     if viewer is None:
         return (
             "There was no elevation model at hand: the maps have no relief, no skyline could be "
@@ -127,16 +135,23 @@ def _section(
     viewer: Viewer | None,
     done: str,
 ) -> str:
-    """Return the section of one result; its pictures are added to ``pictures`` by file names."""
-    query, best, sight, sightings, peaks = result.query, result.best, None, [], []
+    """Return the section of one result.
+
+    Its pictures are added to ``pictures`` by the names of their files.
+    """
+    skyline = result.query
+    best = result.best
+    sight: Sight | None = None
+    sightings: list[Sighting] = []
+    peaks: list[SeenPeak] = []
     if best is not None and viewer is not None:
         with contextlib.suppress(OffMapError):
-            sight = viewer.look(best, query)
+            sight = viewer.look(best, skyline)
             sightings = viewer.sightings(best)
-            peaks = peaks_in_picture(best, query, sightings)
+            peaks = peaks_in_picture(best, skyline, sightings)
     name = f"{number:02d}-overlay.jpg"
-    pictures[name], unnamed = draw_overlay(query, photo, best, sight, peaks)
-    caption = _overlay_caption(query, best, sight, unnamed)
+    pictures[name], unnamed = draw_overlay(skyline, photo, best, sight, peaks)
+    caption = _overlay_caption(skyline, best, sight, unnamed)
     parts = [
         text(result.summary, _kind(result), () if best is None else _map_links(best)),
         figures(
@@ -149,7 +164,7 @@ def _section(
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
     how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
-    lens = "" if query.lens is None else query.lens.in_words
+    lens = "" if skyline.lens is None else skyline.lens.in_words
     notes = result.exif_in_words(with_place=False), lens, result.beyond, how
     return section(result.name, [*parts, *(text(note) for note in notes if note)])
 
@@ -162,13 +177,18 @@ def _maps(
     viewer: Viewer | None,
     sightings: Sequence[Sighting],
 ) -> list[str]:
-    """Draw all candidates, and the first from nearby if that shows more; see `_section`."""
-    terrain, viewpoints = None if viewer is None else viewer.terrain, matcher.viewpoints
+    """Draw a map of all candidates, and perhaps one of the first.
+
+    The second map is drawn if its side is less than 0.4 of the first one's. Pictures are added as
+    in `_section`.
+    """
+    terrain = None if viewer is None else viewer.terrain
+    viewpoints = matcher.viewpoints
     whole = overview_area(candidates or [viewpoints], terrain)
     areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
         near = detail_area(candidates[0], terrain)
-        if near.width < _DETAIL_SHARE * whole.width:
+        if near.width < 0.4 * whole.width:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
             title = candidates[0].title
             areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))
@@ -190,15 +210,17 @@ def _kind(result: MatchResult) -> str:
 
 
 def _map_links(candidate: Pose) -> list[tuple[str, str]]:
-    lat, lon = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
+    """Return links to maps at a candidate, with their words."""
+    lat, lon, *_ = candidate.cells()
     address = f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=14/{lat}/{lon}"
     return [(address, "On OpenStreetMap."), (f"geo:{lat},{lon}", "In a map program.")]
 
 
 def _overlay_caption(
-    query: PhotoSkyline, pose: Pose | None, sight: Sight | None, unnamed: UnnamedPeaks
+    skyline: PhotoSkyline, pose: Pose | None, sight: Sight | None, unnamed: UnnamedPeaks
 ) -> str:
-    trusted = 100.0 * float(query.trusted.mean())
+    """Return the caption of a photo with its skylines."""
+    trusted = 100.0 * float(skyline.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
     if pose is None or sight is None or sight.median_gap_deg is None:
         return f"{caption}; no skyline was rendered to compare it with{unnamed.named}."
@@ -209,6 +231,7 @@ def _overlay_caption(
 
 
 def _candidate_table(candidates: Sequence[Pose]) -> str:
+    """Return a table of candidates, a row each."""
     rows = []
     for one in candidates:
         ellipse = Ellipse.of(one)

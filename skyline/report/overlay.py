@@ -1,4 +1,4 @@
-"""A query's picture with its skyline, the skyline rendered at a pose, and named peaks."""
+"""Photos with their skyline, the skyline rendered at a pose, and named peaks."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,60 +17,55 @@ from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenPeak, Sight
 
-_FOUND_COLOUR, _RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
-
-_LONGEST_PX, _NARROWEST_PX = 1600.0, 700.0
+_RENDERED_COLOUR = "#00e0ff"
 _DPI = 100.0
 _ROW_PX = 21.0
-_LABEL_POINTS = 10.0
-_MOST_ROWS = 6
-_KEYS_PX = 46.0
-"""Height of the legend's two rows."""
-_CANVAS_RGB = (239, 241, 238)
+"""Height of a row of labels."""
 _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 
 def draw_overlay(
-    query: PhotoSkyline,
+    skyline: PhotoSkyline,
     photo: UInt8Array | None,
     pose: Pose | None,
     sight: Sight | None = None,
     peaks: Sequence[SeenPeak] = (),
 ) -> tuple[bytes, UnnamedPeaks]:
-    """Draw skylines and peaks over a query's picture, with the arguments of `draw_labels`.
+    """Draw skylines and the names of peaks over a photo.
 
-    Returns a JPEG and the peaks without their names. Without a photo the canvas is blank; ``pose``
-    is the pose from which ``sight`` and ``peaks`` are seen.
+    Returns a JPEG and the peaks without their names. Without a photo the canvas is blank. ``pose``
+    is the pose from which ``sight`` and ``peaks`` are seen; see `draw_labels`.
     """
     texts = [one.label for one in peaks]
-    figure, axis, unnamed = _draw_picture(query, photo, peaks, texts, _KEYS_PX)
-    _draw_masked(axis, query)
+    # The legend has two rows, 46 px high.
+    figure, axis, unnamed = _draw_picture(skyline, photo, peaks, texts, foot_px=46.0)
+    _draw_masked(axis, skyline)
     if pose is not None and sight is not None:
         _draw_rendered(axis, pose, sight)
     axis.plot(
-        query.row_px,
-        color=_FOUND_COLOUR,
+        skyline.row_px,
+        color="#ff2d6f",
         linewidth=1.6,
         path_effects=_HALO,
-        label="skyline found in the query",
+        label="skyline found in the photo",
     )
     axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=2, borderpad=0.1)
     return _encoded(figure, "jpeg"), unnamed
 
 
 def draw_labels(
-    query: PhotoSkyline,
+    skyline: PhotoSkyline,
     photo: UInt8Array,
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
     kind: str = "png",
 ) -> tuple[bytes, UnnamedPeaks]:
-    """Draw a photo with the names and distances of the peaks in it.
+    """Draw a photo with the names and distances of its peaks.
 
     Parameters
     ----------
     photo : (H, W, 3) uint8
-        RGB, of the query's size.
+        RGB, of the size of ``skyline``.
     peaks : sequence of SeenPeak
         Peaks in the picture, the most important first.
     sight : Sight, optional
@@ -85,41 +80,45 @@ def draw_labels(
         because names would overlap or no installed font draws them.
     """
     texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in peaks]
-    figure, axis, unnamed = _draw_picture(query, photo, peaks, texts)
+    figure, axis, unnamed = _draw_picture(skyline, photo, peaks, texts)
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)
     return _encoded(figure, kind), unnamed
 
 
 def _encoded(figure: Figure, kind: str) -> bytes:
+    """Return a figure as a file, with names as text in SVG."""
     with rc_context({"svg.fonttype": "none"}):
         return encode_figure(figure, kind)
 
 
 def _draw_picture(
-    query: PhotoSkyline,
+    skyline: PhotoSkyline,
     photo: UInt8Array | None,
     peaks: Sequence[SeenPeak],
     texts: Sequence[str],
     foot_px: float = 0.0,
 ) -> tuple[Figure, Axes, UnnamedPeaks]:
-    """Draw the photo, or a blank canvas, with the peaks' texts above it, over an empty foot.
+    """Draw the photo, or a blank canvas, with the peaks' texts above it.
 
-    Names that no font draws are counted in a line below the photo. Returns the figure, axes in
-    pixels of the query, and the peaks without their texts.
+    Below it is an empty foot, where a line counts the names that no font draws. The picture is at
+    most 1600 px wide and high, and at least 700 px wide if that leaves it no higher. Returns the
+    figure, axes in pixels of the photo, and the peaks without their texts.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    # Pixels of the picture for one of the query.
-    most = _LONGEST_PX / max(query.width_px, query.height_px)
-    scale = min(most, max(1.0, _NARROWEST_PX / query.width_px))
-    width, height = query.width_px * scale, query.height_px * scale
+    # Pixels of the picture for one of the photo.
+    most = 1600.0 / max(skyline.width_px, skyline.height_px)
+    scale = min(most, max(1.0, 700.0 / skyline.width_px))
+    width = skyline.width_px * scale
+    height = skyline.height_px * scale
+    font_pt = 10.0
     labels, no_font = labels_of(peaks, texts)
     placed = place_labels(
         [(one.peak.column_px + 0.5) * scale for one in labels],
-        [one.extent_px(figure, _LABEL_POINTS)[0] for one in labels],
+        [one.extent_px(figure, font_pt)[0] for one in labels],
         width,
-        _MOST_ROWS,
+        rows=6,
     )
     unnamed = UnnamedPeaks(len(labels) - len(placed), no_font)
     band = max((_ROW_PX * (1 + place.row) + 10.0 for place in placed), default=0.0)
@@ -127,16 +126,17 @@ def _draw_picture(
     figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
-    right, bottom = query.width_px - 0.5, query.height_px - 0.5
+    right = skyline.width_px - 0.5
+    bottom = skyline.height_px - 0.5
     axis.set(xlim=(-0.5, right), ylim=(bottom + foot_px / scale, -0.5 - band / scale))
     axis.autoscale(False)
-    picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
+    picture = np.full((2, 2, 3), (239, 241, 238), dtype=np.uint8)
     if photo is not None:
         size = round(width), max(1, round(height))
         picture = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
     axis.imshow(picture, extent=(-0.5, right, bottom, -0.5), aspect="auto")
     outline = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
-    font: dict[str, Any] = {"fontsize": _LABEL_POINTS, "ha": "center", "va": "bottom"}
+    font: dict[str, Any] = {"fontsize": font_pt, "ha": "center", "va": "bottom"}
     for place in placed:
         label = labels[place.index]
         peak = label.peak
@@ -156,14 +156,14 @@ def _draw_picture(
     return figure, axis, unnamed
 
 
-def _draw_masked(axis: Axes, query: PhotoSkyline) -> None:
+def _draw_masked(axis: Axes, skyline: PhotoSkyline) -> None:
     """Veil the columns in which no skyline is trusted."""
-    edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
+    edges = np.flatnonzero(np.diff(~skyline.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start - 0.5, end - start) for start, end in edges]
     if spans:
         axis.broken_barh(
             spans,
-            (-0.5, query.height_px),
+            (-0.5, skyline.height_px),
             facecolor=(0.2, 0.2, 0.25, 0.38),
             hatch="//",
             edgecolor=(1.0, 1.0, 1.0, 0.25),
@@ -173,7 +173,10 @@ def _draw_masked(axis: Axes, query: PhotoSkyline) -> None:
 
 
 def _draw_rendered(axis: Axes, pose: Pose, sight: Sight) -> None:
-    """Draw the rendered skyline, dotted where the data's border may hide farther terrain."""
+    """Draw the rendered skyline, dotted where farther terrain may rise above it.
+
+    That may be where the elevation data end.
+    """
     for sure, style, label in (
         (True, "-", f"skyline rendered at {pose.title}"),
         (False, ":", "the same, where the elevation data end"),

@@ -1,4 +1,4 @@
-"""Panoramas to print: terrain that fades with distance, ridges, a compass and named summits."""
+"""Panoramas to print: fading terrain, ridges, a compass and named summits."""
 
 import logging
 from collections.abc import Sequence
@@ -25,19 +25,39 @@ from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
+"""Suffixes of the files that can be written."""
 SUMMIT = "summit"
 """The id of summits' names in the figure."""
-_WIDTH_IN, _MARGIN_IN, _SCALE_IN, _TITLE_IN = 16.0, 0.45, 0.7, 0.45
-_NAMES_APART_IN = 0.015
-_DPI = 150
-_BELOW_DEG, _LEAST_DEG = 7.0, 12.0
-_FONT_PT, _TITLE_PT = 8.0, 11.0
-_LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
-"""Direction of the light: over the viewer's left shoulder in every direction of view."""
-_ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
-_SKY, _TREES = "#f4f8fb", "#2e8b57"
-_LIFTED_M = 0.5
-_POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Sizes on the page."""
+
+    width_in: float = 16.0
+    """Width of the picture."""
+    margin_in: float = 0.45
+    """Empty margin on the left and on the right, which the degrees of the side take."""
+    scale_in: float = 0.7
+    """Height of the compass under a row."""
+    title_in: float = 0.45
+    """Height of the title."""
+    font_pt: float = 8.0
+    """Size of names and degrees."""
+    title_pt: float = 11.0
+    """Greatest size of the title, which is made smaller to fit in."""
+
+    @property
+    def row_in(self) -> float:
+        """Width of a row."""
+        return self.width_in - 2.0 * self.margin_in
+
+
+_LAYOUT = _Layout()
+_ROCK = np.array([0.46, 0.47, 0.38])
+"""Colour of near terrain."""
+_HAZE = np.array([0.80, 0.87, 0.93])
+"""Colour of terrain that haze hides."""
 _log = logging.getLogger(__name__)
 
 
@@ -51,7 +71,7 @@ def save_panorama(
     config: PanoramaConfig | None = None,
     surface: Dem | None = None,
 ) -> int:
-    """Draw the terrain visible from a place, with the names of the visible peaks.
+    """Draw the terrain and the named peaks that are visible from a place.
 
     Parameters
     ----------
@@ -83,8 +103,13 @@ def save_panorama(
     suffix_of(path, PANORAMA_SUFFIXES)
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
-    above_m, within_m = config.eye_height_m, config.summit_within_m
-    eye = stand_at_one(terrain, lon=lon, lat=lat, eye_height_m=above_m, summit_within_m=within_m)
+    eye = stand_at_one(
+        terrain,
+        lon=lon,
+        lat=lat,
+        eye_height_m=config.eye_height_m,
+        summit_within_m=config.summit_within_m,
+    )
     view = panorama_view(terrain, eye, peaks, config, over)
     unnamed = save_view(view, path)
     if unnamed.no_font:
@@ -104,26 +129,31 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
 
     Returns the figure and the peaks without their names.
     """
-    figure = Figure(dpi=_DPI)
+    figure = Figure(dpi=150)
     FigureCanvasAgg(figure)
     texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in view.sightings]
     labels, no_font = labels_of(view.sightings, texts)
     rows = [_Row.of(view, row, labels, figure) for row in range(row_count(view.config.fov_deg))]
-    total_in = _TITLE_IN + sum(row.names_in + row.high_in + _SCALE_IN for row in rows)
-    figure.set_size_inches(_WIDTH_IN, total_in)
-    left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
-    top_in, colours, no_room = total_in - _TITLE_IN, _colours(view), len(labels)
+    rows_in = sum(row.names_in + row.high_in + _LAYOUT.scale_in for row in rows)
+    total_in = _LAYOUT.title_in + rows_in
+    figure.set_size_inches(_LAYOUT.width_in, total_in)
+    left = _LAYOUT.margin_in / _LAYOUT.width_in
+    wide = 1.0 - 2.0 * _LAYOUT.margin_in / _LAYOUT.width_in
+    top_in = total_in - _LAYOUT.title_in
+    colours = _colours(view)
+    no_room = len(labels)
     for row in rows:
         bottom_in = top_in - row.names_in - row.high_in
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
         _draw_row(axis, view, row, colours)
         no_room -= _draw_names(axis, row)
-        top_in = bottom_in - _SCALE_IN
+        top_in = bottom_in - _LAYOUT.scale_in
     unnamed = UnnamedPeaks(no_room, no_font)
     words = _title(view) + unnamed.counted
-    title = figure.text(left, 1.0 - 0.3 / total_in, words, fontsize=_TITLE_PT, va="baseline")
+    title_pt = _LAYOUT.title_pt
+    title = figure.text(left, 1.0 - 0.3 / total_in, words, fontsize=title_pt, va="baseline")
     share = wide * figure.bbox.width / title.get_window_extent().width
-    title.set_fontsize(_TITLE_PT * min(share, 1.0))
+    title.set_fontsize(title_pt * min(share, 1.0))
     return figure, unnamed
 
 
@@ -134,22 +164,25 @@ class _Row:
     columns: slice
     """Columns of the landscape."""
     ends_deg: tuple[float, float]
+    """Azimuths of the left and the right end."""
     span_deg: tuple[float, float]
+    """Elevation angles of the lower and the upper border."""
     names: list[tuple[Label[Sighting], float, float, float]]
     """(label, azimuth_deg, summit_deg, wide_in) of each; the width of the upright label."""
     in_a_deg: float
     """Inches per degree, sideways and upwards."""
     high_in: float
+    """Height of the landscape."""
     names_in: float
-    """``high_in``, ``names_in``: heights of the landscape, and of the names above it."""
+    """Height of the names above it."""
 
     @classmethod
     def of(
         cls, view: PanoramaView, row: int, labels: Sequence[Label[Sighting]], figure: Figure
     ) -> "_Row":
-        """Lay out one row of a view: its range of elevation, and the space of its names.
+        """Return a row of a view, with its share of the labels of all rows.
 
-        ``labels`` are those of all rows.
+        Its range of elevations is 12 degrees or more, down to 7 degrees below the lowest skyline.
         """
         columns = slice(row * COLUMNS, (row + 1) * COLUMNS)
         row_deg = view.config.fov_deg / row_count(view.config.fov_deg)
@@ -157,26 +190,28 @@ class _Row:
         skyline_deg = view.landscape.skyline_deg[columns]
         highest_deg = skyline_deg if view.surface_deg is None else view.surface_deg[columns]
         high_deg = float(highest_deg.max()) + 1.0
-        low_deg = max(float(skyline_deg.min()) - _BELOW_DEG, -89.0)
-        low_deg = min(low_deg, high_deg - _LEAST_DEG)
-        names, names_in = [], 0.0
+        low_deg = max(float(skyline_deg.min()) - 7.0, -89.0)
+        low_deg = min(low_deg, high_deg - 12.0)
+        names = []
+        names_in = 0.0
         for label in labels:
             one = label.peak
             azimuth = ends[0] + (one.azimuth_deg + view.landscape.convergence_deg - ends[0]) % 360.0
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
             if azimuth < ends[1] and summit_deg > low_deg:
                 # The upright name is as high as the text is long.
-                long_px, wide_px = label.extent_px(figure, _FONT_PT)
+                long_px, wide_px = label.extent_px(figure, _LAYOUT.font_pt)
                 names.append((label, azimuth, summit_deg, wide_px / figure.dpi))
                 names_in = max(names_in, long_px / figure.dpi + 0.35)
-        in_a_deg = (_WIDTH_IN - 2.0 * _MARGIN_IN) / row_deg
+        in_a_deg = _LAYOUT.row_in / row_deg
         high_in = in_a_deg * (high_deg - low_deg)
         return cls(columns, ends, (low_deg, high_deg), names, in_a_deg, high_in, names_in)
 
 
 def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) -> None:
     """Draw the landscape of a row, and its scales."""
-    (begin, end), (low, high) = row.ends_deg, row.span_deg
+    begin, end = row.ends_deg
+    low, high = row.span_deg
     pixel_deg = (end - begin) / COLUMNS
     azimuth = view.landscape.azimuth_deg[row.columns]
     elevation = np.arange(low + 0.5 * pixel_deg, high, pixel_deg)
@@ -200,14 +235,20 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) ->
         )
     )
     if view.surface_deg is not None:
-        axis.plot(azimuth, view.surface_deg[row.columns], color=_TREES, linewidth=0.7)
-    axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
+        axis.plot(azimuth, view.surface_deg[row.columns], color="#2e8b57", linewidth=0.7)
+    axis.set(xlim=(begin, end), ylim=(low, high), facecolor="#f4f8fb")
     _draw_compass(axis, (begin, end))
 
 
 def _colours(view: PanoramaView) -> UInt8Array:
-    """Return RGBA colours (P + 1, 4) of the landscape's points and of the sky, which is last."""
-    landscape, terrain, eye = view.landscape, view.landscape.terrain, view.landscape.eye
+    """Return RGBA colours (P + 1, 4) of the landscape's points and the sky.
+
+    The sky is last. Light falls over the viewer's left shoulder, 60 degrees aside and 40 degrees
+    up, in every direction of view.
+    """
+    landscape = view.landscape
+    terrain = landscape.terrain
+    eye = landscape.eye
     away_m = landscape.distance_m
     grid = np.radians(landscape.azimuth_deg - view.landscape.convergence_deg)[landscape.column]
     east_m = eye.easting_m[0] + away_m * np.sin(grid)
@@ -219,10 +260,12 @@ def _colours(view: PanoramaView) -> UInt8Array:
         - terrain.height_at(easting_m=east_m - right_m, northing_m=north_m - up_m)
         for right_m, up_m in ((step_m, 0.0), (0.0, step_m))
     )
-    east, north = east / (2.0 * step_m), north / (2.0 * step_m)
-    towards = grid + np.pi - _LIGHT_ASIDE
+    east /= 2.0 * step_m
+    north /= 2.0 * step_m
+    light_up = np.radians(40.0)
+    towards = grid + np.pi - np.radians(60.0)
     facing = east * np.sin(towards) + north * np.cos(towards)
-    lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * facing
+    lit = np.sin(light_up) - np.cos(light_up) * facing
     light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
     haze = _haze(away_m, landscape.reach_m)[:, np.newaxis]
     lighted = _ROCK * (0.25 + 1.25 * light[:, np.newaxis])
@@ -233,18 +276,20 @@ def _colours(view: PanoramaView) -> UInt8Array:
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
+    """Return how much of terrain at a distance haze hides, 0 to 1."""
     return np.asarray(0.85 * (1.0 - np.exp(-2.0 * distance_m / reach_m)))
 
 
 def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
-    """Draw degrees along the bottom, with the points of the compass, and up the side."""
+    """Draw the points of the compass and degrees along two sides."""
+    points = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
     wide = ends[1] - ends[0]
     step, fine = (15, 1.0) if wide > 60.0 else (5, 1.0) if wide > 20.0 else (1, 0.1)
     ticks = np.arange(np.ceil(ends[0] / step) * step, ends[1] + 1e-9, step)
-    names = [f"{tick % 360:.0f}°\n{_POINTS.get(int(tick) % 360, '')}" for tick in ticks]
+    names = [f"{tick % 360:.0f}°\n{points.get(int(tick) % 360, '')}" for tick in ticks]
     axis.set_xticks(ticks, names)
     axis.set_xticks(np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine), minor=True)
-    axis.tick_params(labelsize=_FONT_PT)
+    axis.tick_params(labelsize=_LAYOUT.font_pt)
     axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axis.yaxis.set_major_formatter("{x:.0f}°")
     for side in ("top", "right", "left"):
@@ -252,14 +297,18 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
 
 
 def _draw_names(axis: Axes, row: _Row) -> int:
-    """Write upright names above the landscape, with lines to their summits; return their number."""
-    (begin, end), in_a_deg = row.ends_deg, row.in_a_deg
+    """Write upright names above a row, with lines to summits.
+
+    Returns the number of names.
+    """
+    begin, end = row.ends_deg
+    in_a_deg = row.in_a_deg
     placed = place_labels(
         [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
         [wide_in for *_, wide_in in row.names],
         (end - begin) * in_a_deg,
         rows=1,
-        gap_px=_NAMES_APART_IN,
+        gap_px=0.015,
     )
     leaders = []
     for place in placed:
@@ -276,7 +325,7 @@ def _draw_names(axis: Axes, row: _Row) -> int:
             rotation=90,
             ha="center",
             va="bottom",
-            fontsize=_FONT_PT,
+            fontsize=_LAYOUT.font_pt,
             **label.style,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
@@ -284,12 +333,15 @@ def _draw_names(axis: Axes, row: _Row) -> int:
 
 
 def _title(view: PanoramaView) -> str:
-    landscape, eye = view.landscape, view.landscape.eye
+    """Return the place and the eye's height in words."""
+    landscape = view.landscape
+    eye = landscape.eye
     place = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
     lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*place.values()))
     surface_m = float(landscape.terrain.height_at(**place))
     ground_m = float(eye.eye_elevation_m[0]) - view.config.eye_height_m
-    beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
+    # A lift of less than half a metre does not show in whole metres.
+    beside = ", as high as the summit beside it" if ground_m - surface_m > 0.5 else ""
     return (
         f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "
         f"seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "

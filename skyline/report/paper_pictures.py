@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +15,8 @@ from matplotlib.transforms import Bbox
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.files import check_folder, write_whole, write_with_folders
+from skyline.paper.plan import Plan
+from skyline.paper.strategies import Coverage
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labels import encode_figure, is_figure
@@ -23,14 +25,9 @@ from skyline.skylines import HEADINGS, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-if TYPE_CHECKING:
-    from skyline.paper.plan import Plan
-    from skyline.paper.strategies import Coverage
-
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
-_PANEL_SQUARE_IN, _DPI = 14.0, 110.0
-_OPACITY = 0.55
-_UNSAFE = re.compile(r"[^\w.-]+")
+_DPI = 110.0
+"""Dots per inch of both kinds of pictures."""
 
 
 def save_depth_pictures(
@@ -40,10 +37,11 @@ def save_depth_pictures(
     config: RenderConfig,
     labels: Sequence[str] = (),
 ) -> None:
-    """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
+    """Save depth images (TIFF) and a picture of each viewpoint.
 
-    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order; after
-    the number comes the viewpoint's label, if it has one. Raises as `check_depth_folder`.
+    Depths are float32 metres, inf for sky. The files are ``NNNN_heading_H.tif`` and ``NNNN.png``,
+    numbered in the viewpoints' order; after the number comes the viewpoint's label, if it has one.
+    Raises as `check_depth_folder`.
     """
     check_depth_folder(folder, len(viewpoints), labels)
     folder.mkdir(parents=True, exist_ok=True)
@@ -60,7 +58,7 @@ def save_depth_pictures(
 
 
 def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> None:
-    """Check that depth images in a folder would replace no files but earlier ones.
+    """Check that depth images would replace no files but earlier ones.
 
     Raises `InputError` as `check_folder`, and for a file that would be replaced.
     """
@@ -80,12 +78,12 @@ def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> 
 
 def _stem(index: int, labels: Sequence[str]) -> str:
     """Return how the names of a viewpoint's files begin."""
-    label = _UNSAFE.sub("-", labels[index]) if labels else ""
+    label = re.sub(r"[^\w.-]+", "-", labels[index]) if labels else ""
     return f"{index:04d}{label and '_'}{label}"
 
 
 def _depth_figure(images: Float32Array, views: Views) -> Figure:
-    """Draw the depth images (4, W, W) of one viewpoint side by side, with their skylines."""
+    """Draw depth images (4, W, W) side by side, with their skylines."""
     size = images.shape[-1]
     finite = images[np.isfinite(images)]
     norm = LogNorm(*(np.percentile(finite, [1, 99]) if finite.size else (1.0, 10.0)))
@@ -104,26 +102,27 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
     return figure
 
 
-def save_coverage_map(plan: "Plan", path: Path) -> None:
-    """Save a picture (PNG) of one map per heading: viewpoints and the area that they cover.
+def save_coverage_map(plan: Plan, path: Path) -> None:
+    """Save a map (PNG) of each heading: viewpoints and the area they cover.
 
-    After Figure 6 of the paper. A location has the colour of the largest tolerance area that holds
-    it; terrain in no tolerance area stays uncoloured.
+    It resembles Figure 6 of the paper. A location has the colour of the largest tolerance area that
+    holds it; terrain in no tolerance area stays uncoloured.
 
     Raises `InputError` where the file cannot be written.
     """
-    candidates = plan.candidates
-    columns_m, rows_m = candidates.easting_m, candidates.northing_m
-    # Each candidate stands in the middle of its cell.
+    sites = plan.sites
+    columns_m = sites.easting_m
+    rows_m = sites.northing_m
+    # Each site is in the middle of its cell.
     corners = columns_m[0], rows_m[-1], columns_m[-1], rows_m[0]
-    area = Bbox.from_extents(*corners).padded(plan.config.candidate_m / 2.0)
+    area = Bbox.from_extents(*corners).padded(plan.config.site_spacing_m / 2.0)
     shape = area.height / area.width
-    width = np.sqrt(_PANEL_SQUARE_IN / shape)
+    width = np.sqrt(14.0 / shape)  # Each map has 14 square inches.
     size_in = len(HEADINGS) * width + 1.2, width * shape + 0.7
     figure = Figure(size_in, _DPI, layout="constrained")
     axes = figure.subplots(1, len(HEADINGS), sharey=True)
-    cell_km2 = (plan.config.candidate_m / 1000.0) ** 2
-    norm = LogNorm(cell_km2, cell_km2 * candidates.window**2)
+    cell_km2 = (plan.config.site_spacing_m / 1000.0) ** 2
+    norm = LogNorm(cell_km2, cell_km2 * sites.window**2)
     for heading, axis in zip(HEADINGS, axes, strict=True):
         coverage = plan.coverages[heading]
         draw_relief(axis, plan.field, area)
@@ -131,11 +130,11 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
             _largest(coverage) * cell_km2,
             norm=norm,
             cmap="plasma",
-            alpha=_OPACITY,
+            alpha=0.55,
             extent=(area.x0, area.x1, area.y0, area.y1),
             interpolation="nearest",
         )
-        row, col = candidates.row_col(coverage.viewpoints)
+        row, col = sites.row_col(coverage.viewpoints)
         edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.3}
         axis.plot(columns_m[col], rows_m[row], ".k", markersize=4.0, **edge)
         draw_bearings(axis, plan.field.frame, area)
@@ -149,9 +148,12 @@ def save_coverage_map(plan: "Plan", path: Path) -> None:
     write_with_folders(path, encode_figure(figure))
 
 
-def _largest(coverage: "Coverage") -> Float64Array:
-    """Return the size of the largest area that holds each candidate (rows, cols), NaN for none."""
-    grid = coverage.candidates
+def _largest(coverage: Coverage) -> Float64Array:
+    """Return the size of the largest area that holds each site.
+
+    Sizes are (rows, cols), in sites; NaN where no area holds the site.
+    """
+    grid = coverage.sites
     sizes = np.count_nonzero(coverage.areas, axis=(1, 2))
     largest = np.zeros(np.pad(grid.valid, grid.reach).shape)
     for row, col, area, size in zip(

@@ -9,7 +9,8 @@ from skyline.arrays import Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy import Bounds
-from skyline.paper.plan import Plan, PlanConfig, build_planned
+from skyline.paper.build import build_planned
+from skyline.paper.plan import Plan, PlanConfig
 from skyline.paper.verify import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import parts_folder
@@ -39,7 +40,7 @@ class RenderTask:
     spacing_m: float | None = None
     """Distance between the viewpoints of a uniform grid."""
     planner: str | None = None
-    """Name of a planner, of `STRATEGIES`."""
+    """Name of a planner, of `skyline.paper.strategies.PLANNERS`."""
     coarse_m: float | None = None
     """Distance between the viewpoints that a planner renders first."""
     site_m: float | None = None
@@ -91,7 +92,7 @@ class RenderTask:
         """Return the settings of the planner; raises as `PlanConfig`."""
         given = {
             "coarse_m": self.coarse_m,
-            "candidate_m": self.site_m,
+            "site_spacing_m": self.site_m,
             "threshold_px": self.threshold_px,
             "coverage": self.coverage,
         }

@@ -18,7 +18,7 @@ from scenes import write_dem
 from skyline.errors import ContextError
 from skyline.geodesy import Frame
 from skyline.match.matcher import Matcher
-from skyline.report.files import ResultsFile
+from skyline.report.results_file import ResultsFile
 from skyline.store.read import open_store
 from skyline.store.write import write_store
 

@@ -45,7 +45,7 @@ def test_an_unknown_planner_is_refused_with_those_known(run, dem, tmp_path):
 
 
 @pytest.mark.parametrize("chosen", ["[-1]", "[10**9]", "[0.5]", "[[5]]", "['a']"])
-def test_a_planner_that_chooses_no_candidate_is_refused(run, dem, site, chosen):
+def test_a_planner_that_chooses_no_site_is_refused(run, dem, site, chosen):
     name = f"wrong{abs(hash(chosen))}"
     code = f"def wrong(problem, generator):\n    yield {chosen}"
     install(site, name, code, "skyline.planners", wrong=f"{name}:wrong")

@@ -4,7 +4,8 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import StoreMismatchError
-from skyline.paper.plan import PlanConfig, build_planned
+from skyline.paper.build import build_planned
+from skyline.paper.plan import PlanConfig
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store
 

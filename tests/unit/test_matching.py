@@ -6,7 +6,6 @@ from query_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.match.prior import NOTHING_KNOWN
-from skyline.paper import matcher
 from skyline.paper.correlation import CorrelationMatcher, Profiles, at_pitches
 from skyline.paper.curves import chamfer_px, plausible, ransac_maps
 from skyline.paper.matcher import PaperMatcher
@@ -113,15 +112,11 @@ def test_degenerate_queries_have_an_answer(profiles):
 
 
 @pytest.mark.parametrize(("index", "heading_deg"), [(9, 315.0), (30, 100.0)])
-def test_listed_poses_are_scored_as_without_a_shortlist(
-    profiles, viewpoints, index, heading_deg, monkeypatch
-):
+def test_listed_poses_cost_as_much_as_without_a_shortlist(profiles, viewpoints, index, heading_deg):
     query = query_at(viewpoints, index, heading_deg)
-    monkeypatch.setattr("skyline.paper.correlation._PITCHES_DEG", (0.0,))
-    monkeypatch.setattr(matcher, "_POSES", 100_000)
-    every = PaperMatcher(profiles).fit(query)
-    monkeypatch.setattr(matcher, "_POSES", 8)
-    listed = PaperMatcher(profiles).fit(query)
+    every, listed = (
+        PaperMatcher(profiles, pitches_deg=(0.0,), listed=most).fit(query) for most in (100_000, 8)
+    )
     chosen = np.isfinite(listed.cost)
     assert 1 < chosen.sum() < np.isfinite(every.cost).sum()
     np.testing.assert_allclose(listed.cost[chosen], every.cost[chosen], rtol=1e-6)

@@ -14,7 +14,7 @@ from skyline.skylines import Views
 from skyline.survey.plans import uniform_grid
 from skyline_bench.paper import TABLE_1, Simulation, simulate
 
-SPACING = {"coarse_m": 300.0, "candidate_m": 30.0}
+SPACING = {"coarse_m": 300.0, "site_spacing_m": 30.0}
 
 
 @pytest.mark.parametrize("name", names_of(PLANNERS))
@@ -47,7 +47,7 @@ def terrain():
 
 @pytest.fixture(autouse=True)
 def discs(monkeypatch):
-    """Every view's tolerance area is a disc of three candidates."""
+    """Every view's tolerance area is a disc of three sites."""
 
     def errors(points, *_, size, **__):
         step = np.arange(size) - size // 2
@@ -85,9 +85,9 @@ ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
     ("make", "said"),
     [
         (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
-        (lambda t: PlanConfig(candidate_m=400.0), "candidate spacing is 400.0 m"),
+        (lambda t: PlanConfig(site_spacing_m=400.0), "site spacing is 400.0 m"),
         (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
-        (lambda t: lay_out(t, PlanConfig(candidate_m=1e-6, coarse_m=1.0)), "are too many"),
+        (lambda t: lay_out(t, PlanConfig(site_spacing_m=1e-6, coarse_m=1.0)), "are too many"),
         (lambda t: uniform_grid(t, 1e-6), "are too many"),
         (lambda t: plan(t, views_at, PlanConfig(**SPACING), ON_THE_HOLE), "falls on the surface"),
     ],

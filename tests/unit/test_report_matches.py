@@ -164,7 +164,7 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
         MatchResult(QUERY, (replace(BEST, easting_m=-5000.0),), 0.1, name="off.jpg"),
     ]
     html = report(tmp_path, results)
-    assert "1 of 3 queries answered" in html
+    assert "1 of 3 photos answered" in html
     assert "Not answered: not sure (latitude" in html
     assert "Not answered: too little skyline." in html
     without_terrain = SimpleNamespace(**{**vars(MATCHER), "terrain": None})

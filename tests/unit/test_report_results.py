@@ -17,7 +17,7 @@ from scenes import candidate_at
 from skyline.errors import BusyError, InputError
 from skyline.match.result import MatchResult
 from skyline.photo.skyline import PhotoSkyline
-from skyline.report.files import RESULTS, ResultsFile
+from skyline.report.results_file import RESULTS, ResultsFile
 
 QUERY = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 PLACE = candidate_at(
@@ -135,3 +135,19 @@ def test_geopandas_reads_the_geopackage(tmp_path):
     assert list(table["query"]) == ["a,b.jpg", "c.jpg"]
     assert table["reason"][1] == r"no\nplace"
     assert table.geometry[1] is None
+
+
+def test_cells_that_are_missing_are_empty(tmp_path):
+    path = tmp_path / "results.csv"
+    write(path, FOUND)
+    path.write_text(path.read_text() + "short.jpg,,one-short.jpg\n")
+    with ResultsFile(path, "one") as kept:
+        assert kept.photos == {"a,b.jpg": None, "short.jpg": None}
+
+
+def test_a_row_with_too_many_cells_is_refused(tmp_path):
+    path = tmp_path / "results.csv"
+    write(path, FOUND)
+    path.write_text(path.read_text() + "long.jpg" + "," * 20 + "more\n")
+    with pytest.raises(InputError, match="line 3 has more than 20 cells"):
+        ResultsFile(path, "one")

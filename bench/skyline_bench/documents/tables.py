@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from skyline.pose import RIGHT_WITHIN_M
 from skyline_bench.documents.results import (
     Results,
     Table,
@@ -19,7 +20,6 @@ from skyline_bench.documents.results import (
 )
 from skyline_bench.measuring import Row
 from skyline_bench.paper import TABLE_1, Setup
-from skyline_bench.photos import RIGHT_M
 from skyline_bench.queries.manifest import LOCATE, REFUSE
 from skyline_bench.search.trials import ALL, CLASSES, THIRDS, by_planner, interpolated
 
@@ -130,7 +130,8 @@ def adaptive(results: Results) -> Table:
             uniform = interpolated(x, y, plan["renderings"])
             if uniform is None:
                 continue
-            low, high = plan["within_200m_low"], plan["within_200m_high"]
+            low = plan["within_200m_low"]
+            high = plan["within_200m_high"]
             better = "adaptive" if uniform < low else "uniform" if uniform > high else "tie"
             after = int(np.searchsorted(x, plan["renderings"]))
             ends = grids[max(after - 1, 0) : after + 1]
@@ -404,7 +405,7 @@ def photographs(results: Results) -> Table:
     for record, words in shown.items():
         rows = results.rows(record, kind=LOCATE)
         answered, right = answered_right(rows)
-        near = sum(row.get("within_m") == RIGHT_M for row in rows)
+        near = sum(row.get("within_m") == RIGHT_WITHIN_M for row in rows)
         table.append(
             {
                 "photographs": linked(words, record),

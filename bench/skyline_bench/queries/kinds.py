@@ -27,14 +27,14 @@ Query = tuple[SyntheticQuery, ...]
 
 PHOTOS = 3
 """Photos of one place, where there are several."""
-_HALF_SIDE_M = 4_000.0
-"""Half the side of the square in strange terrain that queries come from."""
 _CORRELATION_M = 300.0
 """Distance at which the correlation of errors of a model, exp(-(d / L)^2), has dropped to 1/e."""
 
 
-OTHER_DEM, STRANGERS = "other-dem", "strangers"
-"""Queries that see another model of the terrain, and queries of terrain outside the store."""
+OTHER_DEM = "other-dem"
+"""Queries that see another model of the terrain."""
+STRANGERS = "strangers"
+"""Queries of terrain outside the store."""
 
 UNMARKED = ("unmarked panoramas", "unmarked fisheyes")
 """Queries that are not of a pin-hole camera, although nothing says so: none should be trusted."""
@@ -89,7 +89,8 @@ def make_kind(
             raise InputError("strangers need a DEM of terrain off the store; give --strange")
         west, south, east, north = strange.bounds_m
         middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-        seen, area_m = strange, (*(middle - _HALF_SIDE_M), *(middle + _HALF_SIDE_M))
+        seen = strange
+        area_m = (*(middle - 4_000.0), *(middle + 4_000.0))  # A square of 8 km
     elif name == OTHER_DEM:
         other = resampled(terrain, 1.3 * terrain.spacing_m, (0.37, 0.61))
         seen = perturbed(other, seed=seed)
@@ -126,7 +127,8 @@ def resampled(
     spacings, 0 to below 1.
     """
     west, south, east, north = terrain.bounds_m
-    new_west, new_north = west + phase[0] * spacing_m, north - phase[1] * spacing_m
+    new_west = west + phase[0] * spacing_m
+    new_north = north - phase[1] * spacing_m
     cols = int((east - new_west) // spacing_m) + 1
     rows = int((new_north - south) // spacing_m) + 1
     easting = new_west + spacing_m * np.arange(cols)

@@ -29,14 +29,6 @@ _CLOUD_RGB = np.array([240.0, 241.0, 243.0])
 
 _KOSCHMIEDER = 3.912
 """At the visibility 2 % of a dark thing's contrast are left (Koschmieder 1924)."""
-_ZENITH_TAN = 0.6
-"""Elevation at which the sky has lost the haze's colour."""
-_CLOUD_BAND_TAN = 0.12
-"""Height over the ridge within which clouds gather."""
-_CLOUD_SCALES = ((0.25, 0.5), (0.09, 0.3), (0.03, 0.2))
-"""Sizes of clouds as shares of the image's width, and how much each counts."""
-_TEXTURE_M = (900.0, 160.0, 35.0, 8.0, 2.0)
-_TEXTURE_CELLS = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +75,17 @@ def sky_rgb(
     """Return a sky (H, W, 3) along rays (H, W, 3), with clouds about the ridge's rows (W,)."""
     height, width = rays.shape[:2]
     up = rays[..., 1] / np.hypot(rays[..., 0], rays[..., 2])
-    sky = mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / _ZENITH_TAN, 0.0, 1.0))
+    sky = mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / 0.6, 0.0, 1.0))
     if scenery.clouds == 0.0:
         return sky
     cloud = np.zeros_like(up)
-    for scale, weight in _CLOUD_SCALES:
+    # Sizes of clouds as shares of the image's width, and how much each counts.
+    for scale, weight in ((0.25, 0.5), (0.09, 0.3), (0.03, 0.2)):
         cloud += weight * _image_noise(generator, (height, width), width * scale)
     columns = np.arange(width)
     ridge = np.clip(np.nan_to_num(ridge_row), 0, height - 1).astype(np.intp)
     over_ridge = up - up[ridge, columns]
-    near = np.exp(-((over_ridge / _CLOUD_BAND_TAN) ** 2))
+    near = np.exp(-((over_ridge / 0.12) ** 2))
     cover = np.clip(2.0 * (cloud + scenery.clouds * (0.4 + 1.2 * near) - 0.5), 0.0, 1.0)
     return mixed(sky, _CLOUD_RGB * (0.97 + 0.03 * cloud[..., np.newaxis]), cover)
 
@@ -133,10 +126,11 @@ def _texture(
 ) -> Float64Array:
     """Return patches about 0 (M,), fixed to the ground, the finest of them near by only."""
     total = np.zeros_like(distance_m)
-    for scale_m in _TEXTURE_M:
-        cells = generator.uniform(-1.0, 1.0, (_TEXTURE_CELLS, _TEXTURE_CELLS))
+    count = 128  # Cells of a pattern, which repeats
+    for scale_m in (900.0, 160.0, 35.0, 8.0, 2.0):
+        cells = generator.uniform(-1.0, 1.0, (count, count))
         tiled = np.pad(cells, (0, 1), mode="wrap").astype(np.float32)
-        col, row = (np.mod(part / scale_m, _TEXTURE_CELLS) for part in place_m)
+        col, row = (np.mod(part / scale_m, count) for part in place_m)
         fades = np.clip(300.0 * scale_m / np.maximum(distance_m, 1.0), 0.0, 1.0)
         total += fades * _looked_up(tiled, col.astype(np.float32), row.astype(np.float32)) / 2.0
     return total
@@ -150,10 +144,6 @@ def _image_noise(
     coarse = generator.standard_normal((cells[0] + 3, cells[1] + 3)).astype(np.float32)
     smooth = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
     return np.asarray(smooth, dtype=np.float64)
-
-
-_BLUR_PX = 0.6
-_NOISE = 3.0
 
 
 def photograph(
@@ -217,8 +207,8 @@ def _carried_up(distance: Float64Array) -> Float64Array:
 
 def exposed(picture: Float64Array, generator: np.random.Generator) -> NDArray[np.uint8]:
     """Return 8 bits (H, W, 3) through a lens that blurs a little and a sensor that is noisy."""
-    blurred = ndimage.gaussian_filter(picture, (_BLUR_PX, _BLUR_PX, 0.0))
-    noisy = blurred + generator.normal(0.0, _NOISE, picture.shape)
+    blurred = ndimage.gaussian_filter(picture, (0.6, 0.6, 0.0))
+    noisy = blurred + generator.normal(0.0, 3.0, picture.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 

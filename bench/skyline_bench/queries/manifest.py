@@ -12,9 +12,13 @@ from skyline.photo.sky_mask import topmost_border
 from skyline.photo.trace import read_trace
 from skyline.tables import Row, read_table
 
-LOCATE, REFUSE, EXTRACT = "locate", "refuse", "extract"
+LOCATE = "locate"
+"""A photograph whose place is to be found."""
+REFUSE = "refuse"
+"""A photograph for which no answer is right."""
+EXTRACT = "extract"
+"""A photograph of which the skyline alone counts."""
 KINDS = (LOCATE, REFUSE, EXTRACT)
-_BLACK = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +26,7 @@ class Photograph:
     """One line of a manifest; None stands for an unknown value."""
 
     photo: Path  # A photo, or a trace that is matched as if it were one
-    # ``locate``: its place is to be found. ``refuse``: no answer is right. ``extract``: only its
-    # skyline counts.
-    kind: str
+    kind: str  # Of `KINDS`
     # Where it was taken; of one to refuse, where the store is.
     lon: float | None = None
     lat: float | None = None
@@ -64,10 +66,12 @@ class Photograph:
         """
         if self.trace is not None:
             true = read_trace(self.trace)
-            row_px, height = true.row_px, true.height_px
+            row_px = true.row_px
+            height = true.height_px
         elif self.mask is not None:
             mask = read_photo(self.mask).rgb
-            row_px, height = _upper_edge(mask), len(mask)
+            row_px = _upper_edge(mask)
+            height = len(mask)
         else:
             return None
         at = (np.arange(width_px) + 0.5) * len(row_px) / width_px - 0.5
@@ -111,6 +115,6 @@ def _photograph(path: Path, row: Row) -> Photograph:
 
 def _upper_edge(mask: UInt8Array) -> Float64Array:
     """Return the border's row (W,) under the colour of most of the top row; NaN where none is."""
-    light = mask.mean(axis=2) >= _BLACK
+    light = mask.mean(axis=2) >= 128
     is_sky = light == (light[0].mean() >= 0.5)
     return topmost_border(is_sky.astype(np.float64), 0.5)[0]

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 
-PIN_HOLE, CYLINDER = "pin-hole", "cylinder"
+PIN_HOLE = "pin-hole"
+"""The mapping of a photo without distortion."""
+CYLINDER = "cylinder"
+"""The mapping of a panorama."""
 FISHEYES = ("equidistant", "equisolid", "stereographic")
 """Mappings of fisheyes."""
 _MIN_FORWARD = 0.05
@@ -55,7 +58,8 @@ class Camera:
 
     def rays(self) -> Float64Array:
         """Return (H, W, 3) directions east, up, north of a pin-hole's pixels, optical axis 1."""
-        columns, rows = np.arange(self.width_px), np.arange(self.height_px)
+        columns = np.arange(self.width_px)
+        rows = np.arange(self.height_px)
         u = ((columns - (self.width_px - 1) / 2.0) / self.focal_px)[np.newaxis, :]
         v = (((self.height_px - 1) / 2.0 - rows) / self.focal_px)[:, np.newaxis]
         roll, pitch, heading = np.radians([self.roll_deg, self.pitch_deg, self.heading_deg])
@@ -93,7 +97,8 @@ class Camera:
         if self.mapping == CYLINDER:
             return self._on_cylinder(azimuth_rad, elevation_tan)
         roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
-        right, level = np.sin(azimuth_rad), np.cos(azimuth_rad)
+        right = np.sin(azimuth_rad)
+        level = np.cos(azimuth_rad)
         forward = level * np.cos(pitch) + elevation_tan * np.sin(pitch)
         above = elevation_tan * np.cos(pitch) - level * np.sin(pitch)
         ahead = forward > _MIN_FORWARD
@@ -109,7 +114,8 @@ class Camera:
         self, azimuth_rad: Float64Array, elevation_tan: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
         roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
-        right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
+        right = np.sin(azimuth_rad)
+        ahead = np.cos(azimuth_rad)
         across = right * np.cos(roll) - elevation_tan * np.sin(roll)
         up = (right * np.sin(roll) + elevation_tan * np.cos(roll)) / np.hypot(across, ahead)
         column = np.arctan2(across, ahead) * self.focal_px + (self.width_px - 1) / 2.0
@@ -138,6 +144,8 @@ def _topmost(
     known = np.flatnonzero(np.isfinite(crossing))
     # Lowest rows first, so that the last one written to a column is the topmost.
     known = known[np.argsort(-crossing[known], kind="stable")]
-    row_px, which = np.full(width, np.nan), np.full(width, -1, dtype=np.intp)
-    row_px[at[known]], which[at[known]] = crossing[known], segment[known]
+    row_px = np.full(width, np.nan)
+    which = np.full(width, -1, dtype=np.intp)
+    row_px[at[known]] = crossing[known]
+    which[at[known]] = segment[known]
     return row_px, which

@@ -111,7 +111,8 @@ class Truth:
 
     def off_m(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return how far places are from this one, metres."""
-        east_m, north_m = np.asarray(easting_m), np.asarray(northing_m)
+        east_m = np.asarray(easting_m)
+        north_m = np.asarray(northing_m)
         return np.asarray(np.hypot(east_m - self.easting_m, north_m - self.northing_m))
 
     def camera(self, width_px: int = 960, height_px: int = 640) -> Camera:
@@ -272,7 +273,8 @@ def _bent(row_px: Float64Array, height_px: int, distortion: float) -> Float64Arr
 
     Columns without a row stay without one.
     """
-    width_px, known = len(row_px), np.isfinite(row_px)
+    width_px = len(row_px)
+    known = np.isfinite(row_px)
     if distortion == 0.0 or not known.any():
         return row_px
     across = (2.0 * np.arange(width_px) + 1.0) / width_px - 1.0
@@ -319,7 +321,8 @@ def random_occluders(
     """
     width = len(skyline_px)
     left = round(share * width)
-    kinds, lengths = list[str](), list[int]()
+    kinds = list[str]()
+    lengths = list[int]()
     while left > 0:
         kinds.append(_THINGS[generator.integers(len(_THINGS))])
         length = round(generator.uniform(*_WIDTH_SHARE[kinds[-1]]) * width)

@@ -109,7 +109,8 @@ class Search:
             raise InputError(
                 f"--area is of queries of one photo each; {', '.join(whole)} are searched whole"
             )
-        whole_km2, largest_km2 = self.whole_km2(terrain), max(self.areas_km2)
+        whole_km2 = self.whole_km2(terrain)
+        largest_km2 = max(self.areas_km2)
         if largest_km2 >= whole_km2:
             raise InputError(
                 f"--area {largest_km2:g} is not less than the {whole_km2:.3g} km2 searched in all; "
@@ -137,7 +138,8 @@ class Search:
         """
         bounds_deg = self.area_deg()
         stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
-        area_m, whole_km2 = map_bounds(terrain, bounds_deg), self.whole_km2(terrain)
+        area_m = map_bounds(terrain, bounds_deg)
+        whole_km2 = self.whole_km2(terrain)
         miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
         areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2)}
         areas[trials.ALL] = whole_km2
@@ -156,7 +158,8 @@ class Search:
             found = dict[tuple[str, int, str], trials.Trial]()
             with trials.open_matcher(matcher, store.path, terrain) as opened:
                 for kind, index, area in keys:
-                    query, is_strange = queries[kind][index], kind == kinds.STRANGERS
+                    query = queries[kind][index]
+                    is_strange = kind == kinds.STRANGERS
                     narrowing = None
                     if area != trials.ALL and not is_strange:
                         truth = query[0].truth

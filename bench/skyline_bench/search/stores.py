@@ -1,10 +1,10 @@
-"""The stores of a comparison: built once in a folder and found again, or given as files."""
+"""The stores of a comparison: built once in a folder, or given as files."""
 
 import json
 import logging
 import math
-import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from skyline import build_places, build_uniform
 from skyline.arrays import Progress
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
-from skyline.paper.plan import PlanConfig, build_planned
+from skyline.paper.build import build_planned
+from skyline.paper.plan import PlanConfig
 from skyline.skylines import HEADINGS
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.store.places import Places
@@ -22,18 +23,22 @@ from skyline.store.read import open_store, parts_folder
 from skyline.survey.lattices import expected_finds
 from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
+from skyline_bench.measuring import timed
 
 _log = logging.getLogger(__name__)
 
-UNIFORM, PLANNED = "uniform", "planned"
-"""Planners of stores; the paper's planners are named by their strategy."""
+UNIFORM = "uniform"
+"""The planner of uniform grids; the paper's planners are named by their strategy."""
+PLANNED = "planned"
+"""The planner of places."""
 
 _NOTE = ".build.json"
+"""The suffix of the file beside a store that notes its settings and its times."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoreSpec:
-    """A store to search: a uniform grid, planned places, a plan of the paper's, or a file."""
+    """A store to search: uniform, planned, planned as in the paper, or a file."""
 
     holds: str = PLACES  # Places or renderings
     spacing_m: float | None = None  # Of a uniform grid; places are planned without it
@@ -50,7 +55,7 @@ class StoreSpec:
 
     @property
     def held(self) -> str:
-        """The kind of rows that the store holds; a store that exists is opened."""
+        """The kind of rows that the store holds; a file is opened."""
         return self.holds if self.path is None else BuiltStore.read(self, self.path).holds
 
     @property
@@ -71,7 +76,8 @@ class StoreSpec:
             BuiltStore.read(self, self.path)
         elif self.spacing_m is not None:
             uniform_grid(terrain, self.spacing_m, area)
-            width, height = area[2] - area[0], area[3] - area[1]
+            width = area[2] - area[0]
+            height = area[3] - area[1]
             if min(width, height) < self.spacing_m:
                 raise InputError(
                     f"the area is {width:.0f} x {height:.0f} m, too small for a grid of "
@@ -85,7 +91,7 @@ class StoreSpec:
         bounds_deg: Bounds | None,
         progress: Progress | None = None,
     ) -> "BuiltStore":
-        """Return the store in a folder, built unless it was built there to its end before."""
+        """Return the store in a folder, built unless it is there."""
         if self.path is not None:
             return BuiltStore.read(self, self.path)
         path = folder / f"{self.name}.h5"
@@ -95,20 +101,26 @@ class StoreSpec:
             raise InputError(f"{path} has other bounds or another DEM; name another --folder")
         if not path.exists() or noted is None:
             resumed = path.exists() or parts_folder(path).exists()
-            wall, cpu = time.perf_counter(), time.process_time()
-            if self.plan is not None:
-                build_planned(terrain, path, self.plan, bounds_deg)
-            elif self.holds == RENDERINGS and self.spacing_m is not None:
-                build_uniform(terrain, path, self.spacing_m, bounds_deg, progress=progress)
-            else:
-                build_places(
-                    terrain, path, self.spacing_m, bounds_deg, progress, places=self.places
-                )
-            taken = time.perf_counter() - wall, time.process_time() - cpu
-            note = {} if resumed else dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
+            _, timing = timed(partial(self._build, terrain, path, bounds_deg, progress))
+            times = {"build_s": timing.seconds, "build_cpu_s": timing.cpu_seconds}
+            note = {} if resumed else times
             text = json.dumps({**note, "settings": settings}) + "\n"
             path.with_suffix(_NOTE).write_text(text, encoding="utf-8")
         return BuiltStore.read(self, path)
+
+    def _build(
+        self,
+        terrain: HeightField,
+        path: Path,
+        bounds_deg: Bounds | None,
+        progress: Progress | None,
+    ) -> None:
+        if self.plan is not None:
+            build_planned(terrain, path, self.plan, bounds_deg)
+        elif self.holds == RENDERINGS and self.spacing_m is not None:
+            build_uniform(terrain, path, self.spacing_m, bounds_deg, progress=progress)
+        else:
+            build_places(terrain, path, self.spacing_m, bounds_deg, progress, places=self.places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +136,15 @@ class BuiltStore:
 
     @classmethod
     def read(cls, spec: StoreSpec, path: Path) -> "BuiltStore":
-        """Return a store that exists; times are NaN where a build was interrupted or not noted."""
+        """Return a store that exists.
+
+        Times are NaN where a build was interrupted or not noted.
+        """
         note = _noted(path)
         with open_store(path) as store:
-            rows, holds, boxes_deg = len(store), store.header.holds, store.header.boxes_deg
+            rows = len(store)
+            holds = store.header.holds
+            boxes_deg = store.header.boxes_deg
             planner = spec.planner if spec.path is None else store.header.config["planner"]
             digest = store.digest
         # A place counts as four renderings, since it looks all the way round.
@@ -148,7 +165,7 @@ class BuiltStore:
         return cls(spec, path, holds, bounds_deg, digest, figures)
 
     def claimed_loss(self) -> float:
-        """Return the share of views expected to be lost over the places; NaN for renderings."""
+        """Return the share of views expected to be lost; NaN for renderings."""
         if self.holds != PLACES:
             return math.nan
         with open_store(self.path) as store:
@@ -161,9 +178,10 @@ def middle_deg(
     size_m: tuple[float, float] = (5_000.0, 10_000.0),
     bounds_deg: Bounds | None = None,
 ) -> Bounds:
-    """Return the middle of bounds, by default of the DEM: so far east and north at most."""
+    """Return the middle of bounds, by default of the DEM, at most of a size."""
     west, south, east, north = map_bounds(terrain, bounds_deg)
-    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    half_east = min(size_m[0], east - west) / 2.0
+    half_north = min(size_m[1], north - south) / 2.0
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
     ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
@@ -171,5 +189,6 @@ def middle_deg(
 
 
 def _noted(path: Path) -> dict[str, Any]:
+    """Return what is noted beside a store; empty without a note."""
     note = path.with_suffix(_NOTE)
     return dict(json.loads(note.read_text(encoding="utf-8"))) if note.exists() else {}

@@ -1,10 +1,10 @@
-"""Trials: the error of a matcher that searches a store for a query; and the figures of trials.
+"""Trials: a matcher searches a store for a query; and the figures of trials.
 
-Shares have Wilson's intervals. Adaptive stores are compared with uniform ones.
+A trial has the error of the best candidate. Shares have Wilson's intervals. Adaptive stores are
+compared with uniform ones.
 """
 
 import math
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,21 +18,23 @@ from skyline.errors import InputError
 from skyline.geodesy import in_turn
 from skyline.match.confidence import MatchConfig
 from skyline.match.matcher import FULL
-from skyline.pose import Poses
+from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring import Row
+from skyline_bench.measuring import Row, timed
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery
 from skyline_bench.search.stores import UNIFORM
 
-PAPER, UNREFINED = "paper", "unrefined"
+PAPER = "paper"
+"""The paper's matcher."""
+UNREFINED = "unrefined"
+"""The full matcher without its refinement."""
 MATCHERS = (PAPER, "correlation", UNREFINED, FULL)
-"""The matchers of Skyline, and the full one without its refinement."""
+"""All matchers."""
 
 MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
 """The field of view of synthetic queries is known to 5 %."""
-_TOP = 5
 
 
 def searched_by(matcher: str) -> str:
@@ -66,26 +68,29 @@ def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
 
 def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strange: bool) -> Trial:
     """Match a query; a query that is refused has no candidate."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    result: MatchResult | JointResult | None = None
-    with suppress(InputError):  # No place lies within the narrowing.
-        if len(query) > 1:
-            result = matcher.match_together([one.skyline for one in query], top=_TOP)
-        else:
-            result = matcher.match(query[0].skyline, top=_TOP, narrowing=narrowing)
-    taken = time.perf_counter() - wall, time.process_time() - cpu
-    trial, ahead = trial_of(query, result, strange), None
-    if not strange and trial.error_m > _RIGHT_M and isinstance(result, MatchResult):
+
+    def match() -> MatchResult | JointResult | None:
+        with suppress(InputError):  # No place lies within the narrowing.
+            if len(query) > 1:
+                return matcher.match_together([one.skyline for one in query], top=5)
+            return matcher.match(query[0].skyline, top=5, narrowing=narrowing)
+        return None
+
+    result, timing = timed(match)
+    trial = trial_of(query, result, strange)
+    ahead = None
+    if not strange and trial.error_m > RIGHT_WITHIN_M and isinstance(result, MatchResult):
         ahead = _truth_ahead(matcher, query[0], result)
-    return replace(trial, truth_ahead=ahead, seconds=taken[0], cpu_s=taken[1])
+    return replace(trial, truth_ahead=ahead, seconds=timing.seconds, cpu_s=timing.cpu_seconds)
 
 
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
-    """Return by how much less the refined true pose costs than the best candidate.
+    """Return how much less the refined true pose costs than the best candidate.
 
     None where either does not exist: without refinement, or where nothing fits.
     """
-    truth, fov_deg = query.truth, query.skyline.fov_deg or query.truth.fov_deg
+    truth = query.truth
+    fov_deg = query.skyline.fov_deg or query.truth.fov_deg
     true = Poses(
         easting_m=np.array([truth.easting_m]),
         northing_m=np.array([truth.northing_m]),
@@ -107,11 +112,16 @@ def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -
 def trial_of(
     query: Query, result: MatchResult | JointResult | None, strange: bool = False
 ) -> Trial:
-    """Return the trial of a result, None for a refusal; nothing is right for a stranger."""
+    """Return the trial of a result, None for a refusal.
+
+    Nothing is right for a stranger.
+    """
     places = result.places if isinstance(result, JointResult) else result and result.candidates
     if result is None or not places:
         return Trial(distance_m(query))
-    best, truth, named = places[0], query[0].truth, False
+    best = places[0]
+    truth = query[0].truth
+    named = False
     turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.heading_deg)))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
@@ -135,18 +145,17 @@ THIRDS = ("close", "medium", "far")
 CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400.0, math.inf)}
 """Distances of skylines, harmonic means in metres: how much a skyline moves with the eye."""
 
-_RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
 _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
-_RESAMPLES = 2000
 _LEAST_M = 1e-3
 """Smaller errors count as this, so that they have a logarithm."""
 
 
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
-    """Return the numbers of queries by the distance of their skylines; all of them come last.
+    """Return the numbers of queries by the distance of their skylines.
 
-    Queries are split at 150 and 400 m, or into thirds of equal size, as in the paper.
+    The group of all queries comes last. Queries are split at 150 and 400 m, or into thirds of equal
+    size, as in the paper.
     """
     away_m = np.array(distance_m)
     if by_thirds:
@@ -161,10 +170,11 @@ def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequenc
 
 
 def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
-    """Return the figures of trials; a query without a candidate is wrong by ``miss_m``.
+    """Return the figures of trials.
 
-    Queries over 200 m off are lost by the search if the true pose fits clearly better than the best
-    candidate, and lost to likeness if that fits as well or better.
+    A query without a candidate is wrong by ``miss_m``. Queries over 200 m off are lost by the
+    search if the true pose fits clearly better than the best candidate, and lost to likeness if
+    that fits as well or better.
 
     The interval of the mean is a percentile bootstrap over the queries. One seed draws the same
     queries for every row, so that rows can be compared.
@@ -172,9 +182,10 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     found = np.array([trial.error_m for trial in trials])
     error_m = np.where(np.isfinite(found), found, miss_m)
     within_m = np.array([trial.within_m for trial in trials], dtype=np.float64)
-    right, answered = found <= _RIGHT_M, np.isfinite(within_m)
+    right = found <= RIGHT_WITHIN_M
+    answered = np.isfinite(within_m)
     share = binomtest(int(right.sum()), len(trials)).proportion_ci(0.95, "wilson")
-    draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
+    draws = np.random.default_rng(seed).integers(0, len(trials), (2000, len(trials)))
     mean_low, mean_high = np.percentile(error_m[draws].mean(axis=1), (2.5, 97.5))
     turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
     distance_m = [trial.distance_m for trial in trials]
@@ -188,7 +199,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "within_200m": float(right.mean()),
         "within_200m_low": float(share.low),
         "within_200m_high": float(share.high),
-        "within_1km": float((found <= _ROUGHLY_M).mean()),
+        "within_1km": float((found <= ROUGHLY_WITHIN_M).mean()),
         "median_m": float(np.median(error_m)),
         "mean_m": float(error_m.mean()),
         "mean_m_low": float(mean_low),
@@ -196,7 +207,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "p90_m": float(np.percentile(error_m, 90.0)),
         "heading_median_deg": float(np.median(turn_deg)) if right.any() else None,
         "answered": float(answered.mean()),
-        "answered_200m": float((within_m <= _RIGHT_M).mean()),
+        "answered_200m": float((within_m <= RIGHT_WITHIN_M).mean()),
         "precision": float((found <= within_m)[answered].mean()) if answered.any() else None,
         "radius_holds": float((found <= radius_m)[sized].mean()) if sized.any() else None,
         "highest_confidence": max((trial.confidence or 0.0 for trial in trials), default=0.0),
@@ -209,19 +220,23 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
 
 
 def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
-    """Return the uniform and the adaptive stores of a record, by their number of renderings."""
+    """Return the uniform and the adaptive stores of a record.
+
+    They are in order of their renderings.
+    """
     every = sorted((row for row in rows if row["group"] == ALL), key=lambda row: row["renderings"])
     uniform = [row for row in every if row["planner"] == UNIFORM]
     return uniform, [row for row in every if row["planner"] != UNIFORM]
 
 
 def against_uniform(rows: Sequence[Row]) -> list[Row]:
-    """Hold each adaptive store to the uniform ones that the same matcher searches as widely.
+    """Hold each adaptive store to uniform ones that are searched alike.
 
-    ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
-    ``gain`` is that over the store's own; ``uniform_renderings`` is how many renderings a uniform
-    store would take to be as accurate, and ``share`` the store's own over those. They are
-    interpolated between the uniform stores on logarithmic axes, and None outside their range.
+    The same matcher searches them for the same queries, as widely. ``uniform_mean_m`` is the mean
+    error that a uniform store of as many renderings would have, and ``gain`` is that over the
+    store's own; ``uniform_renderings`` is how many renderings a uniform store would take to be as
+    accurate, and ``share`` the store's own over those. They are interpolated between the uniform
+    stores on logarithmic axes, and None outside their range.
     """
     uniform, adaptive = by_planner(rows)
     held: list[Row] = []
@@ -249,7 +264,10 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
 
 
 def interpolated(x: Sequence[float], y: Sequence[float], at: float) -> float | None:
-    """Return y at a place between increasing x, on logarithmic axes; None outside their range."""
+    """Return y at a place between increasing x, on logarithmic axes.
+
+    None outside the range of x.
+    """
     if not x or not x[0] <= at <= x[-1]:
         return None
     return float(np.exp(np.interp(np.log(at), np.log(x), np.log(y))))

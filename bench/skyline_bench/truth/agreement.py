@@ -167,10 +167,12 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
     The greatest of several crossings is wrong by no more than the worst of those that are
     greatest in the truth or in the rendering, whence the lesser depth and the greater v.
     """
-    field, pixel = scene.field, pixel_size(scene.width)
+    field = scene.field
+    pixel = pixel_size(scene.width)
     coarse = max(field.spacing_east_m, field.spacing_north_m)
     depth = views.depth_m.astype(np.float64)
-    nearer, farther = np.fmin(depth, truth.depth_m), np.fmax(depth, truth.depth_m)
+    nearer = np.fmin(depth, truth.depth_m)
+    farther = np.fmax(depth, truth.depth_m)
     tan = np.fmax(np.abs(views.v.astype(np.float64)), np.abs(truth.v))
     # An edge's chord hangs below the curved ground by a part of this.
     sag = scene.curvature.drop_per_m2 * (field.spacing_east_m**2 + field.spacing_north_m**2)
@@ -205,7 +207,8 @@ def undecided_columns(
     may be, (N, W) px: next to nothing but where the ray passes such a sample, or runs almost along
     the edge that it sees as the skyline; infinite where only one side meets data.
     """
-    u, pixel = columns_u(scene.width), pixel_size(scene.width)
+    u = columns_u(scene.width)
+    pixel = pixel_size(scene.width)
     exact, left, right = (
         oracle.rivals(scene.field, scene.viewpoints, u + aside, scene.curvature)
         for aside in (0.0, -2.0 * _ASIDE, 2.0 * _ASIDE)
@@ -223,18 +226,22 @@ def undecided_columns(
 
 def _columns_past_rims(scene: SkylineScene) -> BoolArray:
     """Return (N, W): whether a column's ray passes a sample where the surface ends."""
-    field, eyes, u = scene.field, scene.viewpoints, columns_u(scene.width)
+    field = scene.field
+    eyes = scene.viewpoints
+    u = columns_u(scene.width)
     triangles = Triangles.of(field.heights_m)
     ways = itertools.product((False, True), repeat=2)
     row, col = np.nonzero(np.logical_or.reduce([triangles.entries(*way) for way in ways]))
     easting, northing = field.to_map(row, col)
     passes = np.zeros((len(eyes), len(HEADINGS), scene.width), dtype=bool)
     for index in range(len(eyes)):
-        east, north = easting - eyes.easting_m[index], northing - eyes.northing_m[index]
+        east = easting - eyes.easting_m[index]
+        north = northing - eyes.northing_m[index]
         for heading in HEADINGS:
             right, _, depth = rotation(heading) @ np.stack([east, np.zeros_like(east), north])
             ahead = depth > 0.0
-            at, slack = right[ahead] / depth[ahead], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
+            at = right[ahead] / depth[ahead]
+            slack = _ASIDE * (1.0 + field.spacing_m / depth[ahead])
             nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)
             column = nearest.astype(np.int64)
             passes[index, heading, column[np.abs(u[column] - at) <= slack]] = True
@@ -242,7 +249,8 @@ def _columns_past_rims(scene: SkylineScene) -> BoolArray:
 
 
 def _error_px(views: Views, truth: Views) -> Float64Array:
-    seen, expected = ~np.isnan(views.v), ~np.isnan(truth.v)
+    seen = ~np.isnan(views.v)
+    expected = ~np.isnan(truth.v)
     error = np.abs(views.v - truth.v) / pixel_size(views.width)
     return np.where(seen & expected, error, np.where(seen == expected, 0.0, np.inf))
 

@@ -31,7 +31,8 @@ from skyline_bench.truth.agreement import (
 
 FLAT = Curvature(enabled=False)
 FRAME = Frame.local(lon=9.8, lat=46.8)
-WEST_M, NORTH_M = 2.0**19, 2.0**22
+WEST_M = 2.0**19
+NORTH_M = 2.0**22
 SPACING_M = 32.0
 
 HORIZON_ONLY = ("horizon",)
@@ -143,9 +144,14 @@ def eyes_anywhere(field: HeightField, count: int, eye_height_m: ArrayLike) -> Vi
 
 _GEOD = Geod(ellps="WGS84")
 _TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
-_GROUND_M, _EYE_M = 500.0, 510.0
-_PEAK_M, _SIGMA_M = 1500.0, 2000.0
+_EYE_M = 510.0
+"""Elevation of the eye, 10 m above the plain."""
+_PEAK_M = 1500.0
+"""Height of the peaks above the plain."""
+_SIGMA_M = 2000.0
+"""Distance from a peak's middle at which its height has dropped to 0.61."""
 _PEAK_AWAY_M = 17_000.0
+"""Distance of the peaks from the eye."""
 _PEAK_AZIMUTHS_DEG = np.array([20.0, 100.0, 190.0, 300.0])
 _REACH_M = 26_000.0
 """Every azimuth is in the data at least so far."""
@@ -175,7 +181,8 @@ class _Country:
 
     def skyline(self, scene: SkylineScene) -> ClosedForm:
         """Return the skylines along geodesics."""
-        eyes, frame = scene.viewpoints, scene.field.frame
+        eyes = scene.viewpoints
+        frame = scene.field.frame
         turn = frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[0]
         u = columns_u(scene.width)
         azimuth_deg = (90.0 * heading + np.degrees(np.arctan(u)) + turn for heading in HEADINGS)
@@ -194,7 +201,7 @@ class _Country:
     def height_m(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
         """Return heights: a Gaussian of the straight distance to each peak."""
         place = _earth_centred_m(lon_deg, lat_deg)
-        height = np.full(place.shape[:-1], _GROUND_M)
+        height = np.full(place.shape[:-1], 500.0)
         for azimuth in _PEAK_AZIMUTHS_DEG:
             lon, lat, _ = _GEOD.fwd(self.lon_deg, self.lat_deg, azimuth, _PEAK_AWAY_M)
             away = np.linalg.norm(place - _earth_centred_m(lon, lat), axis=-1)
@@ -215,7 +222,8 @@ class _Country:
             left = float(in_turn(self.lon_deg + first * step_lon))
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
-            corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)
+            corner = (left, lat[0] + 0.5 * _STEP_DEG)
+            step = (step_lon, _STEP_DEG)
             path = folder / f"tile{first}.tif"
             paths.append(write_geotiff(path, heights, "EPSG:4326", corner, step))
         return paths

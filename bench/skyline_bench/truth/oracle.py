@@ -118,7 +118,8 @@ def _seen(
 def directions_at(heading: int, u: Float64Array) -> Float64Array:
     """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
     turn = rotation(heading)
-    right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
+    right = turn[0, [0, 2]]
+    forward = turn[2, [0, 2]]
     return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
 
 
@@ -138,7 +139,8 @@ class _Scene:
         row, col = field.to_grid(
             easting_m=viewpoints.easting_m[index], northing_m=viewpoints.northing_m[index]
         )
-        self.eye_row, self.eye_col = float(row), float(col)
+        self.eye_row = float(row)
+        self.eye_col = float(col)
         north = (self.eye_row - np.arange(field.rows)) * field.spacing_north_m
         east = (np.arange(field.cols) - self.eye_col) * field.spacing_east_m
         distance_squared = north[:, np.newaxis] ** 2 + east**2
@@ -156,11 +158,14 @@ class _Scene:
         ``directions`` is (W, 2), east and north per metre of forward depth.
         """
         width = len(directions)
-        tan, depth = np.full(width, -np.inf), np.full(width, np.nan)
-        truncated, hole = np.zeros(width, dtype=bool), np.zeros(width, dtype=bool)
+        tan = np.full(width, -np.inf)
+        depth = np.full(width, np.nan)
+        truncated = np.zeros(width, dtype=bool)
+        hole = np.zeros(width, dtype=bool)
         for part, crossings in self._crossings(directions):
             v = self._v(crossings)
-            rays, best = np.arange(len(v)), v.argmax(axis=1)
+            rays = np.arange(len(v))
+            best = v.argmax(axis=1)
             raised = v[rays, best] > tan[part]
             tan[part] = np.where(raised, v[rays, best], tan[part])
             depth[part] = np.where(raised, crossings.depth_m[rays, best], depth[part])
@@ -197,15 +202,18 @@ class _Scene:
 
     def _families(self, col_rate: Float64Array, row_rate: Float64Array) -> Iterator[_Crossings]:
         """Yield the crossings with each family; the rays' rates must not differ in sign."""
-        rows, cols = self.field.rows, self.field.cols
-        north_east, south_west = self.triangles.north_east, self.triangles.south_west
+        rows = self.field.rows
+        cols = self.field.cols
+        north_east = self.triangles.north_east
+        south_west = self.triangles.south_west
 
         lines = _lines_ahead(self.eye_col, col_rate, 0, cols)
         if lines.size:
             depth = (lines - self.eye_col) / col_rate[:, np.newaxis]
             row, fraction = _split(self.eye_row + depth * row_rate[:, np.newaxis], rows)
             col = np.broadcast_to(lines, row.shape)
-            west, east = north_east[row + 1, col], south_west[row + 1, col + 1]
+            west = north_east[row + 1, col]
+            east = south_west[row + 1, col + 1]
             near, far = (west, east) if col_rate[0] > 0.0 else (east, west)
             yield _Crossings(depth, row, col, fraction, 1, 0, near, far)
 
@@ -214,7 +222,8 @@ class _Scene:
             depth = (lines - self.eye_row) / row_rate[:, np.newaxis]
             col, fraction = _split(self.eye_col + depth * col_rate[:, np.newaxis], cols)
             row = np.broadcast_to(lines, col.shape)
-            north, south = south_west[row, col + 1], north_east[row + 1, col + 1]
+            north = south_west[row, col + 1]
+            south = north_east[row + 1, col + 1]
             near, far = (north, south) if row_rate[0] > 0.0 else (south, north)
             yield _Crossings(depth, row, col, fraction, 0, 1, near, far)
 
@@ -224,13 +233,15 @@ class _Scene:
             depth = (lines - (self.eye_col - self.eye_row)) / across[:, np.newaxis]
             row, fraction = _split(self.eye_row + depth * row_rate[:, np.newaxis], rows)
             col = np.clip(row + lines, -1, cols - 1)
-            beyond, before = north_east[row + 1, col + 1], south_west[row + 1, col + 1]
+            beyond = north_east[row + 1, col + 1]
+            before = south_west[row + 1, col + 1]
             near, far = (before, beyond) if across[0] > 0.0 else (beyond, before)
             yield _Crossings(depth, row, col, fraction, 1, 1, near, far)
 
     def _v(self, crossings: _Crossings) -> Float64Array:
         """Return v of every crossing, -inf where there is no edge."""
-        row, col = np.maximum(crossings.row, 0), np.maximum(crossings.col, 0)
+        row = np.maximum(crossings.row, 0)
+        col = np.maximum(crossings.col, 0)
         first = self.up_m[row, col]
         second = self.up_m[
             np.minimum(row + crossings.row_step, self.field.rows - 1),

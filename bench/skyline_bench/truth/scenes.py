@@ -25,7 +25,8 @@ def _eye_at_offset(row_share: float, col_share: float) -> SkylineScene:
     """Stand so many shares of a cell south and east of samples."""
     field = forms.rough_field()
     row, col = forms.spots(field, len(_SHARE))
-    row, col = row + row_share * _SHARE, col + col_share * _SHARE
+    row = row + row_share * _SHARE
+    col = col + col_share * _SHARE
     return SkylineScene(field, forms.eyes_at(field, row, col, _LOW_AND_HIGH_M))
 
 
@@ -119,7 +120,8 @@ def _pyramid_skyline(scene: SkylineScene) -> forms.ClosedForm:
     return forms.ClosedForm(-above / (64.0 * forms.SPACING_M) - 0.5 * (1.0 + u))
 
 
-_PIT_CELLS, _PIT_SPACING_M = 1, 16.0
+_PIT_CELLS = 1
+_PIT_SPACING_M = 16.0
 
 
 def _pit(depth_m: float) -> SkylineScene:
@@ -133,7 +135,8 @@ def _pit(depth_m: float) -> SkylineScene:
 def _pit_skyline(scene: SkylineScene) -> forms.ClosedForm:
     # The rim is a square 2 cells out, but in the corners to the north-east and south-west the
     # split cuts across it, from (1, 2) to (2, 1): a line at east + north = 3 cells.
-    u, rim = columns_u(scene.width), _PIT_CELLS + 1.0
+    u = columns_u(scene.width)
+    rim = _PIT_CELLS + 1.0
     north = np.where(u > 1.0 - 1.0 / rim, (2.0 * _PIT_CELLS + 1.0) / (1.0 + u), rim)
     depth = _PIT_SPACING_M * np.stack([north, north[::-1], north, north[::-1]])
     rise = float(scene.field.height_range_m[1] - scene.viewpoints.eye_elevation_m[0])
@@ -183,7 +186,8 @@ def _spike() -> SkylineScene:
     heights[40, 40] = 400.0
     field = forms.field_of(heights)
     # On its tip, on its flank, a cell away and half the map away, with the tip between columns.
-    row, col = [40.0, 40.25, 41.0, 70.3125], [40.0, 40.125, 40.0, 60.5625]
+    row = [40.0, 40.25, 41.0, 70.3125]
+    col = [40.0, 40.125, 40.0, 60.5625]
     return SkylineScene(field, forms.eyes_at(field, row, col, [2.0, 0.0, 2.0, 2.0]), 640)
 
 
@@ -237,7 +241,9 @@ STEEP_CASES = (
 MARS_RADIUS_M = 3_389_500.0
 
 
-_PLAIN_SPACING_M, _PLAIN_HALF = 100.0, 128
+_PLAIN_SPACING_M = 100.0
+_PLAIN_HALF = 128
+"""Samples from the middle of the plain to its border."""
 
 
 def _plain(*eye_heights_m: float) -> SkylineScene:
@@ -263,7 +269,8 @@ def _plain_skyline(scene: SkylineScene) -> forms.ClosedForm:
 
 def _constant(eye_height_m: float) -> SkylineScene:
     field = forms.field_of(np.full((37, 53), 1234.5), 16.0)
-    row, col = [18.0, 9.25, 3.0], [26.0, 17.5, 49.125]
+    row = [18.0, 9.25, 3.0]
+    col = [26.0, 17.5, 49.125]
     return SkylineScene(field, forms.eyes_at(field, row, col, eye_height_m), curvature=forms.FLAT)
 
 
@@ -271,10 +278,13 @@ def _constant_skyline(scene: SkylineScene) -> forms.ClosedForm:
     """Return v = -h / z with z where each column leaves the map."""
     west, south, east, north = scene.field.bounds_m
     eyes = scene.viewpoints
-    to_north, to_east = north - eyes.northing_m, east - eyes.easting_m
-    to_south, to_west = eyes.northing_m - south, eyes.easting_m - west
+    to_north = north - eyes.northing_m
+    to_east = east - eyes.easting_m
+    to_south = eyes.northing_m - south
+    to_west = eyes.easting_m - west
     ahead = np.stack([to_north, to_east, to_south, to_west], axis=1)[..., np.newaxis]
-    to_right, to_left = np.roll(ahead, -1, axis=1), np.roll(ahead, 1, axis=1)
+    to_right = np.roll(ahead, -1, axis=1)
+    to_left = np.roll(ahead, 1, axis=1)
     u = columns_u(scene.width)
     depth = np.minimum(ahead, np.where(u > 0.0, to_right, to_left) / np.maximum(np.abs(u), 1e-30))
     above = eyes.eye_elevation_m - scene.field.height_range_m[0]
@@ -317,7 +327,8 @@ def _holed_heights() -> Float64Array:
     heights[30:40, 50:60] = np.nan
     heights[60, 40] = np.nan
     # A neck one cell wide between two voids, and one of a row of samples, which is no surface.
-    heights[70:74, 20:30], heights[70:74, 32:40] = np.nan, np.nan
+    heights[70:74, 20:30] = np.nan
+    heights[70:74, 32:40] = np.nan
     heights[75:77, 20:30] = np.nan
     # Lone samples in a void belong to no triangle.
     heights[10:20, 10:30] = np.nan

@@ -84,10 +84,13 @@ def _turned(
 
 def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
     """Turn a field and the eyes on it; its north-west sample stays where one was."""
-    field, eyes = scene.field, scene.viewpoints
-    spacings_m, heights = (field.spacing_east_m, field.spacing_north_m), field.heights_m
+    field = scene.field
+    eyes = scene.viewpoints
+    spacings_m = (field.spacing_east_m, field.spacing_north_m)
+    heights = field.heights_m
     if turn[0][0] == 0:
-        spacings_m, heights = spacings_m[::-1], heights.T
+        spacings_m = spacings_m[::-1]
+        heights = heights.T
     signs = np.sum(turn, axis=1)
     heights = heights[:: signs[0], :: signs[1]]
     turned = HeightField(heights, field.west_m, field.north_m, *spacings_m, field.frame)
@@ -189,7 +192,8 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
     the first two viewpoints of each scene only.
     """
     agreement = case.agreement(path, quick)
-    error, bound = agreement.error_px, agreement.bound_px
+    error = agreement.error_px
+    bound = agreement.bound_px
     over = error > bound
     score = np.where(over, error - bound, -np.inf) if over.any() else error
     worst = np.unravel_index(np.argmax(score), score.shape)
