@@ -91,7 +91,7 @@ def refined_quickly():
     """Refine no query thoroughly: commands are to run here, other tests hold their answers."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "WHOLE", search.QUICK)
-        patch.setattr(search, "_SURE_MARGIN", -math.inf)
+        patch.setattr(search.FullMatcher, "sure_margin", -math.inf)
         yield
 
 

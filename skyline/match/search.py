@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -35,8 +36,6 @@ alike."""
 _SHORTLIST_LEAST = 400
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
-_SURE_MARGIN = 75.0
-"""A quick refinement is enough where its best pose leads all other answers by this margin."""
 _SHOWN_EYES = 20_000
 """Most eyes that are shown on a map."""
 
@@ -67,6 +66,8 @@ class FullMatcher(SearchMethod):
     renders = True
     finds_fov = True
     takes_prior = True
+    sure_margin: ClassVar[float] = 75.0
+    """A quick refinement is enough where its best pose leads all other answers by this margin."""
 
     def __init__(
         self, places: PlaceSource, terrain: HeightField | None, scene: RenderedScene | None
@@ -128,7 +129,7 @@ class FullMatcher(SearchMethod):
             return found, None
         start = self._with_noted(found, rays, prior, report)
         poses = Refinement(rays, self._scene, QUICK, prior, report=report).run(start)
-        if not len(poses) or poses.figures().margin[0] <= _SURE_MARGIN:
+        if not len(poses) or poses.figures().margin[0] <= self.sure_margin:
             poses = Refinement(rays, self._scene, WHOLE, prior, report=report).run(start)
         return found, poses
 

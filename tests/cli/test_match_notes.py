@@ -15,7 +15,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatc
     """The photo spans 60 degrees: 36 mm of film at 31 mm."""
     # A quick refinement may stop beside the best field of view, where none is known.
     monkeypatch.setattr(search, "WHOLE", refine.WHOLE)
-    monkeypatch.setattr(search, "_SURE_MARGIN", math.inf)
+    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
     size = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
     cropped = noting(photo, tmp_path / "cropped.jpg", size | {Base.FocalLengthIn35mmFilm: 24})
     lie = noting(photo, tmp_path / "lie.jpg", {Base.FocalLengthIn35mmFilm: 9999})
