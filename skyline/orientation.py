@@ -311,7 +311,7 @@ class Orienter(Releasable):
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = Rays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
+        rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)

@@ -97,7 +97,7 @@ class MatchConfig:
         most half of what is allowed for 1 km: with the default, if it is right with a probability
         of 0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km,
         245 were right; docs/accuracy.md says how hard those are.
-    fov_slack : float
+    fov_sd_share : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
 
     Raises
@@ -108,15 +108,15 @@ class MatchConfig:
 
     refine: bool = True
     min_confidence: float = 0.8
-    fov_slack: float = 0.025
+    fov_sd_share: float = 0.025
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_confidence <= 1.0:
             raise InputError(
                 f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
             )
-        if not 0.0 <= self.fov_slack < 1.0:
-            raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
+        if not 0.0 <= self.fov_sd_share < 1.0:
+            raise InputError(f"fov_sd_share is {self.fov_sd_share}; expected a share from 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,8 +337,8 @@ def _log_margin(margin: Float64Array) -> Float64Array:
 def too_little(query: PhotoSkyline) -> str | None:
     """Return the refusal of a query that shows too little skyline; None if it shows enough."""
     widest_deg = FOV_RANGE_DEG[1] if query.fov_deg is None else query.fov_deg
-    if query.lens is not None and query.lens.most_deg is not None:
-        widest_deg = query.lens.most_deg
+    if query.lens is not None and query.lens.most_fov_deg is not None:
+        widest_deg = query.lens.most_fov_deg
     visible_deg = query.with_fov(widest_deg).visible_deg()
     if visible_deg >= _MIN_VISIBLE_DEG:
         return None

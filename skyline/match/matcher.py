@@ -341,7 +341,7 @@ class Matcher(Releasable):
     ) -> tuple[Rays, Prior]:
         """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = Rays.of(query, self._config.fov_slack, finds_fov=self._method.finds_fov)
+        rays = Rays.of(query, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
         if not self._method.takes_prior:
             if narrowing != Narrowing():
                 raise InputError(

@@ -33,7 +33,7 @@ UNREFINED = "unrefined"
 MATCHERS = (PAPER, "correlation", UNREFINED, FULL)
 """All matchers."""
 
-MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
+MATCHING = MatchConfig(fov_sd_share=QueryConfig().fov_sd_share)
 """The field of view of synthetic queries is known to 5 %."""
 
 
