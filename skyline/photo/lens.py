@@ -146,7 +146,6 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         return Lens(reason=f"{source} left aside: {fov_deg:.2g} degrees fit no photo")
     fov_sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     widest_deg = _fov_deg(width, focal.diagonals * exp(-2.0 * (focal.sd or 0.0)))
-<<<<<<< HEAD
     if is_whole(size_px, frame) or is_unscaled(size_px, frame):
         most_fov_deg = widest_deg if focal.readings else None
         return Lens(fov_deg, fov_sd_deg, most_fov_deg, "; ".join([source, *against]))
@@ -155,16 +154,6 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         CROP.mean * fov_deg,
         hypot(CROP.sd * fov_deg, fov_sd_deg or 0.0),
         CROP.most * widest_deg,
-=======
-    if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
-        most_fov_deg = widest_deg if focal.readings else None
-        return Lens(fov_deg, fov_sd_deg, most_fov_deg, "; ".join([source, *against]))
-    reason = f"{source}, but the photo was cropped from {fov_deg:.1f} degrees"
-    return Lens(
-        _CROP_MEAN * fov_deg,
-        hypot(_CROP_SD * fov_deg, fov_sd_deg or 0.0),
-        _CROP_MOST * widest_deg,
->>>>>>> 4bf64a95 (A field of view's uncertainty has one name: fov_sd_share, fov_sd_deg)
         "; ".join([reason, *against]),
     )
 

@@ -34,7 +34,6 @@ def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
     written.
     """
     check_suffix(path, TRACES)
-<<<<<<< HEAD
     lines = [f"# width={skyline.width_px} height={skyline.height_px}"]
     if skyline.projection.is_panorama:
         lines.append(f"# projection={skyline.projection}")
@@ -44,17 +43,6 @@ def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
             lines[-1] += f" fov_sd_share={skyline.lens.fov_sd_deg / skyline.fov_deg!r}"
     if skyline.eye_height_m is not None:
         lines.append(f"# eye_height_m={skyline.eye_height_m!r}")
-=======
-    lines = [f"# width={query.width_px} height={query.height_px}"]
-    if query.projection.is_panorama:
-        lines.append(f"# projection={query.projection}")
-    if query.fov_deg is not None:
-        lines.append(f"# fov_deg={query.fov_deg!r}")
-        if query.lens is not None and query.lens.fov_sd_deg is not None:
-            lines[-1] += f" fov_sd_share={query.lens.fov_sd_deg / query.fov_deg!r}"
-    if query.eye_height_m is not None:
-        lines.append(f"# eye_height_m={query.eye_height_m!r}")
->>>>>>> 4bf64a95 (A field of view's uncertainty has one name: fov_sd_share, fov_sd_deg)
     lines.append(",".join(_COLUMNS))
     trusted = skyline.trusted
     starts_gap = ~trusted
@@ -69,21 +57,12 @@ def read_trace(
 ) -> PhotoSkyline:
     """Read a trace: points of a skyline, joined by straight lines.
 
-<<<<<<< HEAD
     They may be sparse or fractional. The first line is ``# width=W height=H``, the header
     ``column_px,row_px``; pixel centres are at whole numbers. Lines that begin with # may also note
     ``fov_deg=``, with ``fov_sd_share=`` (its deviation as a share of it), ``eye_height_m=`` and
     ``projection=``; the arguments override a field of view and a projection noted in the file.
     Consecutive points are joined unless they are more than a tenth of the width apart or a row with
     an empty or ``nan`` ``row_px`` stands between them. Drawn columns have trust 1.
-=======
-    The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
-    at whole numbers. Lines that begin with # may also note ``fov_deg=``, with ``fov_sd_share=``
-    (its standard deviation as a share of it), ``eye_height_m=`` and ``projection=``; the arguments
-    override a field of view and a projection noted in the file. Consecutive points are joined
-    unless they are more than a tenth of the width apart or a row with an empty or ``nan``
-    ``row_px`` stands between them. Drawn columns have confidence 1.
->>>>>>> 4bf64a95 (A field of view's uncertainty has one name: fov_sd_share, fov_sd_deg)
 
     Raises
     ------
@@ -111,13 +90,8 @@ def read_trace(
     lens = None
     if fov_deg is None and "fov_deg" in notes:
         fov_deg = notes["fov_deg"]
-<<<<<<< HEAD
         if "fov_sd_share" in notes:
             lens = Lens(fov_deg, notes["fov_sd_share"] * fov_deg)
-=======
-        if "fov_sd_share" in notes:
-            lens = Lens(fov_deg, notes["fov_sd_share"] * fov_deg)
->>>>>>> 4bf64a95 (A field of view's uncertainty has one name: fov_sd_share, fov_sd_deg)
     try:
         return PhotoSkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,

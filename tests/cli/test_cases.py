@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from scenes import field_of
 
-from skyline.match.confidence import MatchConfig
+from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_query
