@@ -112,9 +112,9 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
     [
         ("path,fov", "one.jpg,60", "has the column `fov`; expected some of path, fov_deg"),
         (
-            "path,fov_sd_share",
+            "path,fov_slack",
             "one.jpg,0.1",
-            "`fov_sd_share`; expected some of path, fov_deg, fov_sd_",
+            "`fov_slack`; expected some of path, fov_deg, fov_sd_",
         ),
         ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is `wide`; expected a number"),
         ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
