@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.request import urlopen
 
 import cv2
 import numpy as np
 from PIL import Image
+from typer import Option
 
 from skyline import build_places, read_dem, stand_at
 from skyline.cli.terminal import Terminal
@@ -25,9 +26,6 @@ from skyline_bench.geotiff import write_sample_dem
 from skyline_bench.measuring import Row
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
-
-_SPACING_M = 120.0
-_PHOTO_PX = (4000, 3000)
 
 _PROMISED: dict[str, Row] = {
     "server ready": {"at most": 3},
@@ -104,13 +102,18 @@ def headless() -> tuple[Any, Any]:
     return options, Service(driver)
 
 
-def page(record: options.Record = None, quick: options.Quick = False) -> None:
+def page(
+    spacing: Annotated[float, Option(min=10.0, help="Of the places searched, metres.")] = 120.0,
+    photo_width: Annotated[int, Option(min=400, help="Columns of the photo, 4:3.")] = 4000,
+    record: options.Record = None,
+    quick: options.Quick = False,
+) -> None:
     """The page in a browser: ready, strokes on 12 megapixels, and the live skyline."""
     chrome, driver = headless()
     from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)
 
     with tempfile.TemporaryDirectory() as folder, Terminal().progress("page") as progress:
-        store, photo = _made(Path(folder))
+        store, photo = _made(Path(folder), spacing, photo_width)
         progress(1, 3)
         began = time.perf_counter()
         with serving(store) as (line, _):
@@ -130,18 +133,18 @@ def page(record: options.Record = None, quick: options.Quick = False) -> None:
     options.report(record, rows)
 
 
-def _made(folder: Path) -> tuple[Path, Path]:
-    """Return a store of the sample terrain, and a photo of 12 megapixels."""
+def _made(folder: Path, spacing_m: float, width_px: int) -> tuple[Path, Path]:
+    """Return a store of the sample terrain, and a photo."""
     terrain = read_dem([write_sample_dem(folder / "sample.tif")])
     store = folder / "places.h5"
     photo = folder / "photo.jpg"
-    build_places(terrain, store, _SPACING_M, SAMPLE_BOUNDS_DEG)
+    build_places(terrain, store, spacing_m, SAMPLE_BOUNDS_DEG)
     eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
     focal_length_mm = 31  # As of a full frame, whose half is 18 mm wide
     fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / focal_length_mm)))
     with DepthRenderer(terrain, 2048) as renderer:
         picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)
-    large = cv2.resize(picture, _PHOTO_PX, interpolation=cv2.INTER_CUBIC)
+    large = cv2.resize(picture, (width_px, width_px * 3 // 4), interpolation=cv2.INTER_CUBIC)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = focal_length_mm
     Image.fromarray(large).save(photo, quality=92, exif=exif)

@@ -7,7 +7,7 @@ cover divided by the mean area of its views.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -30,31 +30,41 @@ from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 
+PAPER_SIDE = 100
+"""Rows and columns of the paper's square of sites."""
+
 
 def table1(
     seeds: Annotated[int, Option(min=1, help="How many seeds, from 0 on.")] = 10,
+    side: Annotated[int, Option(min=10, help="Rows, and columns, of sites.")] = PAPER_SIDE,
+    row: Annotated[
+        list[int] | None, Option(min=1, max=3, help="Rows of the table, by default all.")
+    ] = None,
     record: options.Record = None,
     quick: Annotated[bool, options.quick_with(seeds=1)] = False,
 ) -> None:
     """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
-    A, B, the area and the seconds are means over n seeds.
+    A, B, the area and the seconds are means over n seeds. The paper's A and B belong to its
+    square of 100 sites a side, and are left out beside another.
     """
-    rows = measure_table1(seeds)
+    rows = measure_table1(seeds, side, row or [1, 2, 3])
     columns = "row strategy n paper_A A A_std paper_B B mean_area bound seconds"
     options.report(record, rows, columns)
 
 
-def measure_table1(seeds: int) -> list[dict[str, Any]]:
-    """Run the strategies on the three rows, each with seeds 0, 1, ...
+def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[str, Any]]:
+    """Run the strategies on rows of the table, each with seeds 0, 1, ...
 
-    Return for each row and strategy the paper's figures, and the means and standard deviations
-    over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor
-    time), the mean ``coverage`` that is reached, and ``bound``, ``asked * 10000 / mean_area``.
+    Return for each row and strategy the paper's figures, if its square is as large, and the means
+    and standard deviations over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and
+    ``seconds`` (processor time), the mean ``coverage`` that is reached, and ``bound``, the sites
+    to cover divided by ``mean_area``.
     """
     rows = []
-    for number, row in enumerate(TABLE_1, start=1):
-        simulation = Simulation(row)
+    for number in numbers:
+        row = TABLE_1[number - 1]
+        simulation = Simulation(row, side)
         for name in row.papers:
             planner = load(PLANNERS, name)
             runs = [simulate(simulation, planner, seed) for seed in range(seeds)]
@@ -68,7 +78,9 @@ def measure_table1(seeds: int) -> list[dict[str, Any]]:
             measured |= {f"{key}_std": float(np.std(values)) for key, values in figures.items()}
             measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
             bound = row.coverage * simulation.sites.valid.size / measured["mean_area"]
-            papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
+            papers = {}
+            if side == PAPER_SIDE:
+                papers = dict(zip(("paper_A", "paper_B"), row.papers[name], strict=True))
             about = {"row": number, "strategy": name, "n": seeds}
             rows.append({**about, **papers, **measured, "bound": bound})
     return rows
@@ -101,9 +113,6 @@ TABLE_1 = (
     }),
 )  # fmt: skip
 
-_SIDE = 100
-"""Rows and columns of sites."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Mountain:
@@ -122,20 +131,21 @@ class _Mountain:
 _MOUNTAIN = _Mountain()
 
 
-def mountain_curve(row: Setup) -> Float32Array:
+def mountain_curve(row: Setup, side: int) -> Float32Array:
     """Return the skyline of the mountain in space, (P, 3): right, up, forward.
 
-    Over the width of the mountain stand equal peaks; a point higher on the mountain also stands
-    further back, since a mountain has a slope. At rotation 0 the foot is parallel to the camera
-    plane; a rotation turns the mountain about its near end, so that it recedes to the right.
+    The mountain stands before the middle of a square of ``side`` rows and columns of sites. Over
+    its width stand equal peaks; a point higher on the mountain also stands further back, since a
+    mountain has a slope. At rotation 0 the foot is parallel to the camera plane; a rotation turns
+    the mountain about its near end, so that it recedes to the right.
     """
     along = np.linspace(0.0, _MOUNTAIN.breadth, 513)
     one_peak = _MOUNTAIN.breadth / row.peaks
     rise = 1.0 - np.abs(2.0 * (along % one_peak) / one_peak - 1.0)
-    across = along - _MOUNTAIN.breadth / 2.0 + _SIDE / 2.0
+    across = along - _MOUNTAIN.breadth / 2.0 + side / 2.0
     back = _MOUNTAIN.setback * rise
     turn = np.radians(row.rotation_deg)
-    right = across * np.cos(turn) - back * np.sin(turn) - _SIDE / 2.0
+    right = across * np.cos(turn) - back * np.sin(turn) - side / 2.0
     forward = across * np.sin(turn) + back * np.cos(turn) + _MOUNTAIN.distance
     return np.stack([right, _MOUNTAIN.height * rise, forward], axis=1).astype(np.float32)
 
@@ -149,18 +159,19 @@ class Simulation:
     package: `skyline.paper.reprojection`.
     """
 
-    def __init__(self, row: Setup) -> None:
+    def __init__(self, row: Setup, side: int = PAPER_SIDE) -> None:
         self.row = row
-        steps = np.arange(_SIDE, dtype=np.float64)
+        self.side = side
+        steps = np.arange(side, dtype=np.float64)
         # Row 0 is the front, and the square is centred before the mountain.
-        east = steps - (_SIDE - 1) / 2.0
+        east = steps - (side - 1) / 2.0
         north = -steps
         reach = 15
-        self.sites = Sites(np.ones((_SIDE, _SIDE), dtype=bool), east, north, reach)
+        self.sites = Sites(np.ones((side, side), dtype=bool), east, north, reach)
         # Of a view's 640 columns 64 are looked at, evenly spread.
         columns = (np.arange(64) + 0.5) * (DEFAULT_WIDTH / 64)
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
-        self._curve = mountain_curve(row)
+        self._curve = mountain_curve(row, side)
         step = np.arange(-reach, reach + 1, dtype=np.float64)
         right, back = np.meshgrid(step, step)
         self._around = np.stack([right, np.zeros_like(right), -back], axis=-1).reshape(1, -1, 3)
@@ -273,7 +284,8 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
         points = np.stack([known[row] for row in nearest[:, 0].tolist()])
         return simulation.areas(reprojection.moved(points, move[:, None])[:, 0])
 
-    render(np.array([0, _SIDE - 1, (_SIDE - 1) * _SIDE, _SIDE * _SIDE - 1]))
+    side = simulation.side
+    render(np.array([0, side - 1, (side - 1) * side, side * side - 1]))
     everywhere = simulation.sites.valid
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
     for asked in planner(problem, np.random.default_rng(seed)):

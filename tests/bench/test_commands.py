@@ -10,7 +10,7 @@ from commands import assert_refused
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline_bench import page, paper
+from skyline_bench import paper
 from skyline_bench.truth import stability
 
 ROOT = Path(__file__).parents[2]
@@ -21,13 +21,11 @@ ROOT = Path(__file__).parents[2]
     [
         (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--quick"), 1, "seconds"),
-        (("table1", "--seeds", 1), 5, "mean_area"),
+        (("table1", "--seeds", 1, "--side", 30, "--row", 2), 5, "mean_area"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, command, rows, key):
-    monkeypatch.setattr(paper, "_SIDE", 30)
-    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
+def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, key):
     given = [{"DEM": dem}.get(word, word) for word in command]
     record = tmp_path / "record.json"
     run_bench(*given, "--json", record).ok()
@@ -37,27 +35,37 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, comm
     assert all(row[key] >= 0.0 for row in written["rows"])
 
 
-def test_tables_figures_and_pictures_are_made_from_the_records(run_bench, tmp_path):
-    results = ROOT / "bench" / "results"
+RESULTS = ROOT / "bench" / "results"
+
+
+def test_tables_and_figures_are_made_from_the_records(run_bench, tmp_path):
     readme = (ROOT / "README.md").read_text()
     stale = readme.replace("The place found", "The place\nfound").replace("| tie |", "| adaptive |")
     (tmp_path / "README.md").write_text(re.sub(r"(find )\d+", r"\1 7", stale, count=1))
-    assert "README.md: written" in run_bench("figures", results, "--output", tmp_path).ok().out
-    made = (tmp_path / "README.md").read_text()
-    assert made.split() == readme.split()
+    assert "README.md: written" in run_bench("figures", RESULTS, "--output", tmp_path).ok().out
+    assert (tmp_path / "README.md").read_text().split() == readme.split()
     for name in ("speed-error", "uniform-adaptive"):
         assert "<svg" in (tmp_path / "docs" / f"{name}.svg").read_text()
-    # A second run changes nothing.
-    assert run_bench("figures", results, "--output", tmp_path).ok().out == ""
+    again = run_bench("figures", RESULTS, "--output", tmp_path).ok()
+    assert again.out == "", "a second run changes nothing"
+
+
+def test_a_page_without_a_sentence_with_figures_is_refused(run_bench, tmp_path):
+    readme = (ROOT / "README.md").read_text()
     (tmp_path / "README.md").write_text(readme.replace("The place found", "A place found"))
-    refused = run_bench("figures", results, "--output", tmp_path)
     assert_refused(
-        refused,
+        run_bench("figures", RESULTS, "--output", tmp_path),
         "README.md has the sentence `The place found is {} m off; its confidence is {}.` 0 times",
     )
+
+
+def test_a_page_with_an_unknown_table_is_refused(run_bench, tmp_path):
     (tmp_path / "README.md").write_text("<!-- figures: none -->\n\n\n<!-- end of figures -->\n")
-    assert_refused(run_bench("figures", results, "--output", tmp_path), "has the table `none`")
-    (tmp_path / "README.md").write_text(readme)
+    assert_refused(run_bench("figures", RESULTS, "--output", tmp_path), "has the table `none`")
+
+
+def test_a_folder_without_records_is_refused(run_bench, tmp_path):
+    shutil.copy(ROOT / "README.md", tmp_path)
     missing = run_bench("figures", tmp_path, "--output", tmp_path)
     assert_refused(missing, "speed_error.json does not exist")
 
@@ -87,11 +95,10 @@ def test_stability_says_what_fails(run_bench, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("chromedriver"), reason="chromium-driver is not installed")
-def test_the_page_is_measured(run_bench, tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "_SPACING_M", 400.0)
-    monkeypatch.setattr(page, "_PHOTO_PX", (1200, 900))
+def test_the_page_is_measured(run_bench, tmp_path):
     record = tmp_path / "page.json"
-    run_bench("page", "--quick", "--json", record).ok()
+    smaller = "--spacing", 400, "--photo-width", 1200, "--quick"
+    run_bench("page", *smaller, "--json", record).ok()
     rows = {row["figure"]: row["value"] for row in json.loads(record.read_text())["rows"]}
     assert {"server ready", "place found", "hand to skyline, median"} <= rows.keys()
     assert all(isinstance(value, float) for value in rows.values())

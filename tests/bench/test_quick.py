@@ -5,7 +5,6 @@ import json
 import pytest
 from commands import assert_refused, headings
 
-from skyline_bench import paper
 from skyline_bench.search.commands import SEARCHES
 
 
@@ -46,11 +45,10 @@ def test_an_area_that_does_not_fit_is_refused(run_bench, dem):
     assert_refused(run_bench(*asked), "--area 50 is not less than the 9.3 km2")
 
 
-def test_seeds_and_cases_that_are_given_are_run(measured, monkeypatch):
-    monkeypatch.setattr(paper, "_SIDE", 30)
-    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
-    assert {row["n"] for row in measured("table1", "--seeds", 2)[0]} == {2}
-    assert {row["n"] for row in measured("table1")[0]} == {1}
+@pytest.mark.parametrize(("options", "seeds"), [((), 1), (("--seeds", 2), 2)])
+def test_seeds_that_are_given_are_run(measured, options, seeds):
+    rows, _ = measured("table1", "--side", 30, "--row", 2, *options)
+    assert {row["n"] for row in rows} == {seeds}
 
 
 def test_all_photographs_of_a_manifest_are_measured(measured, run_bench, photo, tmp_path):
@@ -89,15 +87,13 @@ TABLES = {
     "speed-error": (("DEM",), [TERRAIN]),
     "summits": (("DEM",), [TERRAIN]),
     "large-dem": ((), [TERRAIN]),
-    "table1": ((), [{"n"}]),
+    "table1": (("--side", 30, "--row", 2), [{"n"}]),
 }
 """By command: its arguments, and headings that its tables must have."""
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_each_table_says_how_many_were_measured_and_where(measured, dem, monkeypatch, name):
-    monkeypatch.setattr(paper, "_SIDE", 30)
-    monkeypatch.setattr(paper, "TABLE_1", paper.TABLE_1[:1])
+def test_each_table_says_how_many_were_measured_and_where(measured, dem, name):
     arguments, wanted = TABLES[name]
     _, out = measured(name, *(dem if word == "DEM" else word for word in arguments))
     found = headings(out)
