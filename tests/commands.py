@@ -26,7 +26,8 @@ def full_name(name):
     return f"skyline.{name}" if name.startswith("tasks.") else f"skyline.cli.{name}"
 
 
-def assert_refused(done, message):
+def assert_refused(done, message=""):
+    """Require that a command has refused its input in one line, with a message if given."""
     assert done.code == 2, done
     assert message in done.err
     assert done.err.startswith("error: ")

@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -83,50 +83,100 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
     before = store.read_bytes(), renderings.read_bytes()
-    assert_refused(run("build", dem, "-o", renderings), "is 'renderings' there, 'places' here")
+    assert_refused(run("build", dem, "-o", renderings))
     for which in (("--spacing", 600), ("--planner", "lpov"), ("--viewpoints", viewpoints_csv)):
-        done = run("render", dem, "-o", store, *which)
-        assert_refused(done, "is 'places' there, 'renderings' here")
-    done = run("store", "merge", store, renderings, "-o", tmp_path / "both.h5")
-    assert_refused(done, "a store holds rows of one kind; name another store")
+        assert_refused(run("render", dem, "-o", store, *which))
+    assert_refused(run("store", "merge", store, renderings, "-o", tmp_path / "both.h5"))
     assert (store.read_bytes(), renderings.read_bytes()) == before
     assert not (tmp_path / "both.h5").exists()
 
 
-@pytest.mark.parametrize("command", ["build", "render"])
-def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monkeypatch, command):
-    out, whole = tmp_path / "store.h5", tmp_path / "all.h5"
-    size = JobSize(4096, 300) if command == "build" else JobSize(1024, 3)
-    options = ("--spacing", 80) if command == "build" else ("--spacing", 900, "--width", 64)
+@dataclass(frozen=True)
+class Stopping:
+    """A command that builds a store, and where it is stopped."""
 
-    def stop(done, _total):
-        if done >= (600 if command == "build" else 24):
-            raise KeyboardInterrupt
+    options: tuple[object, ...]
+    builds: str
+    """The module that calls `build_store`."""
+    job_size: JobSize
+    rows: int
+    """It is stopped after so many."""
+    there: str
+    """What is there then."""
+    new: str
+    """What the same command then adds."""
 
-    def build_until_stopped(terrain, path, plan, runner, _):
-        plan = replace(plan, job_size=size)
-        return build_store(terrain, path, plan, runner, stop, PartSize(seconds=0.0))
 
-    with monkeypatch.context() as patch:
-        module = "cli.build" if command == "build" else "tasks.build"
-        patch.setattr(f"skyline.{module}.build_store", build_until_stopped)
-        done = run(command, dem, "-o", out, *options)
+STOPPED = {
+    "build": Stopping(
+        ("--spacing", 80),
+        "skyline.cli.build",
+        JobSize(4096, 300),
+        600,
+        "600 of about 1804 places",
+        " 1204 of them new",
+    ),
+    "render": Stopping(
+        ("--spacing", 900, "--width", 64),
+        "skyline.tasks.build",
+        JobSize(1024, 3),
+        24,
+        "24 of about 64 renderings",
+        " 40 of them new",
+    ),
+}
+
+
+@pytest.fixture
+def stop(run, monkeypatch):
+    """Return a function that runs a command that builds a store, and stops it by Ctrl-C."""
+
+    def run_until(stopping, *command):
+        def interrupt(done, _total):
+            if done >= stopping.rows:
+                raise KeyboardInterrupt
+
+        def build_until_stopped(terrain, path, plan, runner, _):
+            plan = replace(plan, job_size=stopping.job_size)
+            return build_store(terrain, path, plan, runner, interrupt, PartSize(seconds=0.0))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(f"{stopping.builds}.build_store", build_until_stopped)
+            return run(*command)
+
+    return run_until
+
+
+@pytest.mark.parametrize("name", STOPPED)
+def test_a_build_stopped_by_ctrl_c_says_how_it_is_continued(run, stop, dem, photo, tmp_path, name):
+    out = tmp_path / "store.h5"
+    done = stop(STOPPED[name], name, dem, "-o", out, *STOPPED[name].options)
     assert done.code == 130
     assert "the same command continues" in done.err
     assert done.err.count("\n") == 1
     # It is no store yet, and every command that reads one reports how far it is.
     for reading in (("info", out), ("store", "check", out), ("match", out, photo)):
         there = "its build is not finished (2 parts are there)"
-        assert_refused(run(*reading), f"{there}; give the same `skyline {command}` command again")
-    again = run(command, dem, "-o", out, *options)
-    assert again.code == 0
-    rows = "600 of about 1804 places" if command == "build" else "24 of about 64 renderings"
-    assert again.err == f"{out}: {rows} are there already\n"
-    assert run(command, dem, "-o", whole, *options).code == 0
-    assert (" 1204 of them new" if command == "build" else " 40 of them new") in again.out
-    assert "complete: nothing was left to render" in run(command, dem, "-o", out, *options).out
+        assert_refused(run(*reading), f"{there}; give the same `skyline {name}` command again")
+
+
+@pytest.mark.parametrize("name", STOPPED)
+def test_a_build_stopped_by_ctrl_c_is_continued(run, stop, dem, tmp_path, name):
+    stopping, out, whole = STOPPED[name], tmp_path / "store.h5", tmp_path / "all.h5"
+    command = name, dem, "-o", out, *stopping.options
+    stop(stopping, *command)
+    again = run(*command).ok()
+    assert again.err == f"{out}: {stopping.there} are there already\n"
+    assert stopping.new in again.out
+    run(name, dem, "-o", whole, *stopping.options).ok()
     assert out.read_bytes() == whole.read_bytes()
     assert not (tmp_path / "store.h5.parts").exists()
+
+
+def test_a_finished_build_renders_nothing_again(run, dem, tmp_path):
+    command = "render", dem, "-o", tmp_path / "store.h5", *STOPPED["render"].options
+    run(*command).ok()
+    assert "complete: nothing was left to render" in run(*command).ok().out
 
 
 def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
@@ -185,26 +235,11 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
     assert math.hypot(east_m - 601_800.0, north_m - 5_178_000.0) < 200.0
 
 
-@pytest.mark.parametrize(
-    ("header", "row", "message"),
-    [
-        ("easting,northing", f"{WEST_M},north", "line 2: northing is `north`"),
-        ("easting,northing", "0,0", "off the map"),
-        ("lon,lat", "46.75,10.33", "longitude and latitude seem to be swapped: give 10.33,46.75"),
-        ("easting,northing,eye_elevation_m", "600900,5179100,-9000", "below the ground"),
-    ],
-)
-def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, header, row, message):
-    path, out = csv_of(tmp_path / "viewpoints.csv", [row], header), tmp_path / "out.h5"
-    assert_refused(run("render", dem, "--viewpoints", path, "-o", out), message)
-    assert not list(tmp_path.glob("out.h5*"))
-
-
 def test_a_store_of_another_dem_is_refused_and_kept(run, store, photo, tmp_path):
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
     before = store.read_bytes()
-    assert_refused(run("build", other, "-o", store), "digest")
-    assert_refused(run("match", store, photo, "--fov-deg", "60", "--dem", other), "digest")
+    assert_refused(run("build", other, "-o", store))
+    assert_refused(run("match", store, photo, "--fov-deg", "60", "--dem", other))
     assert store.read_bytes() == before
 
 

@@ -65,12 +65,14 @@ def test_one_command_names_the_mountains_seen_from_a_place(run, dem, photo, pose
     assert len(by_pose.keys() & by_place.keys()) > 0.8 * len(by_pose)
     for name in by_pose.keys() & by_place.keys():
         assert abs(by_pose[name]["column_px"] - by_place[name]["column_px"]) < 10.0
+
+
+def test_a_photo_that_does_not_fit_its_place_has_no_names(run, dem, photo, peaks, tmp_path):
     elsewhere = "{},{}".format(*lonlat_of(dem, 600_900.0, 5_177_000.0))
+    out = tmp_path / "names.json"
+    common = "label", photo, "--dem", dem, "--peaks", peaks, "-o", out
     assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60), "direction is not sure")
-    assert_refused(run(*common), "notes no GPS position; give the place: --at LON,LAT")
-    assert_refused(
-        run(*common, "--pose", pose, "--at", at), "leave --at, --elevation and --fov-deg out"
-    )
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])
@@ -154,62 +156,18 @@ def test_an_eye_lower_than_a_camera_is_held_is_lifted(
     assert np.mean(seen_m < 0.3) < 0.1
 
 
-_POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "cannot be read"),
-        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no pose"),
-        ('{"lon": 9, "lat": 46, "heading_deg": "N", "fov_deg": 60}', "heading_deg is N"),
-        ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
-        ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
-        (f'{_POSED}, "wander": ["a", 0, 0, 0]}}', "wander is a;"),
-        (f'{_POSED}, "wander": 0.1}}', "expected a list of 4 numbers"),
-        (f'{_POSED}, "wander": [0.1, 0, 0, 0]}}', "is of a panorama"),
-        (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
-        (f'{_POSED}, "distortion": true}}', "distortion is True"),
-        (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
-        ('{"candidates": {"a": 1}}', "has no pose"),
-        ('{"photo": "a"}\n{"photo": "b"}', "has 0 lines whose `photo`"),
-    ],
-)
-def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
-    bad = tmp_path / "bad.json"
-    bad.write_text(text)
-    out = tmp_path / "out.npz"
-    assert_refused(run("pixels", photo, "--pose", bad, "--dem", dem, "-o", out), message)
-    assert not out.exists()
-
-
 def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
-    done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem)
-    assert_refused(done, "is an input")
+    before = dem.read_bytes()
+    assert_refused(run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", dem))
+    assert dem.read_bytes() == before
     new = dem.with_name("new.tif")
     for output in (new, dem.parent / "new" / "new.tif"):
         done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", output)
         assert_refused(done, "would become a part of the DEM")
+        assert not output.exists()
+
+
+def test_two_outputs_of_one_name_are_refused(dem):
     check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
     with pytest.raises(InputError, match="the name of two outputs"):
         check_outputs([dem, None, dem], [])
-
-
-def test_bad_files_are_refused(run, dem, photo, pose, peaks, tmp_path):
-    def label(**other):
-        given = {"--pose": pose, "--dem": dem, "--peaks": peaks, "-o": tmp_path / "n.png"}
-        words = [word for pair in (given | other).items() for word in pair]
-        return run("label", photo, *words)
-
-    for option, path, message in (
-        ("-o", tmp_path / "n.gif", "is '.gif'; expected one of .png"),
-        ("-o", tmp_path / "none" / "n.png", "cannot be written"),
-        ("--pose", tmp_path / "none.json", "does not exist; expected JSON as"),
-        ("--peaks", tmp_path / "none.csv", "gazetteer"),
-        ("--dem", tmp_path / "none.tif", "none.tif"),
-    ):
-        assert_refused(label(**{option: path}), message)
-    assert_refused(label(**{"-o": pose}), "is an input")
-    done = run("pixels", photo, "--pose", pose, "--dem", dem, "-o", tmp_path / "p.csv")
-    assert_refused(done, "expected one of .npz, .tif")
-    assert list(tmp_path.iterdir()) == []

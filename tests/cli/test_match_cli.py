@@ -56,22 +56,9 @@ def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher
     assert abs(answer["heading_deg"] - 140.0 - terrain_turn) < 1.5
 
 
-def test_options_that_do_not_fit_are_refused(run, store, renderings, photo):
-    paper, heading = ("--matcher", "paper"), ("--heading", 140, "--heading-slack", 10)
-    for searched, options, message in (
-        (renderings, (), "holds renderings, not places"),
-        (store, paper, "holds places, not renderings"),
-        (renderings, (*paper, *heading), "cannot narrow its search; use the full one"),
-        (store, ("--report", store), "is an input; choose another name for the output"),
-        (store, ("--report", __file__), "is a file; name a folder"),
-        (store, ("--use-gps", "--matcher", "unrefined"), "--use-gps acts in refinement"),
-    ):
-        assert_refused(run("match", searched, photo, "--fov-deg", "60", *options), message)
-
-
 def test_areas_of_one_dem_are_searched_together(run, store, dem, photo, tmp_path):
     lon, _ = lonlat_of(dem)
-    west, east, grown, other = (tmp_path / f"{name}.h5" for name in ("w", "e", "grown", "other"))
+    west, east, grown = (tmp_path / f"{name}.h5" for name in ("w", "e", "grown"))
     for area, box in ((west, f"9,46,{lon + 0.003},47"), (east, f"{lon - 0.001},46,11,47")):
         assert run("build", dem, "--spacing", 80, "--bounds", box, "-o", area).code == 0
         run("build", dem, "--spacing", 80, "--bounds", box, "-o", grown).ok()
@@ -81,12 +68,6 @@ def test_areas_of_one_dem_are_searched_together(run, store, dem, photo, tmp_path
         return json.loads(done.out)["candidates"]
 
     assert found(west, east) == found(east, west) == found(grown) == found(store)
-    assert_refused(run("match", west, east), "are stores; name photos to find in them")
-    write_dem(tmp_path / "flat.tif", np.zeros((40, 40), dtype=np.float32))
-    assert run("build", tmp_path / "flat.tif", "--spacing", 80, "-o", other).code == 0
-    refused = run("match", west, other, photo, "--fov-deg", 60)
-    assert_refused(refused, "cannot be joined: elevation model is 'dem.tif (")
-    assert "build both with the same settings from one DEM of both areas" in refused.err
 
 
 def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):
@@ -107,27 +88,6 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
     assert found.err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("header", "row", "said"),
-    [
-        ("path,fov", "one.jpg,60", "has the column `fov`; expected some of path, fov_deg"),
-        (
-            "path,fov_slack",
-            "one.jpg,0.1",
-            "`fov_slack`; expected some of path, fov_deg, fov_sd_",
-        ),
-        ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is `wide`; expected a number"),
-        ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
-        ("path,lowest_m,highest_m", "one.jpg,900,100", "line 2: elevations are 900 to 100 m"),
-        ("path,fov_deg", "", "is a list without photos"),
-    ],
-)
-def test_a_bad_list_is_refused_in_one_line(run, store, photo, tmp_path, header, row, said):
-    shutil.copy(photo, tmp_path / "one.jpg")
-    photos = csv_of(tmp_path / "list.csv", [row], header)
-    assert_refused(run("match", store, photos), said)
-
-
 def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     canopy = write_dem(tmp_path / "canopy.tif", np.zeros((110, 120), np.float32))
     common = ("match", store, photo, "--fov-deg", "60", "--json")
@@ -135,45 +95,72 @@ def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     found, plain = (json.loads(one.out)["candidates"][0] for one in (done, run(*common)))
     assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting_m", "northing_m"))) < 20.0
     assert found["cost"] != plain["cost"]
-    for options in (("--matcher", "unrefined"), ("--matcher", "paper")):
-        assert_refused(run(*common, "--surface", canopy, *options), "a surface acts in refinement")
-    assert_refused(run(*common, "--surface", "none.tif"), "no file")
 
 
-def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path, monkeypatch):
-    folder, results = tmp_path / "photos", tmp_path / "results.csv"
+UNREFINED = "--fov-deg", "60", "--matcher", "unrefined"
+
+
+@pytest.fixture
+def folder(photo, tmp_path):
+    """A folder of two photos and a note."""
+    folder = tmp_path / "photos"
     folder.mkdir()
     for name in ("a.jpg", "b.JPG"):
         shutil.copy(photo, folder / name)
     (folder / "notes.txt").write_text("no photo")
-    command = ["match", store, folder, "--fov-deg", "60", "--matcher", "unrefined"]
-    command += ["--results", results]
-    assert run(*command).code == 0
-    whole = results.read_text()
-    first = [line.split(",")[0] for line in whole.splitlines()]
-    assert first == ["photo", str(folder / "a.jpg"), str(folder / "b.JPG")]
+    return folder
+
+
+def rows_of(results):
+    """Return the rows of a file of results, without the times that they took."""
+    with results.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        del row["seconds"]
+    return rows
+
+
+def test_a_folder_that_was_stopped_goes_on(run, store, folder, tmp_path):
+    results = tmp_path / "results.csv"
+    command = "match", store, folder, *UNREFINED, "--results", results
+    run(*command).ok()
+    whole, wanted = results.read_text(), rows_of(results)
+    assert [row["photo"] for row in wanted] == [str(folder / "a.jpg"), str(folder / "b.JPG")]
     results.write_text(whole[:-20])
     again = run(*command)
     assert "1 of 2 are there already" in again.err
     assert "a.jpg" not in again.out
-    rows = [line.split(",") for line in results.read_text().splitlines()]
-    wanted = [line.split(",") for line in whole.splitlines()]
-    seconds = wanted[0].index("seconds")
-    for row, other in zip(rows, wanted, strict=True):
-        row[seconds] = other[seconds]
-    assert rows == wanted
-    assert run(*command).out == ""
+    assert rows_of(results) == wanted
+    assert results.read_text().splitlines()[0] == whole.splitlines()[0]
+
+
+def test_a_finished_folder_is_not_matched_again(run, store, folder, tmp_path):
+    command = "match", store, folder, *UNREFINED, "--results", tmp_path / "results.csv"
+    run(*command).ok()
+    assert run(*command).ok().out == ""
+
+
+def test_results_of_other_options_are_refused(run, store, photo, tmp_path):
+    results = tmp_path / "results.csv"
+    command = "match", store, photo, *UNREFINED, "--results", results
+    run(*command).ok()
+    before = results.read_text()
     assert_refused(run(*command, "--near", "10,46,9"), "another store or other options")
-    assert_refused(run("match", store, folder, "--report", folder), "a folder of photos to match")
-    (tmp_path / "empty").mkdir()
-    assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
-    piped = [*command[:2], "-", *command[3:-1], tmp_path / "piped.csv"]
-    for rows, content in ((1, photo.read_bytes()), (2, photo.read_bytes() + b" ")):
+    assert results.read_text() == before
+
+
+def test_photos_on_standard_input_are_told_apart_by_their_bytes(
+    run, store, photo, tmp_path, monkeypatch
+):
+    results = tmp_path / "piped.csv"
+    for count, content in ((1, photo.read_bytes()), (2, photo.read_bytes() + b" ")):
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
-        run(*piped).ok()
-        assert len((tmp_path / "piped.csv").read_text().splitlines()) == 1 + rows
-    wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
-    assert wild.out.count("(unrefined)") == 5
+        run("match", store, "-", *UNREFINED, "--results", results).ok()
+        assert len(rows_of(results)) == count
+
+
+def test_a_pattern_names_the_photos_that_it_matches(run, store, folder):
+    assert run("match", store, folder / "?.jpg", *UNREFINED).ok().out.count("(unrefined)") == 5
 
 
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--matcher", "unrefined")])
@@ -309,7 +296,7 @@ def test_what_is_read_is_not_written_over(run, store, photo, tmp_path):
         ("match", store, photo, "--report", tmp_path / "r", "--peaks", peaks, "--export", peaks),
         ("horizon", store, "--viewpoints", peaks, "-o", peaks),
     ):
-        assert_refused(run(*command), "choose another name")
+        assert_refused(run(*command))
     assert (photo.read_bytes(), store.read_bytes(), peaks.read_bytes()) == before
 
 
@@ -324,7 +311,3 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert "the skyline rendered at the best candidate" in html
     assert cv2.imread(str(folder / "01-overlay.jpg")).std() > 20.0
     assert json.loads(geojson.read_text())["features"][0]["properties"]["photo"] == str(photo)
-    assert_refused(run(*query, "--peaks", peaks), "--report")
-    assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
-    unwritable = run(*query, "--export", photo / "a.gpx")
-    assert (unwritable.code, "cannot be written" in unwritable.err) == (2, True)

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from commands import assert_refused, off_m
+from commands import off_m
 from scenes import at_m, take_photo
 
 from skyline import read_dem, stand_on
@@ -46,13 +46,3 @@ def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_plac
     first = [one["geometry"] for one in features if one["properties"]["rank"] == 1]
     at, same = [one["coordinates"] for one in first if one["type"] == "Point"]
     assert at == same
-
-
-def test_options_that_do_not_go_with_one_place_are_refused_at_once(run, photo, tmp_path):
-    def refused(*arguments):
-        return run("match", tmp_path / "no_store.h5", photo, *arguments, "--same-place")
-
-    assert_refused(refused(), "needs two photos or more that can be read, and has 1")
-    assert_refused(refused(photo, "--results", tmp_path / "r.csv"), "leave --results out")
-    assert_refused(refused(photo, "--matcher", "unrefined"), "leave --matcher out")
-    assert_refused(refused(photo, "--workers", 2), "leave --workers out")

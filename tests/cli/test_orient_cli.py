@@ -4,7 +4,7 @@ import csv
 import json
 import shutil
 
-from commands import assert_refused, lonlat_of
+from commands import lonlat_of
 from PIL import Image
 
 
@@ -38,18 +38,3 @@ def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
     assert list(fog)[:2] == ["photo", "trusted"]
     assert (fog["trusted"], fog["heading_deg"], clear["trusted"]) == ("0", "", "1")
     assert "no skyline found" in fog["refusal"]
-
-
-def test_what_is_missing_is_said_in_one_line(run, dem, photo, tmp_path):
-    orient = "orient", photo, "--dem", dem
-    assert_refused(run(*orient), "notes no GPS position; give the place: --at LON,LAT")
-    assert_refused(run(*orient, "--at", "9"), "expected LON,LAT in degrees")
-    assert_refused(run(*orient, "--at", "0,0"), "off the map")
-    assert_refused(run(*orient, "--at", "9.2,46.7", "--within", "900"), "skyline match")
-    at = "{},{}".format(*lonlat_of(dem))
-    assert_refused(run(*orient, "--at", at, "--elevation", 30000), "is 30000 m; expected metres")
-    assert_refused(
-        run(*orient, "--at", at, "--elevation", -400), "is -400 m, and the ground of the DEM lies"
-    )
-    absent = run("orient", tmp_path / "no.jpg", "--dem", dem, "--at", "9,46")
-    assert_refused(absent, "does not exist")

@@ -39,11 +39,6 @@ def test_the_planner_of_the_page_covers_the_terrain(run, dem, site, page):
         assert store.header.config["planner"] == "farthest"
 
 
-def test_an_unknown_planner_is_refused_with_those_known(run, dem, tmp_path):
-    done = run("render", dem, "-o", tmp_path / "s.h5", "--planner", "nearest")
-    assert_refused(done, "planner is 'nearest'; expected one of arov, hov, lpov, rov, sov")
-
-
 @pytest.mark.parametrize("chosen", ["[-1]", "[10**9]", "[0.5]", "[[5]]", "['a']"])
 def test_a_planner_that_chooses_no_site_is_refused(run, dem, site, chosen):
     name = f"wrong{abs(hash(chosen))}"

@@ -92,9 +92,3 @@ def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
     assert_refused(replace(done, code=2), message)
     assert [file.name for file in tmp_path.iterdir()] == ["peaks.geojson"]
     assert path.read_text() == "as before"
-
-
-def test_an_address_that_is_none(run, tmp_path):
-    given = "--bounds", "9,46,10,47", "--server", "file:///etc/passwd"
-    done = run("peaks", *given, "-o", tmp_path / "peaks.geojson")
-    assert_refused(done, "expected the address of an Overpass interpreter")
