@@ -1,6 +1,7 @@
 """Stores x queries: built, searched, kept and counted."""
 
 import json
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -31,13 +32,20 @@ def run(run_bench, dem, tmp_path):
     return run_command
 
 
-def test_stores_matchers_and_kinds_are_compared(run, run_bench, dem, tmp_path):
-    kept = tmp_path / "kept"
+@pytest.fixture(scope="module")
+def compared(recorded, dem, tmp_path_factory):
+    """The command that compares stores and matchers, its folder, and its rows."""
+    kept = tmp_path_factory.mktemp("kept")
     asked = (
         "matching", dem, "--spacing", 600, "--spacing", 300, "--places", 400, "--queries", 3,
         "--matcher", "correlation", "--matcher", "unrefined", "--folder", kept,
     )  # fmt: skip
-    rows = run(*asked)["rows"]
+    record, _ = recorded(*asked)
+    return asked, kept, record["rows"]
+
+
+def test_stores_matchers_and_kinds_are_compared(compared):
+    _, _, rows = compared
     every = [row for row in rows if row["group"] == "all"]
     assert [(row["store"], row["matcher"], row["queries"]) for row in every] == [
         (store, matcher, kind)
@@ -50,22 +58,37 @@ def test_stores_matchers_and_kinds_are_compared(run, run_bench, dem, tmp_path):
         )
         for kind in ("plain", "white", "other-dem", "occluded", "bent", "aligned")
     ]
-    for row in every:
+    assert every[0]["places"] < every[6]["places"] == every[18]["places"]
+
+
+def test_a_comparison_has_shares_and_means_within_their_intervals(compared):
+    _, _, rows = compared
+    for row in (row for row in rows if row["group"] == "all"):
         assert row["n"] == 3
         assert row["within_200m_low"] <= row["within_200m"] <= row["within_200m_high"]
         assert row["mean_m_low"] <= row["mean_m"] <= row["mean_m_high"] < 5000.0
         assert row["within_200m"] <= row["within_1km"]
         assert row["build_s"] > 0.0
-        # No query is dropped: the groups make up the whole.
-        about = [row[key] for key in ("store", "matcher", "queries")]
-        mine = [one["n"] for one in rows if [one["store"], one["matcher"], one["queries"]] == about]
-        assert sum(mine) == 6
-    assert every[0]["places"] < every[6]["places"] == every[18]["places"]
-    # Stores that are there are not built again.
+
+
+def test_a_comparison_drops_no_query(compared):
+    """The groups make up the whole, so that each query counts twice."""
+    counted = Counter()
+    for row in compared[2]:
+        counted[row["store"], row["matcher"], row["queries"]] += row["n"]
+    assert set(counted.values()) == {6}
+
+
+def test_stores_that_are_there_are_not_built_again(run, compared):
+    asked, kept, _ = compared
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.h5")}
     searched = run(*asked, "--kind", "plain", "--area", 1)["rows"]
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert {row["matcher"] for row in searched if row["search"] != "all"} == {"unrefined"}
+
+
+def test_stores_of_other_bounds_are_not_searched(run_bench, compared):
+    asked, _, _ = compared
     elsewhere = run_bench(*asked, "--bounds", "10.32,46.74,10.34,46.76")
     assert_refused(elsewhere, "has other bounds or another DEM")
 

@@ -1,7 +1,6 @@
 """Speed against error: fair times, errors in one unit, and what the commands write."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -14,23 +13,40 @@ from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import compare
 
 
-def test_speed_error_finds_the_errors_there_are(run_bench, dem, tmp_path):
-    path = tmp_path / "record.json"
-    done = run_bench("speed-error", dem, "--quick", "--seed", 3, "--json", path).ok()
-    record = json.loads(path.read_text())
+@pytest.fixture(scope="module")
+def measured(recorded, dem):
+    """The record of a quick run, and what it printed."""
+    return recorded("speed-error", dem, "--quick", "--seed", 3)
+
+
+@pytest.fixture(scope="module")
+def rows(measured):
+    record, _ = measured
+    return record["rows"]
+
+
+def test_speed_error_measures_the_paths_there_are(measured):
+    record, printed = measured
     assert record["bench"] == "speed-error"
     assert record["machine"]["renderer"]
     paths = {row["path"] for row in record["rows"]}
     assert paths >= {"depth", "horizon", "all round", "oracle"}
     assert ("embree" in paths, "grass" in paths) == (peers.has_embree(), peers.has_grass())
-    for row in record["rows"]:
-        assert row["path"] in done.out
+    assert all(path in printed for path in paths)
+
+
+def test_speed_error_counts_the_columns_and_the_viewpoints_a_second(rows):
+    for row in rows:
         assert 0.0 < row["viewpoints_per_s"] == pytest.approx(1000.0 / row["ms_per_viewpoint"])
         assert row["missing"] == 0
         if row["path"] in ("all round", "grass"):
             assert row["columns"] == row["compared_viewpoints"] * row["width"]
         else:
             assert row["columns"] > 0.3 * row["compared_viewpoints"] * 4 * row["width"]
+
+
+def test_speed_error_finds_the_errors_there_are(rows):
+    for row in rows:
         if row["path"] == "oracle":
             assert (row["rms_px"], row["max_px"]) == (0.0, 0.0)
         elif row["path"] == "depth":

@@ -60,33 +60,46 @@ def server(made, monkeypatch):
         yield behaviour
 
 
-def test_a_photo_is_located_and_the_second_asks_no_server(run, made, cache, server, tmp_path):
-    first = run(
-        "locate", made / "photo.jpg", "--near", NEAR, "--fov-deg", 60, "--json", "--report", "page"
-    ).ok()
-    record = json.loads(first.out)
+@pytest.fixture
+def located(run, made, cache, server):
+    """What the first search of an area printed; the server has nothing to give any more."""
+    words = "--near", NEAR, "--fov-deg", 60, "--json", "--report", "page"
+    done = run("locate", made / "photo.jpg", *words).ok()
+    server.requests.clear()
+    server.files.clear()
+    return done
+
+
+def test_a_photo_is_located(located, cache, tmp_path):
+    record = json.loads(located.out)
     frame, best = skyline.Frame.local(lon=PLACE[0], lat=PLACE[1]), record["answer"]
     off_m = math.hypot(*frame.from_lonlat(best["lon"], best["lat"]))
     assert off_m < record["answer_within_m"] <= 1000.0
     assert abs(best["heading_deg"] - 140.0) < 5.0
-    assert f"{cache}" in first.err, "it says where it keeps what it makes"
-    assert "report: page/index.html" in first.err
+    assert f"{cache}" in located.err, "it says where it keeps what it makes"
+    assert "report: page/index.html" in located.err
     assert (tmp_path / "page" / "index.html").stat().st_size > 0
-    server.requests.clear()
-    server.files.clear()
+
+
+@pytest.mark.usefixtures("located")
+def test_a_second_photo_of_an_area_asks_no_server(run, made, server, tmp_path):
     (tmp_path / "places.csv").write_text("Name;Longitude;Latitude\nAlp;9,501;46,5\n")
-    near = "--near", "alp,1", "--peaks", "places.csv"
-    again = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--json").ok()
+    locate = "locate", made / "photo.jpg", "--near", "alp,1", "--peaks", "places.csv"
+    again = run(*locate, "--fov-deg", 60, "--json").ok()
     assert "in the cache already" in again.err
     assert "reading the elevation model" not in again.err
-    quiet = run("locate", made / "photo.jpg", *near, "--fov-deg", 60, "--quiet")
-    assert (quiet.code, quiet.err) == (0, "")
+    quiet = run(*locate, "--fov-deg", 60, "--quiet").ok()
+    assert quiet.err == ""
     assert quiet.out.endswith("report: skyline-report/index.html\n")
-    assert not server.requests
     assert (tmp_path / "skyline-report" / "index.html").exists()
     found = skyline.locate(made / "photo.jpg", (*PLACE, 1.0), fov_deg=60.0)
-    assert not server.requests
     assert abs(found.best.heading_deg - 140.0) < 5.0
+    assert not server.requests
+
+
+@pytest.mark.usefixtures("server")
+def test_the_cache_is_listed_and_cleared_but_for_other_files(run, cache):
+    prepare_area(Area.around([PLACE], 1.5, 1.5))
     listed = json.loads(run("cache", "--json").out)
     (area,) = listed["areas"]
     assert (area["tiles"], area["finished"]) == (1, True)

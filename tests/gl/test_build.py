@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 import threading
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -252,6 +251,36 @@ class TestAreas:
         assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
 
 
+BUILD = """
+import sys
+import time
+from pathlib import Path
+from skyline import read_dem
+from skyline.survey.build import build_store
+from skyline.survey.parts import PartSize
+from skyline.survey.plans import JobSize, PlacePlan
+
+def progress(done, total):
+    print(done, flush=True)
+    if done > {waits_at}:
+        time.sleep(600.0)
+
+plan = PlacePlan({spacing_m}, places={places}, job_size=JobSize(400, 60))
+part_size = PartSize(seconds=0.0)
+build_store(read_dem({files}), Path("s.h5"), plan, progress=progress, part_size=part_size)
+"""
+
+
+def start_build(folder, terrain, plan, waits_at):
+    """Start a build in a process, which waits at some number of rows to be killed."""
+    files = list(terrain.provenance.files)
+    code = BUILD.format(
+        files=files, spacing_m=plan.spacing_m, places=plan.places, waits_at=waits_at
+    )
+    command = [sys.executable, "-c", code]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
+
+
 class TestBroken:
     def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):
         plan, unbroken = whole
@@ -351,35 +380,11 @@ class TestBroken:
     @pytest.mark.parametrize("plan", [PlacePlan(200.0), PlacePlan(places=PLACES)], ids=str)
     def test_killed_at_random_instants(self, terrain, tmp_path, plan):
         """Each time at most the rendering in hand is lost."""
-        script = f"""
-            import sys
-            import time
-            from pathlib import Path
-            from skyline import read_dem
-            from skyline.survey.build import build_store
-            from skyline.survey.parts import PartSize
-            from skyline.survey.plans import JobSize, PlacePlan
-            terrain = read_dem({list(terrain.provenance.files)!r})
-            plan = PlacePlan(
-                {plan.spacing_m}, places={plan.places}, job_size=JobSize(400, 60)
-            )
-            def progress(done, total):
-                print(done, flush=True)
-                if done > int(sys.argv[1]):
-                    time.sleep(600.0)
-            build_store(
-                terrain, Path("s.h5"), plan, progress=progress, part_size=PartSize(seconds=0.0)
-            )
-        """
-        command = [sys.executable, "-c", textwrap.dedent(script)]
-        folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
+        folder = tmp_path / "killed"
         folder.mkdir()
-
-        def start(waits_at):
-            """Start the build, which waits at some number of rows, so that it is killed by then."""
-            called = [*command, str(waits_at)]
-            return subprocess.Popen(called, cwd=folder, stdout=subprocess.PIPE, text=True)
-
+        start = partial(start_build, folder, terrain, plan)
+        generator = np.random.default_rng(4)
+        before = 0
         build_store(terrain, tmp_path / "unbroken.h5", plan)
         for wait_for, how in ((0, signal.SIGTERM), (300, signal.SIGKILL), (800, signal.SIGINT)):
             child = start(wait_for + 300)

@@ -26,6 +26,19 @@ def places_on(field, count):
     return field.frame.to_lonlat(*field.to_map(row, col))
 
 
+def true_sides(field, eye, grid_deg):
+    """Yield of each side: its azimuths' indices, and their elevations, distances and flags."""
+    heading = np.round(grid_deg / 90.0).astype(int) % 4
+    away = np.radians((grid_deg - 90.0 * heading + 180.0) % 360.0 - 180.0)
+    for side in range(4):
+        columns = np.flatnonzero(heading == side)
+        columns = columns[np.argsort(away[columns])]
+        truth = oracle.skyline_at(field, eye, np.tan(away[columns]), Curvature())
+        cosine = np.cos(away[columns])
+        elevation_deg = np.degrees(np.arctan(truth.v[side] * cosine))
+        yield columns, elevation_deg, truth.depth_m[side] / cosine, truth.flags[side]
+
+
 @pytest.mark.parametrize("step_deg", [0.5, 7.5])
 def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
     lon, lat = places_on(rough, 6)
@@ -38,21 +51,14 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
     assert turn.min() > 6.0
     for index in range(6):
         grid_deg = (found.azimuth_deg[index] - turn[index]) % 360.0
-        heading = np.round(grid_deg / 90.0).astype(int) % 4
-        away = np.radians((grid_deg - 90.0 * heading + 180.0) % 360.0 - 180.0)
-        for side in range(4):
-            columns = np.flatnonzero(heading == side)
-            columns = columns[np.argsort(away[columns])]
-            eye = stand_on(rough, easting_m=easting[index], northing_m=northing[index])
-            truth = oracle.skyline_at(rough, eye, np.tan(away[columns]), Curvature())
-            cosine = np.cos(away[columns])
-            true_deg = np.degrees(np.arctan(truth.v[side] * cosine))
+        eye = stand_on(rough, easting_m=easting[index], northing_m=northing[index])
+        for columns, true_deg, away_m, flags in true_sides(rough, eye, grid_deg):
             off_deg = found.elevation_deg[index, columns] - true_deg
             assert np.abs(off_deg).max() < 2e-3
-            np.testing.assert_array_equal(found.flags[index, columns], truth.flags[side])
+            np.testing.assert_array_equal(found.flags[index, columns], flags)
             clear = np.abs(off_deg) < 1e-4
             assert clear.mean() > 0.9
-            found_m, away_m = found.distance_m[index, columns], truth.depth_m[side] / cosine
+            found_m = found.distance_m[index, columns]
             np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
 
 

@@ -79,9 +79,30 @@ def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
     best = Matcher(store, terrain, config=BOLD).match(skyline).answer
     assert error_m(best, queries[1].truth) < 50.0
     assert best.fov_deg == pytest.approx(60.0, abs=2.0)
-    skyline = replace(skyline, projection=Projection.CYLINDRICAL)
+
+
+def test_a_panorama_of_unknown_field_of_view_is_refused(store, terrain, queries):
+    skyline = replace(queries[1].skyline, fov_deg=None, projection=Projection.CYLINDRICAL)
     with pytest.raises(InputError, match="--fov-deg"):
         Matcher(store, terrain, config=BOLD).match(skyline)
+
+
+def panorama_of(seen, heading_deg, projection, fov_deg, said_deg, sag_deg, raised_deg):
+    """Return a panorama of a horizon, and the turns and elevation angles of its columns."""
+    width = 1800
+    turn_deg = fov_deg * ((np.arange(width) + 0.5) / width - 0.5)
+    elevation_deg = np.interp(
+        heading_deg + turn_deg, seen.azimuth_deg, seen.elevation_deg, period=360.0
+    )
+    up = np.radians(elevation_deg - raised_deg)
+    if projection == "cylindrical":
+        up = np.tan(np.radians(elevation_deg)) - np.tan(np.radians(raised_deg))
+    # The rows wander as no turn of the camera explains, and not by polynomials.
+    across = np.linspace(-1.0, 1.0, width)
+    up -= np.radians(sag_deg) * (across**2 + 0.5 * np.sin(4.0 * across + 1.0))
+    row_px = 400.0 - width / np.radians(fov_deg) * up
+    query = PhotoSkyline(row_px, np.ones(width), width, 801, said_deg, Projection(projection))
+    return query, turn_deg, elevation_deg
 
 
 @pytest.mark.slow
@@ -96,21 +117,12 @@ def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
 def test_a_panorama_that_sees_behind_is_found(
     store, terrain, projection, fov_deg, said_deg, sag_deg, raised_deg
 ):
-    width, heading_deg = 1800, 250.0
     east, north = 0.5 * (MIDDLE[0] + MIDDLE[2]) + 137.0, 0.5 * (MIDDLE[1] + MIDDLE[3]) - 211.0
     seen = horizon(terrain, **at_deg(terrain.frame.to_lonlat(east, north)))[0]
-    turn_deg = fov_deg * ((np.arange(width) + 0.5) / width - 0.5)
-    elevation_deg = np.interp(
-        heading_deg + turn_deg, seen.azimuth_deg, seen.elevation_deg, period=360.0
+    heading_deg = 250.0
+    query, turn_deg, elevation_deg = panorama_of(
+        seen, heading_deg, projection, fov_deg, said_deg, sag_deg, raised_deg
     )
-    up = np.radians(elevation_deg - raised_deg)
-    if projection == "cylindrical":
-        up = np.tan(np.radians(elevation_deg)) - np.tan(np.radians(raised_deg))
-    # The rows wander as no turn of the camera explains, and not by polynomials.
-    across = np.linspace(-1.0, 1.0, width)
-    up -= np.radians(sag_deg) * (across**2 + 0.5 * np.sin(4.0 * across + 1.0))
-    row_px = 400.0 - width / np.radians(fov_deg) * up
-    query = PhotoSkyline(row_px, np.ones(width), width, 801, said_deg, Projection(projection))
     best = Matcher(store, terrain, config=BOLD).match(query).answer
     assert np.hypot(best.easting_m - east, best.northing_m - north) < 10.0
     assert best.heading_deg == pytest.approx(heading_deg, abs=0.2)
@@ -118,21 +130,28 @@ def test_a_panorama_that_sees_behind_is_found(
     assert best.pitch_deg == pytest.approx(raised_deg, abs=0.1 + sag_deg)
     elevation_tan = np.tan(np.radians(elevation_deg))
     _, drawn_px = best.camera(query).pixels(best.grid_heading_deg + turn_deg, elevation_tan)
-    off_deg = np.abs(drawn_px - row_px) * fov_deg / width
+    off_deg = np.abs(drawn_px - query.row_px) * fov_deg / query.width_px
     assert np.median(off_deg) < 0.1
     assert off_deg.max() < 0.4
 
 
-def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):
-    (first, second), (stranger, _) = make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
-    bare = PhotoSkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
+BARE = PhotoSkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
+"""A photo without a skyline."""
+
+
+@pytest.fixture(scope="module")
+def photos_of_two_places(terrain):
+    """Two photos of each of two places."""
+    return make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
+
+
+def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(
+    store, terrain, photos_of_two_places
+):
+    (first, second), (stranger, _) = photos_of_two_places
+    photos = [first.skyline, stranger.skyline, second.skyline, BARE]
     with Matcher(store, terrain, config=BOLD) as matcher:
-        found = matcher.match_together(
-            [first.skyline, stranger.skyline, second.skyline, bare], top=3
-        )
-        with pytest.raises(InputError, match="expected two photos"):
-            matcher.match_together([first.skyline])
-        little = matcher.match_together([first.skyline, bare])
+        found = matcher.match_together(photos, top=3)
     assert found.agrees == (True, False, True, False)
     assert found.answer is found.places[0]
     within_m = 3.0 * np.sqrt(np.trace(found.answer.covariance_m2))
@@ -146,6 +165,21 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terr
         assert abs(in_turn(mine.answer.grid_heading_deg - query.truth.heading_deg)) < 1.0
     for name in ("lon", "lat", "radius_m", "confidence", "eye_elevation_m"):
         assert getattr(one.answer, name) == pytest.approx(getattr(another.answer, name))
+
+
+def test_one_photo_is_no_photos_of_one_place(store, terrain, photos_of_two_places):
+    first = photos_of_two_places[0][0].skyline
+    with (
+        Matcher(store, terrain, config=BOLD) as matcher,
+        pytest.raises(InputError, match="expected two photos"),
+    ):
+        matcher.match_together([first])
+
+
+def test_one_photo_with_a_skyline_among_two_has_no_answer(store, terrain, photos_of_two_places):
+    first = photos_of_two_places[0][0].skyline
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        little = matcher.match_together([first, BARE])
     assert (little.answer, little.places) == (None, ())
     assert "fewer than two photos" in little.refusal
     assert "no other photo shows enough skyline" in little.results[0].refusal
@@ -160,6 +194,12 @@ def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
         found = matcher.match_together(skylines, narrowings=[None, near])
     there = replace(first.truth, easting_m=first.truth.easting_m + 500.0)
     assert all(error_m(place, there) < 301.0 for place in found.places)
+
+
+def test_photos_of_one_place_are_not_matched_without_rendering(
+    store, terrain, photos_of_two_places
+):
+    skylines = [query.skyline for query in photos_of_two_places[0]]
     with (
         Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher,
         pytest.raises(InputError, match="this needs rendering: use the full matcher"),
