@@ -58,7 +58,7 @@ def test_a_height_counts_from_the_ground_and_an_elevation_from_the_datum(tmp_pat
     assert eye_m() == ground_m + 2.0
     assert eye_m(eye_height_m=30.0) == ground_m + 30.0
     assert eye_m(eye_elevation_m=ground_m + 30.0) == ground_m + 30.0
-    with pytest.raises(OffMapError, match="1.00 m below the ground"):
+    with pytest.raises(OffMapError, match=r"1\.00 m below the ground"):
         eye_m(eye_height_m=-1.0)
     with pytest.raises(InputError, match="-500 to 20000"):
         eye_m(eye_height_m=1e6)
