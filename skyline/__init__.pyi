@@ -37,6 +37,7 @@ from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
+from .pose import Ellipse as Ellipse
 from .pose import NotedPose as NotedPose
 from .pose import Pose as Pose
 from .render.context import RenderThread as RenderThread

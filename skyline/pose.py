@@ -340,10 +340,13 @@ class Ellipse:
         variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
         minor_m, major_m = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)).tolist()
         azimuth = np.arctan2(axes[0, 1], axes[1, 1]) % np.pi
-        sine, cosine = np.sin(azimuth), np.cos(azimuth)
+        sine = np.sin(azimuth)
+        cosine = np.cos(azimuth)
         turn = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS + 1)
-        along, across = major_m * np.cos(turn), minor_m * np.sin(turn)
-        east, north = along * sine - across * cosine, along * cosine + across * sine
+        along = major_m * np.cos(turn)
+        across = minor_m * np.sin(turn)
+        east = along * sine - across * cosine
+        north = along * cosine + across * sine
         outline = np.stack([candidate.easting_m + east, candidate.northing_m + north], axis=1)
         outline[-1] = outline[0]
         return cls(major_m, minor_m, outline)

@@ -8,7 +8,11 @@ from dataclasses import replace
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from skyline import (
+    Ellipse,
+    Frame,
     InputError,
     MatchResult,
     Narrowing,
@@ -111,10 +115,19 @@ def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
         "pose": {name: _known(value) for name, value in candidate.to_dict().items()},
         "rank": candidate.rank,
         "eye_height_m": engine.eye_height_m(candidate),
-        "covariance_m2": candidate.covariance_m2,
-        "convergence_deg": candidate.convergence_deg,
+        "ellipse": _ellipse_json(candidate, engine.matcher.frame),
         "residual": candidate.residual_in_words,
     }
+
+
+def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
+    """Return longitude and latitude along a candidate's ellipse; None where it is not known."""
+    ellipse = Ellipse.of(candidate)
+    if ellipse is None:
+        return None
+    outline = frame.to_lonlat(*ellipse.outline_m.T)
+    points: list[list[float]] = np.stack(outline, axis=1).tolist()
+    return points
 
 
 def _known(value: Any) -> Any:

@@ -71,6 +71,7 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, d
     page.match()
     assert "Found" in page.find("#answer").text
     assert off_m(dem, page.state("state.pose")) < 60.0
+    assert len(page.all("#map path[stroke='#fff']")) == 2  # the store's frame and the ellipse
     page.settled()
     candidates = page.all("#candidates button")
     candidates[-1].click()

@@ -176,7 +176,8 @@ export function drawStroke(ctx, view, one) {
 }
 
 export function drawCross(ctx, view, [column, row], radius) {
-  const [across, down] = [x(view, column), y(view, row)];
+  const across = x(view, column);
+  const down = y(view, row);
   for (const [colour, width] of [[DARK, 4], ["white", 1.5]]) {
     ctx.strokeStyle = colour;
     ctx.lineWidth = width;

@@ -9,7 +9,6 @@ const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
 const EARTH_M = 6371008.8;
-const CHI_SQUARE_95 = 5.991;
 let map;
 let camera;
 let handle; // of the direction
@@ -41,34 +40,13 @@ function view(pose) {
   return points;
 }
 
-// The ellipse that holds the true place with 95 % probability: the steps east and north of a
-// candidate's covariance, turned from the grid to true north.
-function ellipse({ pose, covariance_m2, convergence_deg }) {
-  const [[east_m2, shared_m2], [, north_m2]] = covariance_m2;
-  const middle = (east_m2 + north_m2) / 2;
-  const apart = Math.hypot((east_m2 - north_m2) / 2, shared_m2);
-  const turn = Math.atan2(2 * shared_m2, east_m2 - north_m2) / 2;
-  const long = Math.sqrt(CHI_SQUARE_95 * Math.max(middle + apart, 0));
-  const short = Math.sqrt(CHI_SQUARE_95 * Math.max(middle - apart, 0));
-  const points = [];
-  for (let k = 0; k < 48; k++) {
-    const along = long * Math.cos((k * Math.PI) / 24);
-    const across = short * Math.sin((k * Math.PI) / 24);
-    const east = along * Math.cos(turn) - across * Math.sin(turn);
-    const north = along * Math.sin(turn) + across * Math.cos(turn);
-    const heading_deg = (Math.atan2(east, north) * 180) / Math.PI + convergence_deg;
-    points.push(away(onMap(pose.lat, pose.lon), heading_deg, Math.hypot(east, north)));
-  }
-  return points;
-}
-
 function showCandidates() {
   spots.clearLayers();
   const result = standing();
   result?.candidates.forEach((candidate, index) => {
     const isBest = index === 0 && result.answered;
     drawView(candidate.pose, isBest);
-    if (candidate.covariance_m2 && index === state.chosen) drawEllipse(candidate);
+    if (candidate.ellipse && index === state.chosen) drawEllipse(candidate.ellipse);
     drawSpot(candidate.pose, index, isBest);
   });
 }
@@ -80,8 +58,9 @@ function drawView(pose, isBest) {
   L.polygon(view(pose), { color, weight: 1.5, ...opacities, interactive: false }).addTo(spots);
 }
 
-function drawEllipse(candidate) {
-  L.polygon(ellipse(candidate), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
+// The ellipse holds the true place with 95 % probability.
+function drawEllipse(outline) {
+  L.polygon(outline.map(([lon, lat]) => onMap(lat, lon)), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
 }
 
 function drawSpot({ lat, lon, confidence }, index, isBest) {

@@ -21,7 +21,7 @@ async function save(kind, ending, button) {
   settle("save");
   showStatus("Writing…");
   try {
-    download(photo, await server.save(photo, kind, what()), ending);
+    download(photo, await server.save(photo, kind, toSave()), ending);
     showStatus("Saved");
   } catch (error) {
     showStatus("");
@@ -31,7 +31,7 @@ async function save(kind, ending, button) {
 }
 
 // The request for the pose to save: a candidate has its verdict as long as that stands.
-function what() {
+function toSave() {
   const isCurrent = state.chosen === null || standing();
   if (isCurrent && state.origin === "fitted") return { fitted: true };
   if (isCurrent && state.origin === "found") return { rank: state.chosen };
