@@ -14,7 +14,7 @@ from .geodesy import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
-from .match.confidence import MatchConfig as MatchConfig
+from .match.config import MatchConfig as MatchConfig
 from .match.matcher import Matcher as Matcher
 from .match.prior import Narrowing as Narrowing
 from .match.result import JointResult as JointResult
@@ -30,7 +30,7 @@ from .photo.exif import NotedPlace as NotedPlace
 from .photo.extract import Correction as Correction
 from .photo.photo import Photo as Photo
 from .photo.photo import read_photo as read_photo
-from .photo.read import read_query as read_query
+from .photo.read import read_skyline as read_skyline
 from .photo.skyline import Lens as Lens
 from .photo.skyline import PhotoSkyline as PhotoSkyline
 from .photo.strokes import Stroke as Stroke

@@ -21,13 +21,13 @@ from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import photos_in
 from skyline.photo.photo import check_fov
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.tables import Row, Table, is_table, read_table
 
 _NUMBERS = (
-    "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
+    "fov_deg", "fov_sd_share", "eye_height_m", "lon", "lat", "radius_km",
     "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
 )  # fmt: skip
 _TOGETHER = {
@@ -46,7 +46,7 @@ class Query:
     path: str
     fov_deg: float | None = None
     """By default from the file."""
-    fov_slack: float | None = None
+    fov_sd_share: float | None = None
     """Standard deviation of the field of view, as a share of it; by default the file's or the
     matcher's."""
     projection: Projection | None = None
@@ -62,20 +62,20 @@ class Query:
                 f"{self.path} does not exist; expected a photo, a mask or a trace"
             )
         check_fov(self.fov_deg, self.projection)
-        if self.fov_slack is not None and not 0.0 <= self.fov_slack < 1.0:
+        if self.fov_sd_share is not None and not 0.0 <= self.fov_sd_share < 1.0:
             raise InputError(
-                f"{self.path}: the field of view's slack is {self.fov_slack:g}; expected 0 to 1"
+                f"{self.path}: fov_sd_share is {self.fov_sd_share:g}; expected a share from 0 to 1"
             )
         if is_table(self.path):
             self.read()
 
     def read(self) -> PhotoSkyline:
-        """Return the skyline; raises as `skyline.photo.read.read_query`."""
-        query = read_query(self.path, self.fov_deg, projection=self.projection)
-        if query.fov_deg is None or self.fov_slack is None:
+        """Return the skyline; raises as `skyline.photo.read.read_skyline`."""
+        query = read_skyline(self.path, self.fov_deg, projection=self.projection)
+        if query.fov_deg is None or self.fov_sd_share is None:
             return query
         lens = query.lens if self.fov_deg is None and query.lens else Lens(query.fov_deg)
-        return replace(query, lens=replace(lens, sd_deg=self.fov_slack * query.fov_deg))
+        return replace(query, lens=replace(lens, fov_sd_deg=self.fov_sd_share * query.fov_deg))
 
 
 def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
@@ -153,7 +153,7 @@ def _query(table: Table, row: Row, common: Query) -> Query:
         common,
         path=str(Path(table.path).parent / row["path"]),
         fov_deg=given.get("fov_deg", common.fov_deg),
-        fov_slack=given.get("fov_slack", common.fov_slack),
+        fov_sd_share=given.get("fov_sd_share", common.fov_sd_share),
         narrowing=narrowing,
         label=row.label,
     )

@@ -26,7 +26,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
-from skyline.match.confidence import MatchConfig, at_bound, too_little
+from skyline.match.config import MatchConfig
 from skyline.match.matcher import named_skyline
 from skyline.match.prior import (
     GPS_SD_M,
@@ -43,6 +43,7 @@ from skyline.match.result import to_dataframe
 from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
+from skyline.match.verdict import refusal_of, too_little
 from skyline.photo.exif import NotedPlace
 from skyline.photo.image import Picture
 from skyline.photo.skyline import PhotoSkyline
@@ -106,7 +107,7 @@ class Orientation:
 
     Attributes
     ----------
-    query : PhotoSkyline
+    skyline : PhotoSkyline
         The skyline that was fitted.
     pose : Pose or None
         The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
@@ -119,14 +120,14 @@ class Orientation:
     eye_height_m : float
         Height of the eye above the DEM's ground; NaN without a pose.
     seconds : float
-        From the query to the pose.
+        From the photo to the pose.
     refusal : str or None
         Why the pose cannot be trusted; None if it can.
     name : str
-        The query's file; empty for a query skyline.
+        The photo's file; empty for a skyline.
     """
 
-    query: PhotoSkyline
+    skyline: PhotoSkyline
     pose: Pose | None
     heading_sd_deg: float = math.nan
     pitch_sd_deg: float = math.nan
@@ -154,7 +155,7 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the orientation as a row of the table that ``skyline orient -o`` writes."""
-        row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
+        row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
             row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
             sd_name = f"{angle}_sd_deg"
@@ -171,7 +172,7 @@ class Orientation:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient`` prints."""
-        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
         if self.pose is not None:
@@ -187,8 +188,8 @@ class Orientation:
                 f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
                 f"{self.eye_height_m:.0f} m above the ground"
             )
-        if self.query.lens is not None:
-            lines.append(self.query.lens.in_words)
+        if self.skyline.lens is not None:
+            lines.append(self.skyline.lens.in_words)
         return "\n  ".join(filter(None, lines))
 
 
@@ -285,48 +286,48 @@ class Orienter(Releasable):
 
     @one_blas_thread()
     def orient(
-        self, query: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
+        self, photo: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
-        """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
+        """Find how the camera of a photo, a sky mask, a trace or a skyline was held.
 
         The compass direction that a photo notes counts as a hint.
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
+        photo : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
-            Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
+            Horizontal field of view; by default the photo's own, and one of 25 to 100 degrees if
             that is not known.
         name : str
-            Name of the result; by default the query's file.
+            Name of the result; by default the photo's file.
 
         Raises
         ------
         InputError
-            The query has no usable skyline, or is a panorama of unknown field of view.
+            The photo has no usable skyline, or is a panorama of unknown field of view.
         """
         started = time.perf_counter()
-        file, skyline = named_skyline(query, fov_deg)
+        file, skyline = named_skyline(photo, fov_deg)
         name = name or file
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = Rays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
+        rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
-    def _refined(self, rays: Rays, query: PhotoSkyline) -> Poses:
+    def _refined(self, rays: Rays, skyline: PhotoSkyline) -> Poses:
         """Return the best pose of each heading in each standing, best first."""
         found = list[Poses]()
-        for number, standing in enumerate(self._standings(query.noted)):
+        for number, standing in enumerate(self._standings(skyline.noted)):
             retriever = self._retriever
             if number > 0:
                 retriever = self._retriever_at(standing.elevation_m)
             fitted = retriever.fitted_all_round(rays)
             each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
             best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
-            refinement = self._refinement(rays, query.noted, standing)
+            refinement = self._refinement(rays, skyline.noted, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
             found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
         poses = Poses.concatenate(found)
@@ -357,39 +358,37 @@ class Orienter(Releasable):
             heading_sd_deg=from_exif.heading_sd_deg,
         )
 
-    def _orientation(self, query: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
+    def _orientation(self, skyline: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
-            return Orientation(query, None, refusal="no heading fits at this place")
+            return Orientation(skyline, None, refusal="no heading fits at this place")
         other_eye = self._other_eye(poses)
         poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _APART_DEG)]
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
-        refusal = at_bound(pose, rays) or other_eye
-        if moved_m[0] > _FAR_SD * self._within_m:
-            refusal = (
-                f"the best pose is {moved_m[0]:.0f} m from the place, which is known to "
-                f"{self._within_m:g} m; check the place"
-            )
-        if sure < LEAST_CONFIDENCE:
-            refusal = self._doubt(poses, pose, sure)
-        if refusal and refusal not in {at_bound(pose, rays), other_eye}:
-            refusal += confidence.fov_hint(pose, query, rays)
+        other = None
         if sure >= projections.LEAST_CONFIDENCE:
             above_m = float(self._eye_heights_m(poses[:1])[0])
             standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
             other = projections.other_projection(
                 rays,
                 Poses.of(pose),
-                lambda bent: self._refinement(bent, query.noted, standing),
+                lambda bent: self._refinement(bent, skyline.noted, standing),
             )
-            refusal = projections.with_projection(refusal, other)
+        refusal = refusal_of(
+            pose,
+            skyline,
+            rays,
+            doubts=(self._doubt(poses, pose, sure), self._far(moved_m[0])),
+            ambiguity=other_eye,
+            other=other,
+        )
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
-            query,
+            skyline,
             pose,
             **errors_deg,
             confidence=sure,
@@ -425,8 +424,19 @@ class Orienter(Releasable):
         place_m = poses.easting_m + 1j * poses.northing_m
         return np.abs(place_m - complex(self._east, self._north))
 
-    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str:
-        """Return the refusal of a pose of too little confidence, with what speaks against it."""
+    def _far(self, moved_m: float) -> str | None:
+        """Return the refusal of a pose far from the known place; None if it is near."""
+        if moved_m <= _FAR_SD * self._within_m:
+            return None
+        return (
+            f"the best pose is {moved_m:.0f} m from the place, which is known to "
+            f"{self._within_m:g} m; check the place"
+        )
+
+    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
+        """Return the refusal of a heading of too little confidence; None if it has enough."""
+        if sure >= LEAST_CONFIDENCE:
+            return None
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
         if len(poses) > 1 and cost[1] - cost[0] < _CLOSE:
@@ -479,7 +489,7 @@ class _RefinementByHeading(Refinement):
 
 
 def orient(
-    query: Picture | PhotoSkyline,
+    photo: Picture | PhotoSkyline,
     dem: Dem,
     *,
     lon: float | None = None,
@@ -504,7 +514,7 @@ def orient(
         raise InputError(
             "one of lon and lat is given; give both, or neither to use the photo's GPS position"
         )
-    name, skyline = named_skyline(query, fov_deg)
+    name, skyline = named_skyline(photo, fov_deg)
     if lon is None or lat is None:
         lon, lat, _, noted_m = noted_place(skyline, name)
         within_m = noted_m if within_m is None else within_m
@@ -513,15 +523,15 @@ def orient(
         return orienter.orient(skyline, name=name)
 
 
-def noted_place(query: PhotoSkyline, name: str) -> Place:
+def noted_place(skyline: PhotoSkyline, name: str) -> Place:
     """Return the place that a photo notes, without an elevation.
 
     Raises `InputError` for a photo without a position.
     """
-    if query.noted.lonlat_deg is None:
-        aside = f" ({query.noted.left_aside})" if query.noted.left_aside else ""
+    if skyline.noted.lonlat_deg is None:
+        aside = f" ({skyline.noted.left_aside})" if skyline.noted.left_aside else ""
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
-    return (*query.noted.lonlat_deg, None, within_m)
+    within_m = max(LEAST_GPS_SD_M, skyline.noted.accuracy_m or GPS_SD_M)
+    return (*skyline.noted.lonlat_deg, None, within_m)

@@ -1,9 +1,9 @@
-"""`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
+"""`Matcher`: matches photos to a store, and to the terrain that the store was rendered from."""
 
 import logging
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -14,24 +14,17 @@ from PIL.Image import Image
 from skyline.errors import InputError, SkylineError, StoreError, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
-from skyline.match.confidence import (
-    MatchConfig,
-    found_again,
-    misfit,
-    refusal_of,
-    sure_within_m,
-    too_little,
-    unsure,
-)
+from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
-from skyline.match.projections import with_projection
+from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
@@ -55,7 +48,7 @@ FULL = "full"
 
 
 class Matcher(Releasable):
-    """Matches query skylines to a store, which is read once.
+    """Matches skylines to a store, which is read once.
 
     Parameters
     ----------
@@ -136,19 +129,19 @@ class Matcher(Releasable):
 
     def match(
         self,
-        query: Picture | PhotoSkyline,
+        photo: Picture | PhotoSkyline,
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
         report_progress: ReportProgress = silent,
     ) -> MatchResult:
-        """Find where a photo, a sky mask, a trace or a query skyline was taken.
+        """Find where a photo, a sky mask, a trace or a skyline was taken.
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
+        photo : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
-            Horizontal field of view, degrees; by default the query's own.
+            Horizontal field of view, degrees; by default the photo's own.
         top : int
             Most candidates to return; the candidates themselves do not depend on it.
         narrowing : Narrowing, optional
@@ -167,32 +160,37 @@ class Matcher(Releasable):
         Raises
         ------
         InputError
-            The query has no usable skyline, its field of view is unknown and the matcher needs one,
+            The photo has no usable skyline, its field of view is unknown and the matcher needs one,
             the search is narrowed to no place, or ``top`` is below 1.
         StoreError
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
         _check_top(top)
-        name, query = named_skyline(query, fov_deg)
+        name, skyline = named_skyline(photo, fov_deg)
         candidates: tuple[Pose, ...] = ()
-        refusal = too_little(query)
-        if refusal is None:
-            rays, prior = self._rays_and_prior(query, narrowing)
+        verdict = Verdict(too_little(skyline))
+        if verdict.refusal is None:
+            rays, prior = self._rays_and_prior(skyline, narrowing)
             poses = self._method.search(rays, prior, top, report_progress)
             candidates = poses.on_map(self.frame)
-            refusal = refusal_of(candidates, self._config, query, rays)
+            other = None
             if candidates:
                 other = self._method.other_projection(rays, candidates[0], prior)
-                refusal = with_projection(refusal, other)
-        within_m = None if refusal else sure_within_m(candidates[0], self._config)
-        seconds = time.perf_counter() - started
-        known = narrowing or Narrowing()
-        return MatchResult(query, candidates, seconds, refusal, within_m, name, narrowing=known)
+            verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
+        return MatchResult(
+            skyline,
+            candidates,
+            time.perf_counter() - started,
+            verdict.refusal,
+            verdict.within_m,
+            name,
+            narrowing=narrowing or Narrowing(),
+        )
 
     def match_together(
         self,
-        queries: Sequence[Picture | PhotoSkyline],
+        photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
@@ -206,76 +204,100 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        queries : sequence of path, PIL image, array or PhotoSkyline
+        photos : sequence of path, PIL image, array or PhotoSkyline
             Two or more.
         fov_deg, top, report_progress
             See `match`.
         narrowings : sequence of Narrowing or None, optional
-            Knowledge about the pose of each query.
+            Knowledge about the pose of each photo.
 
         Returns
         -------
         JointResult
-            Its ``answer`` is the place, ``results`` has a `MatchResult` for each query.
+            Its ``answer`` is the place, ``results`` has a `MatchResult` for each photo.
 
         Raises
         ------
         InputError
-            There are fewer than two queries, the matcher does not render, or as in `match`.
+            There are fewer than two photos, the matcher does not render, or as in `match`.
         StoreError
             See `match`.
         """
         started = time.perf_counter()
         _check_top(top)
-        if isinstance(queries, str | Path | PhotoSkyline | Image):
-            queries = [queries]
-        queries = list(queries)
+        read = self._read(photos, fov_deg, narrowings)
+        usable = [number for number, photo in enumerate(read) if photo.known is not None]
+        found = self._found_together(read, usable, top, report_progress)
+        verdict = Verdict.of_joint_search(
+            list(found.values()),
+            (
+                (read[number].name, self._other_projection(read[number], candidates[0]))
+                for number, candidates in found.items()
+            ),
+            self._config,
+        )
+        seconds = time.perf_counter() - started
+        apart = _DISAGREES if len(usable) > 1 else _ALONE
+        results = tuple(
+            MatchResult(
+                photo.skyline,
+                found[number],
+                seconds,
+                verdict.refusal,
+                verdict.within_m,
+                photo.name,
+            )
+            if number in found
+            else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
+            for number, photo in enumerate(read)
+        )
+        return JointResult(results, seconds, verdict.refusal)
+
+    def _read(
+        self,
+        photos: Sequence[Picture | PhotoSkyline],
+        fov_deg: float | None,
+        narrowings: Sequence[Narrowing | None] | None,
+    ) -> "list[_Photo]":
+        """Return the photos of one place; raises `InputError` for fewer than two."""
+        if isinstance(photos, str | Path | PhotoSkyline | Image):
+            photos = [photos]
+        given = list(photos)
         if narrowings is None:
-            narrowings = [None] * len(queries)
-        if len(queries) < 2 or len(narrowings) != len(queries):
+            narrowings = [None] * len(given)
+        if len(given) < 2 or len(narrowings) != len(given):
             raise InputError(
-                f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
+                f"{len(given)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        photos = [named_skyline(query, fov_deg) for query in queries]
-        refusals = [too_little(query) for _, query in photos]
-        usable = {
-            number: self._rays_and_prior(query, narrowings[number])
-            for number, (_, query) in enumerate(photos)
-            if refusals[number] is None
+        named = [named_skyline(photo, fov_deg) for photo in given]
+        read = []
+        for (name, skyline), narrowing in zip(named, narrowings, strict=True):
+            refusal = too_little(skyline)
+            known = None if refusal else self._rays_and_prior(skyline, narrowing)
+            read.append(_Photo(name, skyline, refusal, known))
+        return read
+
+    def _found_together(
+        self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
+    ) -> dict[int, tuple[Pose, ...]]:
+        """Return the candidates of the photos that agree on a place, by the photo's number.
+
+        ``usable`` are the numbers of the photos that show enough skyline.
+        """
+        known = [one.known for one in photos if one.known is not None]
+        if len(known) < 2:
+            return {}
+        together, agrees = self._method.search_together(known, top, report)
+        return {
+            number: poses.on_map(self.frame)
+            for number, poses, belongs in zip(usable, together, agrees, strict=True)
+            if belongs and len(poses)
         }
-        found: dict[int, tuple[Pose, ...]] = {}
-        if len(usable) > 1:
-            photos_there = list(usable.values())
-            together, agrees = self._method.search_together(photos_there, top, report_progress)
-            found = {
-                number: poses.on_map(self.frame)
-                for number, poses, belongs in zip(usable, together, agrees, strict=True)
-                if belongs and len(poses)
-            }
-        best = next(iter(found.values()), ())
-        refusal = unsure(best, self._config)
-        if len(found) < 2:
-            refusal = "fewer than two photos agree on a place"
-        for number, candidates in found.items():
-            rays, prior = usable[number]
-            bent = self._method.other_projection(rays, candidates[0], prior)
-            if refusal is None and bent is not None and bent.is_likely:
-                refusal = f"{photos[number][0] or 'a photo'}: {bent.in_words}"
-        other = _DISAGREES if len(usable) > 1 else _ALONE
-        within_m = None if refusal else sure_within_m(best[0], self._config)
-        seconds = time.perf_counter() - started
-        results = tuple(
-            MatchResult(query, found[number], seconds, refusal, within_m, name)
-            if number in found
-            else MatchResult(query, (), seconds, refusals[number] or other, name=name)
-            for number, (name, query) in enumerate(photos)
-        )
-        return JointResult(results, seconds, refusal)
 
     def fit(
         self,
-        query: PhotoSkyline | MatchResult,
+        photo: PhotoSkyline | MatchResult,
         start: Pose,
         narrowing: Narrowing | None = None,
     ) -> MatchResult:
@@ -292,7 +314,7 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        query : PhotoSkyline or MatchResult
+        photo : PhotoSkyline or MatchResult
             A skyline, or the result of `match` for it, which has its narrowing.
         start : Pose
             A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
@@ -304,44 +326,51 @@ class Matcher(Releasable):
         ------
         InputError
             The matcher does not render, the pose is off the map, or the result is not that of a
-            search of one query.
+            search of one photo.
         """
         started = time.perf_counter()
-        searched = None
-        if isinstance(query, MatchResult):
-            if query.narrowing is None or narrowing is not None:
-                raise InputError("a fit takes a query and a narrowing, or the result of `match`")
-            searched, narrowing = query, query.narrowing
-            query = searched.query
-        pose = self._fitted(query, start, narrowing)
-        found = found_again(searched.candidates, start, pose) if searched else None
-        if searched and found:
-            result = replace(searched.chosen(found.rank or 1), candidates=(found,))
-        elif pose is None:
-            result = MatchResult(query, (), 0.0, "nothing near this pose fits")
+        if isinstance(photo, MatchResult):
+            if photo.narrowing is None or narrowing is not None:
+                raise InputError("a fit takes a photo and a narrowing, or the result of `match`")
+            searched = photo
+            skyline = searched.skyline
+            narrowing = searched.narrowing
         else:
-            refusal = misfit(pose, self._config, searched.answer if searched else None)
-            pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
-            if refusal is not None:
-                pose = replace(pose, covariance_m2=None)
-            result = MatchResult(query, (pose,), 0.0, refusal)
+            searched = None
+            skyline = photo
+        pose = self._fitted(skyline, start, narrowing)
+        reached = candidate_reached(searched.candidates, start, pose) if searched else None
+        if searched and reached:
+            result = replace(searched.chosen(reached.rank or 1), candidates=(reached,))
+        else:
+            answer = searched.answer if searched else None
+            refusal = Verdict.of_fit(pose, answer, self._config).refusal
+            candidates = () if pose is None else (_without_search(pose, refusal),)
+            result = MatchResult(skyline, candidates, 0.0, refusal)
         return replace(result, seconds=time.perf_counter() - started, narrowing=None)
 
-    def _fitted(self, query: PhotoSkyline, start: Pose, narrowing: Narrowing | None) -> Pose | None:
-        about_start = query.with_fov(start.fov_deg)
-        if query.projection.is_panorama and query.fov_deg is None:
-            query = about_start  # No search finds a panorama's field of view.
-        rays, prior = self._rays_and_prior(query, narrowing)
+    def _fitted(
+        self, skyline: PhotoSkyline, start: Pose, narrowing: Narrowing | None
+    ) -> Pose | None:
+        """Return the pose to which a fit leads from a start; None where nothing near it fits."""
+        about_start = skyline.with_fov(start.fov_deg)
+        if skyline.projection.is_panorama and skyline.fov_deg is None:
+            skyline = about_start  # No search finds a panorama's field of view.
+        rays, prior = self._rays_and_prior(skyline, narrowing)
         rays_about_start, _ = self._rays_and_prior(about_start, None)
         poses = self._method.fitted(rays, start, prior, rays_about_start)
         return next(iter(poses.on_map(self.frame)), None)
 
+    def _other_projection(self, photo: "_Photo", best: Pose) -> OtherProjection | None:
+        """Return a photo's likeliest other projection; None where none is known."""
+        return photo.known and self._method.other_projection(photo.known[0], best, photo.known[1])
+
     def _rays_and_prior(
-        self, query: PhotoSkyline, narrowing: Narrowing | None
+        self, skyline: PhotoSkyline, narrowing: Narrowing | None
     ) -> tuple[Rays, Prior]:
-        """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
+        """Return a photo's rays and prior; raises `InputError` if the matcher takes no prior."""
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = Rays.of(query, self._config.fov_slack, finds_fov=self._method.finds_fov)
+        rays = Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
         if not self._method.takes_prior:
             if narrowing != Narrowing():
                 raise InputError(
@@ -349,9 +378,33 @@ class Matcher(Releasable):
                 )
             return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
-            narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
-        noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
+            narrowing = replace(narrowing, eye_height_m=skyline.eye_height_m)
+        noted = PlacePrior.of_noted(skyline.noted, self.frame) if narrowing.use_gps else None
         return rays, Prior.of(narrowing, self.frame, noted)
+
+
+@dataclass(frozen=True, slots=True)
+class _Photo:
+    """One of several photos that are matched together."""
+
+    name: str
+    """Its file; empty for pixels and for a skyline."""
+    skyline: PhotoSkyline
+    refusal: str | None
+    """Why it cannot be matched; None if it can."""
+    known: tuple[Rays, Prior] | None
+    """Its rays and what is known of its pose; None if it cannot be matched."""
+
+
+def _without_search(pose: Pose, refusal: str | None) -> Pose:
+    """Return a fitted pose without a rank and confidences, since no other place was tried.
+
+    A pose that is refused has no covariance either: errors of a wrong fit have no meaning.
+    """
+    covariance_m2 = None if refusal else pose.covariance_m2
+    return replace(
+        pose, rank=None, confidence=None, confidence_1km=None, covariance_m2=covariance_m2
+    )
 
 
 def _check_frame(store: Store, frame: Frame) -> None:
@@ -398,24 +451,24 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
 
 
 def named_skyline(
-    query: Picture | PhotoSkyline, fov_deg: float | None = None
+    photo: Picture | PhotoSkyline, fov_deg: float | None = None
 ) -> tuple[str, PhotoSkyline]:
-    """Return the file of a query, empty for pixels and for a query skyline, and its skyline.
+    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
 
-    The skyline has the given field of view, or else its own. Raises as `read_query`, and
-    `InputError` for anything but one query.
+    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
+    `InputError` for anything but one photo.
     """
     if fov_deg is not None:
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"
         (fov_deg,) = numbers_of([fov_deg], 1, error)
-    if isinstance(query, PhotoSkyline):
-        return "", query if fov_deg is None else query.with_fov(fov_deg)
-    if not isinstance(query, str | Path | Image | np.ndarray):
+    if isinstance(photo, PhotoSkyline):
+        return "", photo if fov_deg is None else photo.with_fov(fov_deg)
+    if not isinstance(photo, str | Path | Image | np.ndarray):
         raise InputError(
-            f"the query is of type {type(query).__name__}; expected one path, PIL image, array of "
+            f"the photo is of type {type(photo).__name__}; expected one path, PIL image, array of "
             "uint8 or PhotoSkyline"
         )
-    return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
+    return str(photo) if isinstance(photo, str | Path) else "", read_skyline(photo, fov_deg)
 
 
 def _check_top(top: int) -> None:

@@ -22,7 +22,7 @@ from skyline.errors import (
     suffix_of,
 )
 from skyline.files import STANDARD, check_outputs, read_bytes, version_of
-from skyline.match.confidence import MatchConfig
+from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
@@ -339,7 +339,7 @@ class _Run:
         A photo that was tried and cannot be used gets a row; others are tried again next time.
         """
         self.exit_code = error.exit_code
-        names = {"query": printable(entry.path)}
+        names = {"photo": printable(entry.path)}
         if entry.label:
             names["id"] = printable(entry.label)
         if is_tried:

@@ -60,7 +60,8 @@ class PagePhoto:
     def record(self) -> dict[str, Any]:
         """Return the photo as JSON for the page's list."""
         skyline = self.skyline
-        is_guess = skyline.lens is not None and skyline.lens.most_deg is not None
+        # A field of view that is a guess from a cropped photo is not shown.
+        is_guess = skyline.lens is not None and skyline.lens.most_fov_deg is not None
         result = self.current_result
         state = "ready" if result is None else "answered" if result.answer else "no answer"
         return {
@@ -70,7 +71,6 @@ class PagePhoto:
             "state": "matching" if self.match and not self.match.done else state,
             "width_px": skyline.width_px,
             "height_px": skyline.height_px,
-            # A field of view that is a guess from a cropped photo is not shown.
             "fov_deg": None if is_guess else skyline.fov_deg,
             "lonlat_deg": skyline.noted.lonlat_deg,
             "accuracy_m": skyline.noted.accuracy_m,
