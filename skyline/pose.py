@@ -227,13 +227,13 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotedPose:
-    """A pose as a record has it, which a program or a person wrote; not on a terrain yet.
+    """A pose as a program or a person has written it down, not yet on a terrain.
 
     Attributes
     ----------
-    lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg : float
+    lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg, distortion : float
         As in `Pose`.
-    distortion, wander : float, tuple of float
+    wander : tuple of float
         As in `Pose`.
     eye_elevation_m : float or None
         Elevation of the camera above the DEM's datum.
