@@ -319,7 +319,8 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
             f"{lon:.4f},{lat:.4f}; give elevation of the place with --dem, or another --near"
         )
     rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
-    (top, bottom), (left, right) = np.rint(rows).astype(int), np.rint(cols).astype(int)
+    top, bottom = np.rint(rows).astype(int)
+    left, right = np.rint(cols).astype(int)
     inside = terrain.heights_m[top : bottom + 1, left : right + 1]
     if not np.any(np.isfinite(inside) & (inside != 0.0)):
         raise InputError(

@@ -142,7 +142,8 @@ class SharedContext:
             return self._context
 
     def _refuse_thread(self) -> ContextError:
-        owner, caller = self._thread, threading.current_thread()
+        owner = self._thread
+        caller = threading.current_thread()
         remedy = (
             "render in that thread, or in a process of its own"
             if owner.is_alive()

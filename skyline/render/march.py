@@ -142,7 +142,8 @@ class Eyes:
         turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
         ground = np.stack([east, -south], axis=-1)
         camera = np.einsum("ncg,nkg->nkc", ground, turn[self._heading])
-        right, forward = camera[:, 0], camera[:, 1]
+        right = camera[:, 0]
+        forward = camera[:, 1]
         one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
         aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
         # In a wedge of 90 degrees the depth is at least the distance over the root of 2.

@@ -243,7 +243,8 @@ class StoreHeader:
 
     def covers(self, other: "StoreHeader") -> bool:
         """Return whether this store has the boxes of another one."""
-        held, wanted = self.boxes_deg, other.boxes_deg
+        held = self.boxes_deg
+        wanted = other.boxes_deg
         return held is None or (wanted is not None and set(wanted) <= set(held))
 
     @property
@@ -314,7 +315,8 @@ def refuse_mismatch(
             compared["elevation model"] = _model(a), _model(b)
         compared["width"] = a.width, b.width
         for key in sorted({*a.config, *b.config}):
-            one, other = a.config.get(key, "absent"), b.config.get(key, "absent")
+            one = a.config.get(key, "absent")
+            other = b.config.get(key, "absent")
             if isinstance(one, dict) and isinstance(other, dict):
                 pairs = one.items(), other.items()
                 one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
@@ -365,7 +367,8 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
 
 def checksums_of_bytes(rows: UInt8Array) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row (N, B) of bytes."""
-    width, flat = rows.shape[1], rows.tobytes()
+    width = rows.shape[1]
+    flat = rows.tobytes()
     sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))
     return np.fromiter(sums, dtype=np.uint32, count=len(rows))
 

@@ -69,7 +69,10 @@ class PlaceMap:
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
         """Map the places of a file, given as a descriptor, whose chunks lie ``at`` offsets."""
-        self._path, self._header, self._places, self._at = path, header, places, at
+        self._path = path
+        self._header = header
+        self._places = places
+        self._at = at
         self._size = header.chunk_rows(places)
         self._types = header.specs
         # Checksums are computed over the datasets in order of name.
@@ -273,7 +276,8 @@ class Store:
 
     def eyes(self) -> Viewpoints:
         """Read the eyes of all rows, of a store of either kind; raises as `stored`."""
-        rows, names = self._indexed(slice(None)), self.header.fields
+        rows = self._indexed(slice(None))
+        names = self.header.fields
         read = {
             field: self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE
         }
@@ -322,7 +326,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        rows = self._indexed(index)
+        frame = Frame(self.header.frame_wkt)
         if self.header.holds == PLACES:
             return dataset_of_places(self.places().take(rows), rows, frame)
         return dataset_of_views(self.views(index), rows, frame)
@@ -349,7 +354,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        rows = self._indexed(index)
+        frame = Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
     def expect(self, holds: str) -> None:
@@ -382,7 +388,8 @@ class Store:
 
     def _chunk_offsets(self, name: str, size: int) -> Int64Array:
         """Return the offsets in the file of a dataset's chunks of ``size`` rows."""
-        dataset, at = self._datasets[name], np.zeros(-(-len(self) // size), dtype=np.int64)
+        dataset = self._datasets[name]
+        at = np.zeros(-(-len(self) // size), dtype=np.int64)
 
         def visit(info: Any) -> None:
             chunk = info.chunk_offset[0] // size
@@ -509,7 +516,8 @@ def _absence(path: Path) -> str:
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"
     parts = list(folder.glob("*/*-of-*.h5"))
-    there, command = "no part of it is there yet", MADE_BY[PLACES]
+    there = "no part of it is there yet"
+    command = MADE_BY[PLACES]
     if parts:
         command = MADE_BY.get(parts[0].name.partition("-")[0], command)
         there = "a part is there" if len(parts) == 1 else f"{len(parts)} parts are there"

@@ -31,7 +31,8 @@ def dataset_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
     coords["azimuth_deg"] = ("place", angle), _from_true_north(coords, grid_deg), _TRUE
     distance_m = np.repeat(places.distance_m(), BINS // DISTANCE_BINS, axis=1)
     nearest = f"horizontal distance of the skyline, its nearest in {360 // DISTANCE_BINS} degrees"
-    dims, elevation_deg = ("place", angle), np.degrees(np.arctan(places.elevation_tan()))
+    dims = ("place", angle)
+    elevation_deg = np.degrees(np.arctan(places.elevation_tan()))
     held = {
         "elevation_deg": (dims, elevation_deg, _ELEVATION),
         "distance_m": (dims, distance_m, {"long_name": nearest, **_METRES}),

@@ -202,7 +202,9 @@ def planned_places(
     seen = _Seen(terrain, look, block)
     # Nodes around the block are included, for the squares at its sides.
     seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
-    nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
+    nodes = _lattice_of_roots(0, _ROOTS)
+    rows = []
+    tolerances_m = []
     west, south, east, north = area
     for level in range(LEVELS):
         # Only squares that meet the area.
@@ -239,7 +241,8 @@ class _Seen:
     """
 
     def __init__(self, terrain: HeightField, look: Look, block: tuple[int, int]) -> None:
-        self._terrain, self._look = terrain, look
+        self._terrain = terrain
+        self._look = look
         self._corner_m = np.array(block) * BLOCK_M
         self._row: Int64Array = np.full(2 * ((_ROOTS + 2) * _UNITS,), _UNTRIED)
         self._lost: Float64Array = np.zeros((0, LEVELS))

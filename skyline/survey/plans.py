@@ -304,7 +304,8 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
     """
     if bounds_deg is None:
         return field.bounds_m
-    clipped, swapped = _clipped(field, bounds_deg), ""
+    clipped = _clipped(field, bounds_deg)
+    swapped = ""
     if clipped is None:
         west, south, east, north = bounds_deg
         other = south, west, north, east
@@ -341,8 +342,10 @@ def _area_m2(rectangle: Rectangle) -> float:
 
 def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
     """Return the rectangle around bounds, clipped to a field; None where they do not meet."""
-    box, data = field.frame.rectangle_m(bounds_deg), field.bounds_m
-    west, south = max(box[0], data[0]), max(box[1], data[1])
+    box = field.frame.rectangle_m(bounds_deg)
+    data = field.bounds_m
+    west = max(box[0], data[0])
+    south = max(box[1], data[1])
     east, north = min(box[2], data[2]), min(box[3], data[3])
     return (west, south, east, north) if west < east and south < north else None
 

@@ -174,5 +174,5 @@ def test_a_trace_notes_its_camera(tmp_path):
     given = read_query(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
     for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
-        listed = batch.Query(str(path), fov_deg, fov_slack=0.2).read()
-        assert listed.lens.sd_deg == pytest.approx(sd_deg)
+        entry = batch.Entry(str(path), fov_deg, fov_slack=0.2).read()
+        assert entry.lens.sd_deg == pytest.approx(sd_deg)
