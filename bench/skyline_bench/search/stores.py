@@ -20,7 +20,7 @@ from skyline.skylines import HEADINGS
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.store.places import Places
 from skyline.store.read import open_store, parts_folder
-from skyline.survey.lattices import expected_finds
+from skyline.survey.losses import expected_finds
 from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import timed
