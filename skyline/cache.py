@@ -29,7 +29,8 @@ from skyline.errors import FetchError, InputError, MissingFileError, SkylineErro
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import lock_file, version_of
 from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
-from skyline.store.header import PLACE_CODING, SCHEMA_VERSION
+from skyline.store.header import SCHEMA_VERSION
+from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.terrain.dem import read_dem
@@ -43,16 +44,12 @@ _SEEN_KM = 30.0
 is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
-_PLACE_BYTES_KM2 = 200_000
-_SAMPLE_BYTES_DEG2 = 8 * 3600**2
-"""Greatest usual size of a store, for a square kilometre, and of tiles of 1 arc-second with the
-terrain that is read from them."""
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _LOCK = "lock"
+"""Name of the file in an area's folder that is locked while the area is made."""
 
 PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
+
 Bar = Callable[[str], AbstractContextManager[Progress | None]]
 """Shows the progress of a step that it is given by name."""
 
@@ -141,7 +138,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return the store of an area from the cache; it is built first if it is not there.
+    """Return an area from the cache; its store is built first where it is missing.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
     source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
@@ -265,7 +262,7 @@ def _name_of(bounds_deg: Bounds) -> str:
     """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
     rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
     rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
-    limits = (18000, 9000) * 2
+    limits = (18000, 9000, 18000, 9000)
     within = (min(max(side, -most), most) for side, most in zip(rounded, limits, strict=True))
     return "_".join(f"{side / 100.0:.2f}" for side in within)
 
@@ -312,10 +309,9 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
     lat = (area.needed[1] + area.needed[3]) / 2.0
     easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
     if not (west <= easting_m <= east and south <= northing_m <= north):
-        data = terrain.bounds_m
-        box = terrain.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+        covered = ",".join(f"{side:.4f}" for side in terrain.box_deg)
         raise InputError(
-            f"the DEM covers {','.join(f'{side:.4f}' for side in box)}, and not the place "
+            f"the DEM covers {covered}, and not the place "
             f"{lon:.4f},{lat:.4f}; give elevation of the place with --dem, or another --near"
         )
     rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
@@ -330,10 +326,12 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
 
 
 def _check_room(folder: Path, bounds: Bounds, with_tiles: bool) -> None:
-    _, south, _, north = seen = _seen_from(bounds)
-    wanted = _PLACE_BYTES_KM2 * _km2(bounds)
+    # The greatest usual size of a store is 200 kB for a square kilometre.
+    wanted = 200_000 * _km2(bounds)
     if with_tiles:
-        wanted += _SAMPLE_BYTES_DEG2 * (north - south) * width_deg(seen)
+        # Tiles of 1 arc-second, and the terrain that is read from them: 4 bytes a sample each.
+        _, south, _, north = seen = _seen_from(bounds)
+        wanted += 8 * 3600**2 * (north - south) * width_deg(seen)
     free = shutil.disk_usage(folder).free
     if free < wanted:
         raise _unwritable(f"{free / 1e6:.0f} MB are free, and this may take {wanted / 1e6:.0f} MB")
@@ -349,6 +347,8 @@ def _unwritable(reason: str) -> InputError:
 @contextmanager
 def _explained() -> Iterator[None]:
     """Turn errors of writing to a full or forbidden disk into one that names the cache."""
+    no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+    no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
         yield
     except (MissingFileError, FetchError):
@@ -356,7 +356,7 @@ def _explained() -> Iterator[None]:
     except (SkylineError, OSError) as error:
         cause: BaseException | None = error
         while cause is not None:
-            if isinstance(cause, OSError) and cause.errno in _NO_ROOM | _NO_RIGHTS:
+            if isinstance(cause, OSError) and cause.errno in no_room | no_rights:
                 raise _unwritable(os.strerror(cause.errno or 0)) from error
             cause = cause.__cause__
         raise
@@ -366,8 +366,8 @@ def _explained() -> Iterator[None]:
 def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
     """Hold an area's lock for the block, and yield whether it was obtained.
 
-    The folder is made if it is missing. With ``print_note`` the function waits for another process;
-    without it, the function gives up at once. A folder that contains only the lock at the end is
+    The folder is made if it is missing. With ``print_note`` the function waits for another process,
+    else it gives up at once. A folder that contains only the lock at the end is
     removed.
     """
     file = _lock(folder, print_note)
@@ -395,7 +395,7 @@ def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove an area's folder, of which the lock is held, if it has nothing but the lock."""
+    """Remove an area's folder if it has nothing but the lock, which is held."""
     with suppress(OSError):
         (folder / "tiles").rmdir()
     with suppress(OSError):

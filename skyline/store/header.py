@@ -28,18 +28,7 @@ from skyline.arrays import UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature, Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views, check_width
-from skyline.store.places import (
-    ALIKE_DEG,
-    BINS,
-    DISTANCE_BINS,
-    DISTANCE_STEP,
-    NEAREST_M,
-    PHASE_BINS,
-    PHASES,
-    RISE_GROWTH,
-    RISE_SIZE,
-    Places,
-)
+from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, PLACE_CODING, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
@@ -48,15 +37,18 @@ SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4
 PACKAGE_VERSION = version("skyline")
 
-RENDERINGS, PLACES = "renderings", "places"
-"""The two kinds of rows; a store holds one of them."""
+RENDERINGS = "renderings"
+"""Kind of rows: views, each with its skyline and keypoints."""
+
+PLACES = "places"
+"""Kind of rows: places."""
 
 BEGUN = "begun"
-"""The rows of a part of an unfinished plan: places, each with the shares of views that spacings
+"""Kind of rows of a part of an unfinished plan: places, each with the shares of views that spacings
 lose round it, from which the plan continues."""
 
 MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
-"""The command that makes a store of each kind."""
+"""The command that makes a store, by kind."""
 
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
@@ -77,7 +69,11 @@ _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
 can be mapped."""
 
-KEYPOINTS, LOST = "features/keypoint_column", "places/lost"
+KEYPOINTS = "features/keypoint_column"
+"""The dataset of keypoints, of a store of renderings."""
+
+LOST = "places/lost"
+"""The dataset of lost shares, of a part of an unfinished plan."""
 
 KeypointColumns = NDArray[np.uint16]
 
@@ -112,19 +108,6 @@ _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
 _SPECS[BEGUN] = {"lost": (LOST, "<f8", None), **_SPECS[PLACES]}
 """By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
 for the width (W,). Keypoints, lost shares and checksums are fields of neither."""
-
-PLACE_CODING = {
-    "bins": BINS,
-    "distance_bins": DISTANCE_BINS,
-    "phase_bins": PHASE_BINS,
-    "rise_size": RISE_SIZE,
-    "rise_growth": RISE_GROWTH,
-    "nearest_m": NEAREST_M,
-    "distance_log_step": DISTANCE_STEP,
-    "phase_steps": PHASES,
-    "phase_alike_deg": ALIKE_DEG,
-}
-"""The constants by which the bytes of places become tangents and distances."""
 
 REBUILD = "copy or build it again"
 

@@ -49,12 +49,6 @@ RowIndex = int | slice | NDArray[np.integer] | BoolArray
 Offsets = dict[str, Int64Array]
 """Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
 
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_FILTERS = {"fletcher32", "shuffle", "compression"}
-"""Settings of a layout that are HDF5 filters."""
-
-_TAKEN_AT_ONCE = 4096
-
 
 class PlaceMap:
     """The places of a store; see `Store.places`.
@@ -138,12 +132,12 @@ class PlaceMap:
         taken: Any = {
             field: np.empty(len(wanted), self._types[name]) for name, field in self._fields.items()
         }
-        # Rows are read in the order of the file, so that a disk is read forwards and each page
-        # once.
+        # Rows are read in the order of the file: a disk is read forwards, and each page once.
+        at_once = 4096
         order = np.argsort(wanted, kind="stable")
-        for first in range(0, len(wanted), _TAKEN_AT_ONCE):
+        for first in range(0, len(wanted), at_once):
             self._check_length()
-            to = order[first : first + _TAKEN_AT_ONCE]
+            to = order[first : first + at_once]
             gathered = self._gathered(wanted[to])
             for name, field in self._fields.items():
                 taken[field][to] = gathered[name]
@@ -265,7 +259,7 @@ class Store:
         return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
-        """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
+        """Read rows as they are stored, by the datasets' names; raises as `views`."""
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
 
@@ -307,7 +301,7 @@ class Store:
         Parameters
         ----------
         index : int, slice, integer or boolean array
-            Rows in the order wanted, as of `views`.
+            Rows in the order wanted, as for `views`.
 
         Returns
         -------
@@ -338,7 +332,7 @@ class Store:
         Parameters
         ----------
         index : int, slice, integer or boolean array
-            Rows in the order wanted, as of `views`.
+            Rows in the order wanted, as for `views`.
 
         Returns
         -------
@@ -454,7 +448,8 @@ def _checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader
             raise StoreError(
                 f"store {path}: {name} has {setting} {found}; expected {wanted}; {REBUILD}"
             )
-    if dataset.id.get_create_plist().get_nfilters() != len(layout.keys() & _FILTERS):
+    filters = layout.keys() & {"fletcher32", "shuffle", "compression"}
+    if dataset.id.get_create_plist().get_nfilters() != len(filters):
         raise StoreError(
             f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
         )
@@ -475,7 +470,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is that of a store, even of a damaged or an unfinished one."""
+    """Return whether a path names a store, even a damaged or an unfinished one."""
     path = Path(path)
     if path.name and parts_folder(path).is_dir():  # The current folder has no name.
         return True
@@ -487,7 +482,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 
 
 def parts_folder(path: Path) -> Path:
-    """Return the folder in which the parts of a store lie while it is built, a folder a build.
+    """Return the folder of a store's parts, with a subfolder for each build.
 
     The name of a part begins with what its store holds.
     """
@@ -504,7 +499,8 @@ def open_hdf5(path: Path) -> io.FileIO:
         raise StoreError(
             f"store {path} cannot be read: {error.strerror}; name a file that you may read"
         ) from error
-    if raw.read(len(_SIGNATURE)) != _SIGNATURE:
+    signature = b"\x89HDF\r\n\x1a\n"
+    if raw.read(len(signature)) != signature:
         raw.close()
         raise StoreError(f"{path} is not an HDF5 file; name a store that skyline built")
     return raw

@@ -17,8 +17,6 @@ from uuid import uuid4
 
 from skyline.errors import BuildError, InputError, SkylineError, library
 
-_CONNECT_S = 10
-
 # A terminal sends Ctrl-C to workers as well, but only the main process answers it and stops them.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 _LOG = "from skyline.errors import start_logging; start_logging()"
@@ -138,11 +136,10 @@ class Runner:
 
 @contextmanager
 def runner_of(workers: str | None) -> Iterator[Runner | None]:
-    """Yield a `Runner` on the given number of new processes, or on the cluster at an address.
+    """Yield a `Runner` on a number of new processes, or on the cluster at an address.
 
-    The runner is None if ``workers`` is None.
-
-    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
+    The runner is None if ``workers`` is None. What dask sends is pickled, both ways: connect only
+    to a scheduler that you trust.
 
     Raises `InputError` for fewer than one worker, where nothing answers at the address, or where
     dask is not installed.
@@ -154,7 +151,7 @@ def runner_of(workers: str | None) -> Iterator[Runner | None]:
             yield Runner(client)
     else:
         try:
-            client = _distributed().Client(workers, timeout=_CONNECT_S)
+            client = _distributed().Client(workers, timeout=10)
         except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise InputError(
@@ -217,7 +214,7 @@ def _do_on_bench(
 
 
 def _outcome(future: Any) -> Any:
-    """Wait for a job; return its result or its error. Raises `BuildError` without a scheduler."""
+    """Wait for a job; return its result or its error; raises `BuildError` without a scheduler."""
     try:
         error = future.exception()
         if error is None:

@@ -75,21 +75,15 @@ class PartsFolder:
 
 
 class JobWriter:
-    """Renders jobs of a build, and writes their parts.
-
-    Attributes
-    ----------
-    written : list of Path
-        The parts of finished jobs.
-    rendered : int
-        The number of their rows that were rendered here, and not taken from begun parts.
-    """
+    """Renders jobs of a build, and writes their parts."""
 
     def __init__(
         self, renderer: JobRenderer, folder: PartsFolder, size: PartSize, tell: CountRows
     ) -> None:
         self.written: list[Path] = []
+        """The parts of finished jobs."""
         self.rendered = 0
+        """The number of their rows that were rendered here, and not taken from begun parts."""
         self._renderer = renderer
         self._folder = folder
         self._size = size
