@@ -14,7 +14,7 @@ from .geodesy import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
-from .match.confidence import MatchConfig as MatchConfig
+from .match.config import MatchConfig as MatchConfig
 from .match.matcher import Matcher as Matcher
 from .match.prior import Narrowing as Narrowing
 from .match.result import JointResult as JointResult

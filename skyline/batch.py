@@ -34,7 +34,7 @@ _TOGETHER = {
 }
 """Columns of each field of a narrowing; a row fills either all columns of a field or none."""
 
-_NUMBERS = ("fov_deg", "fov_slack", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
+_NUMBERS = ("fov_deg", "fov_sd_share", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
 """Columns of numbers."""
 
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
@@ -47,7 +47,7 @@ class Entry:
     path: str
     fov_deg: float | None = None
     """By default from the file."""
-    fov_slack: float | None = None
+    fov_sd_share: float | None = None
     """Standard deviation of the field of view, as a share of it; by default the file's or the
     matcher's."""
     projection: Projection | None = None
@@ -63,9 +63,9 @@ class Entry:
                 f"{self.path} does not exist; expected a photo, a mask or a trace"
             )
         check_fov(self.fov_deg, self.projection)
-        if self.fov_slack is not None and not 0.0 <= self.fov_slack < 1.0:
+        if self.fov_sd_share is not None and not 0.0 <= self.fov_sd_share < 1.0:
             raise InputError(
-                f"{self.path}: the field of view's slack is {self.fov_slack:g}; expected 0 to 1"
+                f"{self.path}: fov_sd_share is {self.fov_sd_share:g}; expected a share from 0 to 1"
             )
         if is_table(self.path):
             self.read()
@@ -73,10 +73,10 @@ class Entry:
     def read(self) -> PhotoSkyline:
         """Return the skyline; raises as `skyline.photo.read.read_query`."""
         photo = read_query(self.path, self.fov_deg, projection=self.projection)
-        if photo.fov_deg is None or self.fov_slack is None:
+        if photo.fov_deg is None or self.fov_sd_share is None:
             return photo
         lens = photo.lens if self.fov_deg is None and photo.lens else Lens(photo.fov_deg)
-        return replace(photo, lens=replace(lens, sd_deg=self.fov_slack * photo.fov_deg))
+        return replace(photo, lens=replace(lens, fov_sd_deg=self.fov_sd_share * photo.fov_deg))
 
 
 def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
@@ -148,7 +148,7 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
         common,
         path=str(Path(table.path).parent / row["path"]),
         fov_deg=given.get("fov_deg", common.fov_deg),
-        fov_slack=given.get("fov_slack", common.fov_slack),
+        fov_sd_share=given.get("fov_sd_share", common.fov_sd_share),
         narrowing=narrowing,
         label=row.label,
     )

@@ -26,7 +26,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
-from skyline.match.confidence import MatchConfig, at_bound, too_little
+from skyline.match.config import MatchConfig
 from skyline.match.matcher import named_skyline
 from skyline.match.prior import (
     GPS_SD_M,
@@ -43,6 +43,7 @@ from skyline.match.result import to_dataframe
 from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
+from skyline.match.verdict import refusal_of, too_little
 from skyline.photo.exif import NotedPlace
 from skyline.photo.image import Picture
 from skyline.photo.skyline import PhotoSkyline
@@ -311,7 +312,7 @@ class Orienter(Releasable):
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
-        rays = Rays.of(skyline, MatchConfig().fov_slack, finds_fov=True)
+        rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
         poses = self._refined(rays, skyline)
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
@@ -367,16 +368,7 @@ class Orienter(Releasable):
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
-        refusal = at_bound(pose, rays) or other_eye
-        if moved_m[0] > _FAR_SD * self._within_m:
-            refusal = (
-                f"the best pose is {moved_m[0]:.0f} m from the place, which is known to "
-                f"{self._within_m:g} m; check the place"
-            )
-        if sure < LEAST_CONFIDENCE:
-            refusal = self._doubt(poses, pose, sure)
-        if refusal and refusal not in {at_bound(pose, rays), other_eye}:
-            refusal += confidence.fov_hint(pose, query, rays)
+        other = None
         if sure >= projections.LEAST_CONFIDENCE:
             above_m = float(self._eye_heights_m(poses[:1])[0])
             standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
@@ -385,7 +377,14 @@ class Orienter(Releasable):
                 Poses.of(pose),
                 lambda bent: self._refinement(bent, query.noted, standing),
             )
-            refusal = projections.with_projection(refusal, other)
+        refusal = refusal_of(
+            pose,
+            query,
+            rays,
+            doubts=(self._doubt(poses, pose, sure), self._far(moved_m[0])),
+            ambiguity=other_eye,
+            other=other,
+        )
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
@@ -425,8 +424,19 @@ class Orienter(Releasable):
         place_m = poses.easting_m + 1j * poses.northing_m
         return np.abs(place_m - complex(self._east, self._north))
 
-    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str:
-        """Return the refusal of a pose of too little confidence, with what speaks against it."""
+    def _far(self, moved_m: float) -> str | None:
+        """Return the refusal of a pose far from the known place; None if it is near."""
+        if moved_m <= _FAR_SD * self._within_m:
+            return None
+        return (
+            f"the best pose is {moved_m:.0f} m from the place, which is known to "
+            f"{self._within_m:g} m; check the place"
+        )
+
+    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
+        """Return the refusal of a heading of too little confidence; None if it has enough."""
+        if sure >= LEAST_CONFIDENCE:
+            return None
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
         if len(poses) > 1 and cost[1] - cost[0] < _CLOSE:

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -14,22 +14,15 @@ from PIL.Image import Image
 from skyline.errors import InputError, SkylineError, StoreError, numbers_of
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
-from skyline.match.confidence import (
-    MatchConfig,
-    found_again,
-    misfit,
-    refusal_of,
-    sure_within_m,
-    too_little,
-    unsure,
-)
+from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
-from skyline.match.projections import with_projection
+from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
 from skyline.photo.read import read_query
 from skyline.photo.skyline import PhotoSkyline
@@ -174,21 +167,26 @@ class Matcher(Releasable):
         """
         started = time.perf_counter()
         _check_top(top)
-        name, query = named_skyline(query, fov_deg)
+        name, skyline = named_skyline(query, fov_deg)
         candidates: tuple[Pose, ...] = ()
-        refusal = too_little(query)
-        if refusal is None:
-            rays, prior = self._rays_and_prior(query, narrowing)
+        verdict = Verdict(too_little(skyline))
+        if verdict.refusal is None:
+            rays, prior = self._rays_and_prior(skyline, narrowing)
             poses = self._method.search(rays, prior, top, report_progress)
             candidates = poses.on_map(self.frame)
-            refusal = refusal_of(candidates, self._config, query, rays)
+            other = None
             if candidates:
                 other = self._method.other_projection(rays, candidates[0], prior)
-                refusal = with_projection(refusal, other)
-        within_m = None if refusal else sure_within_m(candidates[0], self._config)
-        seconds = time.perf_counter() - started
-        known = narrowing or Narrowing()
-        return MatchResult(query, candidates, seconds, refusal, within_m, name, narrowing=known)
+            verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
+        return MatchResult(
+            skyline,
+            candidates,
+            time.perf_counter() - started,
+            verdict.refusal,
+            verdict.within_m,
+            name,
+            narrowing=narrowing or Narrowing(),
+        )
 
     def match_together(
         self,
@@ -227,6 +225,41 @@ class Matcher(Releasable):
         """
         started = time.perf_counter()
         _check_top(top)
+        photos = self._photos(queries, fov_deg, narrowings)
+        usable = [number for number, photo in enumerate(photos) if photo.known is not None]
+        found = self._found_together(photos, usable, top, report_progress)
+        verdict = Verdict.of_joint_search(
+            list(found.values()),
+            (
+                (photos[number].name, self._other_projection(photos[number], candidates[0]))
+                for number, candidates in found.items()
+            ),
+            self._config,
+        )
+        seconds = time.perf_counter() - started
+        apart = _DISAGREES if len(usable) > 1 else _ALONE
+        results = tuple(
+            MatchResult(
+                photo.skyline,
+                found[number],
+                seconds,
+                verdict.refusal,
+                verdict.within_m,
+                photo.name,
+            )
+            if number in found
+            else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
+            for number, photo in enumerate(photos)
+        )
+        return JointResult(results, seconds, verdict.refusal)
+
+    def _photos(
+        self,
+        queries: Sequence[Picture | PhotoSkyline],
+        fov_deg: float | None,
+        narrowings: Sequence[Narrowing | None] | None,
+    ) -> "list[_Photo]":
+        """Return the photos of one place; raises `InputError` for fewer than two."""
         if isinstance(queries, str | Path | PhotoSkyline | Image):
             queries = [queries]
         queries = list(queries)
@@ -237,41 +270,30 @@ class Matcher(Releasable):
                 f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        photos = [named_skyline(query, fov_deg) for query in queries]
-        refusals = [too_little(query) for _, query in photos]
-        usable = {
-            number: self._rays_and_prior(query, narrowings[number])
-            for number, (_, query) in enumerate(photos)
-            if refusals[number] is None
+        named = [named_skyline(photo, fov_deg) for photo in queries]
+        photos = []
+        for (name, skyline), narrowing in zip(named, narrowings, strict=True):
+            refusal = too_little(skyline)
+            known = None if refusal else self._rays_and_prior(skyline, narrowing)
+            photos.append(_Photo(name, skyline, refusal, known))
+        return photos
+
+    def _found_together(
+        self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
+    ) -> dict[int, tuple[Pose, ...]]:
+        """Return the candidates of the photos that agree on a place, by the photo's number.
+
+        ``usable`` are the numbers of the photos that show enough skyline.
+        """
+        known = [one.known for one in photos if one.known is not None]
+        if len(known) < 2:
+            return {}
+        together, agrees = self._method.search_together(known, top, report)
+        return {
+            number: poses.on_map(self.frame)
+            for number, poses, belongs in zip(usable, together, agrees, strict=True)
+            if belongs and len(poses)
         }
-        found: dict[int, tuple[Pose, ...]] = {}
-        if len(usable) > 1:
-            photos_there = list(usable.values())
-            together, agrees = self._method.search_together(photos_there, top, report_progress)
-            found = {
-                number: poses.on_map(self.frame)
-                for number, poses, belongs in zip(usable, together, agrees, strict=True)
-                if belongs and len(poses)
-            }
-        best = next(iter(found.values()), ())
-        refusal = unsure(best, self._config)
-        if len(found) < 2:
-            refusal = "fewer than two photos agree on a place"
-        for number, candidates in found.items():
-            rays, prior = usable[number]
-            bent = self._method.other_projection(rays, candidates[0], prior)
-            if refusal is None and bent is not None and bent.is_likely:
-                refusal = f"{photos[number][0] or 'a photo'}: {bent.in_words}"
-        other = _DISAGREES if len(usable) > 1 else _ALONE
-        within_m = None if refusal else sure_within_m(best[0], self._config)
-        seconds = time.perf_counter() - started
-        results = tuple(
-            MatchResult(query, found[number], seconds, refusal, within_m, name)
-            if number in found
-            else MatchResult(query, (), seconds, refusals[number] or other, name=name)
-            for number, (name, query) in enumerate(photos)
-        )
-        return JointResult(results, seconds, refusal)
 
     def fit(
         self,
@@ -307,41 +329,48 @@ class Matcher(Releasable):
             search of one query.
         """
         started = time.perf_counter()
-        searched = None
         if isinstance(query, MatchResult):
             if query.narrowing is None or narrowing is not None:
                 raise InputError("a fit takes a query and a narrowing, or the result of `match`")
-            searched, narrowing = query, query.narrowing
-            query = searched.query
-        pose = self._fitted(query, start, narrowing)
-        found = found_again(searched.candidates, start, pose) if searched else None
-        if searched and found:
-            result = replace(searched.chosen(found.rank or 1), candidates=(found,))
-        elif pose is None:
-            result = MatchResult(query, (), 0.0, "nothing near this pose fits")
+            searched = query
+            skyline = searched.query
+            narrowing = searched.narrowing
         else:
-            refusal = misfit(pose, self._config, searched.answer if searched else None)
-            pose = replace(pose, rank=None, confidence=None, confidence_1km=None)
-            if refusal is not None:
-                pose = replace(pose, covariance_m2=None)
-            result = MatchResult(query, (pose,), 0.0, refusal)
+            searched = None
+            skyline = query
+        pose = self._fitted(skyline, start, narrowing)
+        reached = candidate_reached(searched.candidates, start, pose) if searched else None
+        if searched and reached:
+            result = replace(searched.chosen(reached.rank or 1), candidates=(reached,))
+        else:
+            answer = searched.answer if searched else None
+            refusal = Verdict.of_fit(pose, answer, self._config).refusal
+            candidates = () if pose is None else (_without_search(pose, refusal),)
+            result = MatchResult(skyline, candidates, 0.0, refusal)
         return replace(result, seconds=time.perf_counter() - started, narrowing=None)
 
-    def _fitted(self, query: PhotoSkyline, start: Pose, narrowing: Narrowing | None) -> Pose | None:
-        about_start = query.with_fov(start.fov_deg)
-        if query.projection.is_panorama and query.fov_deg is None:
-            query = about_start  # No search finds a panorama's field of view.
-        rays, prior = self._rays_and_prior(query, narrowing)
+    def _fitted(
+        self, skyline: PhotoSkyline, start: Pose, narrowing: Narrowing | None
+    ) -> Pose | None:
+        """Return the pose to which a fit leads from a start; None where nothing near it fits."""
+        about_start = skyline.with_fov(start.fov_deg)
+        if skyline.projection.is_panorama and skyline.fov_deg is None:
+            skyline = about_start  # No search finds a panorama's field of view.
+        rays, prior = self._rays_and_prior(skyline, narrowing)
         rays_about_start, _ = self._rays_and_prior(about_start, None)
         poses = self._method.fitted(rays, start, prior, rays_about_start)
         return next(iter(poses.on_map(self.frame)), None)
 
+    def _other_projection(self, photo: "_Photo", best: Pose) -> OtherProjection | None:
+        """Return a photo's likeliest other projection; None where none is known."""
+        return photo.known and self._method.other_projection(photo.known[0], best, photo.known[1])
+
     def _rays_and_prior(
-        self, query: PhotoSkyline, narrowing: Narrowing | None
+        self, skyline: PhotoSkyline, narrowing: Narrowing | None
     ) -> tuple[Rays, Prior]:
-        """Return a query's rays and prior; raises `InputError` if the matcher takes no prior."""
+        """Return a photo's rays and prior; raises `InputError` if the matcher takes no prior."""
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = Rays.of(query, self._config.fov_slack, finds_fov=self._method.finds_fov)
+        rays = Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
         if not self._method.takes_prior:
             if narrowing != Narrowing():
                 raise InputError(
@@ -349,9 +378,33 @@ class Matcher(Releasable):
                 )
             return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
-            narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
-        noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
+            narrowing = replace(narrowing, eye_height_m=skyline.eye_height_m)
+        noted = PlacePrior.of_noted(skyline.noted, self.frame) if narrowing.use_gps else None
         return rays, Prior.of(narrowing, self.frame, noted)
+
+
+@dataclass(frozen=True, slots=True)
+class _Photo:
+    """One of several photos that are matched together."""
+
+    name: str
+    """Its file; empty for pixels and for a skyline."""
+    skyline: PhotoSkyline
+    refusal: str | None
+    """Why it cannot be matched; None if it can."""
+    known: tuple[Rays, Prior] | None
+    """Its rays and what is known of its pose; None if it cannot be matched."""
+
+
+def _without_search(pose: Pose, refusal: str | None) -> Pose:
+    """Return a fitted pose without a rank and confidences, since no other place was tried.
+
+    A pose that is refused has no covariance either: errors of a wrong fit have no meaning.
+    """
+    covariance_m2 = None if refusal else pose.covariance_m2
+    return replace(
+        pose, rank=None, confidence=None, confidence_1km=None, covariance_m2=covariance_m2
+    )
 
 
 def _check_frame(store: Store, frame: Frame) -> None:

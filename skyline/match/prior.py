@@ -26,49 +26,74 @@ from skyline.pose import Poses
 from skyline.store.places import Places
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
-_WRONG_SHARE = 0.05
-"""w. Of 20 photos examined, one had a position 6 km off."""
-_ANYWHERE_M2 = 1e9
-"""A, a circle of 18 km: the area of a search without a noted position."""
-_COMPASS_WRONG_SHARE = 0.2
-"""Share of photos whose compass was disturbed, as by a car, a railing or a case."""
-_REACH_M, _REACH_SD = 1000.0, 3.0
-"""A search always looks within this distance, plus this many scales, of the noted place."""
+GPS_SD_M = 30.0
+"""Scale of the error of a position without a noted accuracy."""
+LEAST_GPS_SD_M = 15.0
+"""Least scale of the error of a position with one, since the terrain model is off too."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ExifErrors:
+    """What is assumed about the errors of positions, altitudes and compasses in EXIF."""
+
+    wrong_share: float = 0.05
+    """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
+    anywhere_m2: float = 1e9
+    """A, a circle of 18 km: the area of a search without a noted position."""
+    reach_m: float = 1000.0
+    """A search looks within this distance of the noted place, plus `reach_sds` of its scales."""
+    reach_sds: float = 3.0
+    least_altitude_sd_m: float = 15.0
+    """Least scale of an altitude's error, as the datum may differ from the terrain model's."""
+    altitude_accuracies: float = 3.0
+    """Heights are two to three times as uncertain as places."""
+    height_tail: float = 1.5
+    """Exponent of the density of an altitude's error e of scale s, (1 + (e / s)^2)^-1.5 / (2 s)."""
+    altitude_sd_m: float = math.hypot(30.0 / math.sqrt(2.0), 15.0)
+    """Scale of an altitude without an accuracy. The geoid's height above the ellipsoid has a root
+    mean square of 30 m over the Earth (EGM96). Half of the devices are taken to note heights above
+    the ellipsoid as heights above the sea: Android's `Location.getAltitude` gives these, and so do
+    some drones (OpenAthena's issues 24 and 65)."""
+    barometer_sd_m: float = 90.0
+    """Scale of a drone's altitude, which its barometer gives for the standard atmosphere. The
+    pressure at sea level varies by 10 hPa, of 8.4 m each, and the temperature by 10 K, 3.5 % of the
+    height. One hill's altitude varied by 150 m in two weeks (DroneDeploy's forum 7617), another's
+    by 200 m in some months (mavicpilots.com, thread 147682)."""
+    takeoff_sd_m: float = 5.0
+    """Drift of a drone's height above its take-off."""
+    takeoff_share: float = 0.035
+    """Error of that height due to the temperature, as a share of it."""
+    compass_wrong_share: float = 0.2
+    """Share of photos whose compass was disturbed, as by a car, a railing or a case."""
+    compass_sd_deg: float = 20.0
+    """The declination is not modelled, and reaches 20 degrees where people live."""
+    magnetic_sd_deg: float = 30.0
+    """A compass that does not name its north may refer to the magnetic one."""
+
+
+_EXIF = _ExifErrors()
+
+
+@dataclass(frozen=True, slots=True)
+class _Aloft:
+    """What is assumed about eyes in flight."""
+
+    share: float = 0.05
+    """Share of photos from drones, towers, cable cars and balloons: a guess."""
+    drone_share: float = 0.99
+    """Share of the photos of drones that are taken in flight: a guess."""
+    median_m: float = 100.0
+    """Median height. Drones may fly up to 120 m; cable cars and balloons are higher."""
+    least_sds: float = 3.0
+    """An eye that stands no more of the terrain model's deviations above the usual height may
+    stand on the ground."""
+
+
+_ALOFT = _Aloft()
 _LEAST_SD_M = 1e-6
+"""Stands for the scale 0 of a known height, by which nothing can be divided."""
 _GREATEST_SD = 20.0
-GPS_SD_M, LEAST_GPS_SD_M = 30.0, 15.0
-"""Scale of a position without a noted accuracy; least scale of one with it, as the terrain model
-is off too."""
-_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
-"""Heights are two to three times as uncertain as places, and their datum may differ from the
-model's."""
-_HEIGHT_TAIL = 1.5
-"""Exponent of the density of an altitude's error e of scale s, (1 + (e / s)^2)^-1.5 / (2 s)."""
-_GEOID_M = 30.0
-"""Root mean square of the geoid's height above the ellipsoid, over the Earth (EGM96)."""
-_ALTITUDE_SD_M = math.hypot(_GEOID_M / math.sqrt(2.0), _LEAST_ALTITUDE_SD_M)
-"""Scale of an altitude without an accuracy. Half of the devices are taken to note heights above the
-ellipsoid as heights above the sea: Android's `Location.getAltitude` gives these, and so do some
-drones (OpenAthena's issues 24 and 65)."""
-_BAROMETER_SD_M = 90.0
-"""Scale of a drone's altitude, which its barometer gives for the standard atmosphere. The pressure
-at sea level varies by 10 hPa, of 8.4 m each, and the temperature by 10 K, 3.5 % of the height. One
-hill's altitude varied by 150 m in two weeks (DroneDeploy's forum 7617), another's by 200 m in some
-months (mavicpilots.com, thread 147682)."""
-_TAKEOFF_SD_M, _TAKEOFF_SHARE = 5.0, 0.035
-"""Deviation of a drone's height above its take-off: drift, and the temperature's share."""
-_ALOFT_SHARE, _DRONE_SHARE = 0.05, 0.99
-"""Share of photos that are taken from drones, towers, cable cars and balloons; and of those of
-drones that are taken in flight. Both are assumed."""
-_ALOFT_M = 100.0
-"""Median height of an eye in flight. Drones may fly up to 120 m; cable cars and balloons are
-higher."""
-_ALOFT_SDS = 3.0
-"""An eye that stands this many deviations of the terrain model higher than usual may still stand on
-the ground."""
-_COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
-"""The declination is not modelled, and reaches 20 degrees where people live. A compass that does
-not name its north may refer to the magnetic one."""
+"""Greatest height of an eye above the usual one that is tried, in scales of its prior."""
 _CONVERGENCE_DEG = 5.0
 """Bound on the convergence of meridians within a frame; screening searches turns this much farther
 to either side of a given heading."""
@@ -89,11 +114,11 @@ class PlacePrior:
     """Scale s of the position's error."""
     grid_heading_deg: float | None = None
     """Grid azimuth of the optical axis."""
-    heading_sd_deg: float = _COMPASS_SD_DEG
+    heading_sd_deg: float = _EXIF.compass_sd_deg
     """Standard deviation of the heading, where the compass is not disturbed."""
     elevation_m: float | None = None
     """Elevation of the eye; its error is distributed as the position's is along a line."""
-    elevation_sd_m: float = _LEAST_ALTITUDE_SD_M
+    elevation_sd_m: float = _EXIF.least_altitude_sd_m
     """Scale of that distribution."""
 
     @classmethod
@@ -108,8 +133,11 @@ class PlacePrior:
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
         sd_m = max(LEAST_GPS_SD_M, noted.accuracy_m or GPS_SD_M)
-        compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
-        elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
+        compass_sd_deg = (
+            _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
+        )
+        elevation_m = None
+        elevation_sd_m = _EXIF.least_altitude_sd_m
         if noted.accuracy_m is not None:
             # Other altitudes would pull an eye of unknown place to ground that is too high.
             elevation_m = noted.elevation_m
@@ -124,16 +152,16 @@ class PlacePrior:
         ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.
         """
-        cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
+        cost = -np.log(_EXIF.wrong_share + self._peak * self._tail(place_m) ** -1.5)
         if self.grid_heading_deg is not None:
             turn = np.degrees(heading_rad) - self.grid_heading_deg
             off = in_turn(turn) / self.heading_sd_deg
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
-            right *= 1.0 - _COMPASS_WRONG_SHARE
-            cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
+            right *= 1.0 - _EXIF.compass_wrong_share
+            cost = cost - np.log(_EXIF.compass_wrong_share + right * np.exp(-0.5 * off**2))
         if self.elevation_m is not None:
             off = (eye_m - self.elevation_m) / self.elevation_sd_m
-            cost = cost + _HEIGHT_TAIL * np.log1p(off**2)
+            cost = cost + _EXIF.height_tail * np.log1p(off**2)
         return np.asarray(cost)
 
     def pull(
@@ -146,19 +174,19 @@ class PlacePrior:
         """
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
-        across = pull / (_WRONG_SHARE + self._peak * tail**-1.5)
+        across = pull / (_EXIF.wrong_share + self._peak * tail**-1.5)
         off = place_m - complex(self.easting_m, self.northing_m)
         offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
             spread = self.elevation_sd_m**2 + offset_m[:, 2] ** 2
-            precision[:, 2] = 2.0 * _HEIGHT_TAIL / spread
+            precision[:, 2] = 2.0 * _EXIF.height_tail / spread
         return precision, offset_m
 
     @property
     def _peak(self) -> float:
-        return (1.0 - _WRONG_SHARE) * _ANYWHERE_M2 / (2.0 * np.pi * self.sd_m**2)
+        return (1.0 - _EXIF.wrong_share) * _EXIF.anywhere_m2 / (2.0 * np.pi * self.sd_m**2)
 
     def _tail(self, place_m: Complex128Array) -> Float64Array:
         off = place_m - complex(self.easting_m, self.northing_m)
@@ -217,7 +245,7 @@ class Standing:
     eye: EyeHeightPrior
     elevation_m: float | None = None
     """Elevation of an eye aloft, as the photo notes it."""
-    elevation_sd_m: float = _LEAST_ALTITUDE_SD_M
+    elevation_sd_m: float = _EXIF.least_altitude_sd_m
     """Scale of its error."""
     cost: float = 0.0
     """Negative log of the density of the usual height, given all heights that the photo notes."""
@@ -232,17 +260,22 @@ class Standing:
         heights = _noted_heights(noted, ground)
         if not heights:
             return [on_ground]
-        flying = _ALOFT_SHARE if noted.takeoff_height_m is None else _DRONE_SHARE
+        flying = _ALOFT.share if noted.takeoff_height_m is None else _ALOFT.drone_share
         peak = (1.0 - flying) / (math.pi * ground.height_sd_m)
         cost = sum(one.cost(DEFAULT_EYE_HEIGHT_M) for one in heights) - math.log(peak)
         found = [replace(on_ground, cost=cost)]
         for height in sorted(heights, key=lambda one: one.sd_m):
             above_m = height.height_m
-            if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT_SDS * ground.height_sd_m:
+            if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT.least_sds * ground.height_sd_m:
                 continue
             if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
                 continue
-            density = flying * 2.0 / (math.pi * _ALOFT_M) / (1.0 + (above_m / _ALOFT_M) ** 2)
+            density = (
+                flying
+                * 2.0
+                / (math.pi * _ALOFT.median_m)
+                / (1.0 + (above_m / _ALOFT.median_m) ** 2)
+            )
             cost = sum(one.cost(above_m) for one in heights) - math.log(density)
             eye = EyeHeightPrior(above_m, max(height.sd_m, ground.height_sd_m))
             elevation_m = ground.elevation_m + above_m
@@ -266,14 +299,14 @@ class _NotedHeight:
     def cost(self, height_m: float) -> float:
         """Return the negative log density of noting this height at another one."""
         off = (height_m - self.height_m) / self.sd_m
-        return _HEIGHT_TAIL * math.log1p(off**2) + math.log(2.0 * self.sd_m)
+        return _EXIF.height_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
 
 
 def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]:
     found = []
     if noted.takeoff_height_m is not None:
-        drift_m = _TAKEOFF_SHARE * abs(noted.takeoff_height_m)
-        sd_m = math.hypot(ground.takeoff_relief_m, _TAKEOFF_SD_M, drift_m)
+        drift_m = _EXIF.takeoff_share * abs(noted.takeoff_height_m)
+        sd_m = math.hypot(ground.takeoff_relief_m, _EXIF.takeoff_sd_m, drift_m)
         found.append(_NotedHeight(noted.takeoff_height_m, sd_m, sd_m))
     if noted.elevation_m is not None:
         above_m, sd_m = noted.elevation_m - ground.elevation_m, _altitude_sd_m(noted)
@@ -284,11 +317,11 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
 def _altitude_sd_m(noted: NotedPlace) -> float:
     """Return the scale of the error of a photo's altitude."""
     if noted.takeoff_height_m is not None:
-        return _BAROMETER_SD_M
+        return _EXIF.barometer_sd_m
     if noted.accuracy_m is None:
-        return _ALTITUDE_SD_M
+        return _EXIF.altitude_sd_m
     # A device that notes its accuracy has satellites in view, and corrects for the geoid.
-    return max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
+    return max(_EXIF.least_altitude_sd_m, _EXIF.altitude_accuracies * noted.accuracy_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,7 +462,7 @@ class Prior:
         """Return this prior narrowed to the surroundings of the noted place; None without one."""
         if self.noted is None:
             return None
-        radius_m = _REACH_M + _REACH_SD * self.noted.sd_m
+        radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
         circle = self.noted.easting_m, self.noted.northing_m, radius_m
         return replace(self, circles_m=(*self.circles_m, circle))
 

@@ -122,13 +122,6 @@ def other_projection(
     return max(others, key=lambda other: other.probability)
 
 
-def with_projection(refusal: str | None, other: OtherProjection | None) -> str | None:
-    """Return a refusal, or None, with another projection as a further reason if it is likely."""
-    if other is None or not other.is_likely:
-        return refusal
-    return other.in_words if refusal is None else f"{refusal}; {other.in_words}"
-
-
 def _probability(log_odds: float) -> float:
     bounded = min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
     return 1.0 / (1.0 + math.exp(-bounded))

@@ -82,8 +82,8 @@ class Rays(ImagePoints):
                 distortion_sd=0.0 if is_panorama else distortion_sd,
             )
             share = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_sd_share
-            fov_sd_deg = share * fov_deg if lens.sd_deg is None else lens.sd_deg
-            return rays.about(fov_sd_deg, lens.most_deg or math.inf)
+            fov_sd_deg = share * fov_deg if lens.fov_sd_deg is None else lens.fov_sd_deg
+            return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf)
         if finds_fov and not is_panorama:
             fov_deg, fov_sd_deg = USUAL_FOV_DEG
             u, v = photo.with_fov(fov_deg).image_plane()

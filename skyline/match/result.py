@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from pyproj import Geod
@@ -15,9 +15,6 @@ from skyline.match.prior import Narrowing
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Pose
-
-if TYPE_CHECKING:
-    from skyline.orientation import Orientation
 
 TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
@@ -382,6 +379,13 @@ class JointResult:
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
+class Tabled(Protocol):
+    """A result that is a row of a table: a match, or an orientation."""
+
+    def to_row(self) -> dict[str, Any]:
+        """Return the row's values by column."""
+
+
 def listed(results: Any) -> list[Any]:
     """Return results as a list, a single one too; raises `InputError` for anything else."""
     if hasattr(results, "to_row"):
@@ -391,7 +395,7 @@ def listed(results: Any) -> list[Any]:
     return list(results)
 
 
-def to_dataframe(results: "Iterable[MatchResult | Orientation]") -> Any:
+def to_dataframe(results: Iterable[Tabled]) -> Any:
     """Return results as a table, one row each.
 
     Returns

@@ -144,15 +144,15 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         source += f": {wide_deg:.1f} or {narrow_deg:.1f} degrees"
     if fov_deg < MIN_FOV_DEG:
         return Lens(reason=f"{source} left aside: {fov_deg:.2g} degrees fit no photo")
-    sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
+    fov_sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     widest_deg = _fov_deg(width, focal.diagonals * exp(-2.0 * (focal.sd or 0.0)))
     if is_whole(size_px, frame) or is_unscaled(size_px, frame):
-        most_deg = widest_deg if focal.readings else None
-        return Lens(fov_deg, sd_deg, most_deg, "; ".join([source, *against]))
+        most_fov_deg = widest_deg if focal.readings else None
+        return Lens(fov_deg, fov_sd_deg, most_fov_deg, "; ".join([source, *against]))
     reason = f"{source}, but the photo was cropped from {fov_deg:.1f} degrees"
     return Lens(
         CROP.mean * fov_deg,
-        hypot(CROP.sd * fov_deg, sd_deg or 0.0),
+        hypot(CROP.sd * fov_deg, fov_sd_deg or 0.0),
         CROP.most * widest_deg,
         "; ".join([reason, *against]),
     )

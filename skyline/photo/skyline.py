@@ -20,9 +20,9 @@ class Lens:
     ----------
     fov_deg : float or None
         The likeliest horizontal field of view; None if nothing is known.
-    sd_deg : float or None
+    fov_sd_deg : float or None
         Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
-    most_deg : float or None
+    most_fov_deg : float or None
         The greatest possible field of view, if the photo was cropped or digitally zoomed.
     reason : str
         The source of the values in words, or the reason that there are none; empty if the file
@@ -30,8 +30,8 @@ class Lens:
     """
 
     fov_deg: float | None = None
-    sd_deg: float | None = None
-    most_deg: float | None = None
+    fov_sd_deg: float | None = None
+    most_fov_deg: float | None = None
     reason: str = ""
 
     @property
@@ -40,9 +40,9 @@ class Lens:
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
-        sd = self.sd_deg
-        slack = "" if sd is None else f", give or take {sd:.{int(sd < 1.0)}f}"
-        return f"field of view: {fov}{slack}; {self.reason}"
+        sd = self.fov_sd_deg
+        give_or_take = "" if sd is None else f", give or take {sd:.{int(sd < 1.0)}f}"
+        return f"field of view: {fov}{give_or_take}; {self.reason}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ _MAX_SIDE_PX = 100_000
 """Longest side of a photo: more is a mistake, and would fill the memory."""
 _COLUMNS = ("column_px", "row_px")
 _NOTE = re.compile(r"(\w+)\s*=\s*(\S+?)(?=[,;]*\s|[,;]*$|[,;]\w+\s*=)")
-_NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
+_NOTES = ("width", "height", "fov_deg", "fov_sd_share", "eye_height_m", "projection")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
 
@@ -39,8 +39,8 @@ def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
         lines.append(f"# projection={skyline.projection}")
     if skyline.fov_deg is not None:
         lines.append(f"# fov_deg={skyline.fov_deg!r}")
-        if skyline.lens is not None and skyline.lens.sd_deg is not None:
-            lines[-1] += f" fov_slack={skyline.lens.sd_deg / skyline.fov_deg!r}"
+        if skyline.lens is not None and skyline.lens.fov_sd_deg is not None:
+            lines[-1] += f" fov_sd_share={skyline.lens.fov_sd_deg / skyline.fov_deg!r}"
     if skyline.eye_height_m is not None:
         lines.append(f"# eye_height_m={skyline.eye_height_m!r}")
     lines.append(",".join(_COLUMNS))
@@ -59,7 +59,7 @@ def read_trace(
 
     They may be sparse or fractional. The first line is ``# width=W height=H``, the header
     ``column_px,row_px``; pixel centres are at whole numbers. Lines that begin with # may also note
-    ``fov_deg=``, with ``fov_slack=`` (its deviation as a share of it), ``eye_height_m=`` and
+    ``fov_deg=``, with ``fov_sd_share=`` (its deviation as a share of it), ``eye_height_m=`` and
     ``projection=``; the arguments override a field of view and a projection noted in the file.
     Consecutive points are joined unless they are more than a tenth of the width apart or a row with
     an empty or ``nan`` ``row_px`` stands between them. Drawn columns have trust 1.
@@ -90,8 +90,8 @@ def read_trace(
     lens = None
     if fov_deg is None and "fov_deg" in notes:
         fov_deg = notes["fov_deg"]
-        slack = notes.get("fov_slack")
-        lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
+        if "fov_sd_share" in notes:
+            lens = Lens(fov_deg, notes["fov_sd_share"] * fov_deg)
     try:
         return PhotoSkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
@@ -116,7 +116,7 @@ def _notes(table: Table) -> tuple[dict[str, float], Projection]:
                     raise InputError(f"{where}: projection is {text}; expected {known}")
                 projection = Projection(text)
                 continue
-            most = 1.0 if name == "fov_slack" else math.inf
+            most = 1.0 if name == "fov_sd_share" else math.inf
             notes[name] = Row(where, {name: text}).number(name, 0.0, most)
     return notes, projection
 

@@ -22,7 +22,7 @@ from skyline.errors import (
     suffix_of,
 )
 from skyline.files import STANDARD, check_outputs, read_bytes, version_of
-from skyline.match.confidence import MatchConfig
+from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult

@@ -70,7 +70,9 @@ class PagePhoto:
             "width": skyline.width_px,
             "height": skyline.height_px,
             # A field of view that is a guess from a cropped photo is not shown.
-            "fov": None if skyline.lens and skyline.lens.most_deg is not None else skyline.fov_deg,
+            "fov": None
+            if skyline.lens and skyline.lens.most_fov_deg is not None
+            else skyline.fov_deg,
             "lonlat": skyline.noted.lonlat_deg,
             "accuracy": skyline.noted.accuracy_m,
             "heading": skyline.noted.heading_deg,

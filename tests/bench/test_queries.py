@@ -42,7 +42,7 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
     for query in make_queries(terrain, AREA, 4, seed=2, config=EXACT):
         truth = query.truth
         assert query.given_fov_deg == truth.fov_deg
-        assert query.fov_slack == 0.0
+        assert query.fov_sd_share == 0.0
         rays = query.rays()
         azimuth, y = level(rays.u, rays.v, truth.pitch_deg, truth.roll_deg)
         eye = at_elevation(terrain, truth.easting_m, truth.northing_m, truth.eye_elevation_m)

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from scenes import field_of
 
-from skyline.match.confidence import MatchConfig
+from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
 from skyline.peaks import read_peaks
 from skyline.photo.read import read_query
@@ -92,9 +92,9 @@ def test_a_zoomed_or_cropped_field_of_view_is_searched_and_found(cases, oriented
     folder, truths = cases
     fov_deg = numbers_in(truths[name][1])[0]
     query = read_query(folder / name)
-    low_deg, high_deg = Rays.of(query, MatchConfig().fov_slack, finds_fov=True).fov_bounds_deg
+    low_deg, high_deg = Rays.of(query, MatchConfig().fov_sd_share, finds_fov=True).fov_bounds_deg
     assert low_deg < fov_deg < high_deg
-    assert abs(query.fov_deg - fov_deg) < 2.0 * query.lens.sd_deg
+    assert abs(query.fov_deg - fov_deg) < 2.0 * query.lens.fov_sd_deg
     found = oriented(name)
     assert found["trusted"]
     assert found["fov_deg"] == pytest.approx(fov_deg, rel=0.02)

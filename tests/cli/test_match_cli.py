@@ -111,6 +111,11 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
     ("header", "row", "said"),
     [
         ("path,fov", "one.jpg,60", "has the column `fov`; expected some of path, fov_deg"),
+        (
+            "path,fov_slack",
+            "one.jpg,0.1",
+            "`fov_slack`; expected some of path, fov_deg, fov_sd_",
+        ),
         ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is `wide`; expected a number"),
         ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
         ("path,lowest_m,highest_m", "one.jpg,900,100", "line 2: elevations are 900 to 100 m"),

@@ -24,7 +24,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatc
     assert all(off_m(one["answer"]) < 60.0 for one in records)
     assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in records)
     bounded, unknown = (one["lens"] for one in records)
-    assert bounded["most_deg"] > 60.0 > bounded["fov_deg"]
+    assert bounded["most_fov_deg"] > 60.0 > bounded["fov_deg"]
     assert "cropped" in bounded["reason"]
     assert unknown["fov_deg"] is None
     said = run("match", store, cropped, lie, "--matcher", "unrefined").out

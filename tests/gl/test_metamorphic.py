@@ -19,7 +19,7 @@ SQUARE_M = 600.0
 """Half the side of the area that is searched."""
 PLACES_M = 50.0
 QUERY = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.005, 0.005), smooth_share=0.0, masked_share=0.0)
-BOLD = MatchConfig(min_confidence=0.0, fov_slack=0.05)
+BOLD = MatchConfig(min_confidence=0.0, fov_sd_share=0.05)
 
 
 def terrain_of(heights_m, shift=0.0):

@@ -7,7 +7,6 @@ from test_matcher import MIDDLE, SHARP
 from test_orient import beside
 
 from skyline import Matcher, build_places, orient
-from skyline.match.projections import OtherProjection, with_projection
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES, PIN_HOLE
 from skyline_bench.queries.synthetic import make_queries
 
@@ -56,12 +55,3 @@ def test_a_search_names_the_projection_too(terrain, tmp_path):
         result = matcher.match(photo.skyline)
     assert result.answer is None
     assert "--projection cylindrical" in result.refusal
-
-
-def test_another_projection_joins_other_reasons():
-    likely = OtherProjection("cylindrical", 108.2, 0.9)
-    said = "the skyline is bent as in a panorama of about 108 degrees; if it is one, give "
-    said += "--projection cylindrical --fov-deg 108"
-    assert with_projection(None, likely) == said
-    assert with_projection("no place fits", likely) == f"no place fits; {said}"
-    assert with_projection(None, replace(likely, probability=0.1)) is None

@@ -17,7 +17,7 @@ def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
     around_deg = 10.77077, 46.78786, 10.79477, 46.80386
     build_places(terrain, tmp_path / "station.h5", bounds_deg=around_deg)
     # The field of view was fitted with the angles: it is known.
-    matcher = Matcher(tmp_path / "station.h5", config=MatchConfig(fov_slack=0.002))
+    matcher = Matcher(tmp_path / "station.h5", config=MatchConfig(fov_sd_share=0.002))
     photo = shared_data / "rofental" / "hintereisferner_webcam.jpg"
     near = Narrowing(near=(10.78277, 46.79586, 0.8))
     result = matcher.match(photo, fov_deg=78.7, narrowing=near)

@@ -1,4 +1,4 @@
-"""Answers in words, JSON and rows; why a match has no answer, and how near one is sure to be."""
+"""Answers in words, JSON and rows."""
 
 from dataclasses import replace
 
@@ -6,63 +6,13 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.errors import InputError
-from skyline.match.confidence import MatchConfig, refusal_of, sure_within_m
-from skyline.match.rays import Rays
 from skyline.match.result import MatchResult
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
 
-GIVEN_DEG, SD_DEG = 60.0, 1.5
 
-
-@pytest.fixture
-def rays():
-    u = np.linspace(-0.5, 0.5, 100)
-    return Rays(u=u, v=0.0 * u, weight=np.ones_like(u), fov_deg=GIVEN_DEG).about(SD_DEG)
-
-
-def query(fov_deg=GIVEN_DEG, noted=NOTHING_NOTED, lens=None):
-    return PhotoSkyline(np.full(40, 12.0), np.ones(40), 40, 30, fov_deg, noted=noted, lens=lens)
-
-
-def refusal(rays, found_deg, given_deg=GIVEN_DEG, confidence=None):
-    """Return the refusal of a candidate with a field of view."""
-    sure = {"confidence": confidence, "confidence_1km": confidence}
-    found = candidate_at(0.0, 0.0, fov_deg=found_deg, **sure)
-    return refusal_of([found], MatchConfig(), query(given_deg), rays)
-
-
-@pytest.mark.parametrize(("found_deg", "named"), [(56.9, True), (63.1, True), (57.8, False)])
-def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg, named):
-    why = refusal(rays, found_deg, confidence=0.1)
-    assert why.startswith("the best place has confidence 0.10, within 1 km 0.10; 0.80 is needed")
-    hint = f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was expected"
-    assert (hint in why) == ("expected" in why) == named
-
-
-@pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
-def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
-    assert rays.fov_bounds_deg == (54.0, 66.0)
-    why = refusal(rays, found_deg)
-    assert (why is not None) == refused
-    assert not refused or "--fov-deg" in why
-
-
-@pytest.mark.parametrize(
-    ("near", "roughly", "within_m"),
-    [(0.9, 0.95, 200.0), (0.89, 0.95, 1000.0), (0.5, 0.8, 1000.0), (0.5, 0.79, None)],
-)
-def test_the_nearer_claim_leaves_half_of_the_doubt(near, roughly, within_m):
-    candidate = candidate_at(0.0, 0.0, confidence=near, confidence_1km=roughly)
-    config = MatchConfig(min_confidence=0.8)
-    assert sure_within_m(candidate, config) == within_m
-    with pytest.raises(InputError, match="least confidence is 80; expected 0"):
-        MatchConfig(min_confidence=80)
-    # A circle of more than 200 m cannot be sure to 200 m.
-    vague = replace(candidate, covariance_m2=((150.0**2, 0.0), (0.0, 150.0**2)))
-    assert vague.radius_m > 200.0
-    assert sure_within_m(vague, config) == (within_m and 1000.0)
+def query(noted=NOTHING_NOTED, lens=None):
+    return PhotoSkyline(np.full(40, 12.0), np.ones(40), 40, 30, 60.0, noted=noted, lens=lens)
 
 
 BEST = replace(candidate_at(0.0, 0.0), lon=9.8, lat=46.7, heading_deg=131.0)

@@ -60,11 +60,11 @@ def test_originals_upright_files_and_files_of_another_size(camera):
     found = lens_of(tags, (width, height))
     assert found.fov_deg == pytest.approx(fov_of(camera), rel=0.06)
     is_known = camera not in PHONES
-    assert (found.sd_deg is None) == is_known
+    assert (found.fov_sd_deg is None) == is_known
     assert ("agree" in found.reason) == is_known
     size = width // 4, height // 4
     for smaller in (lens_of(tags, size), lens_of(resized(tags, *size), size)):
-        assert smaller.most_deg is None
+        assert smaller.most_fov_deg is None
         assert smaller.fov_deg == pytest.approx(fov_of(camera), rel=0.06)
     # A focal plane that is now too small is no witness.
     reason = lens_of(resized(tags, *size), size).reason
@@ -88,8 +88,8 @@ def test_crops_are_searched_wide(camera, across, down, is_noted_anew):
         assert found.fov_deg >= 0.94 * true
     else:
         assert "cropped" in found.reason
-        assert true <= found.most_deg
-        assert abs(true - found.fov_deg) < 2.5 * found.sd_deg
+        assert true <= found.most_fov_deg
+        assert abs(true - found.fov_deg) < 2.5 * found.fov_sd_deg
 
 
 ZOOMED = [
@@ -142,10 +142,10 @@ def test_zoomed_and_cropped_frames_are_within_what_is_searched(camera, is_uprigh
         half = math.tan(math.radians(true_deg) / 2.0) * size[1] / size[0]
         true_deg, size = 2.0 * math.degrees(math.atan(half)), size[::-1]
     found = lens_of(notes_of(camera), size)
-    sd_deg = 0.025 * found.fov_deg if found.sd_deg is None else found.sd_deg
+    sd_deg = 0.025 * found.fov_deg if found.fov_sd_deg is None else found.fov_sd_deg
     assert abs(true_deg - found.fov_deg) <= 1.5 * sd_deg
     rays = Rays(u=np.zeros(1), v=np.zeros(1), weight=np.ones(1), fov_deg=found.fov_deg)
-    low_deg, high_deg = rays.about(sd_deg, found.most_deg or math.inf).fov_bounds_deg
+    low_deg, high_deg = rays.about(sd_deg, found.most_fov_deg or math.inf).fov_bounds_deg
     assert low_deg < true_deg < high_deg
 
 
@@ -154,7 +154,7 @@ def test_two_sources_that_agree_say_how_a_zoom_is_counted(model):
     camera = next(one for one in ZOOMED + CROP_MODES if one[0] == model)
     found = lens_of(notes_of(camera), camera[1])
     assert found.fov_deg == pytest.approx(camera[-1], rel=0.03)
-    assert found.sd_deg is None
+    assert found.fov_sd_deg is None
 
 
 @pytest.mark.parametrize(
@@ -173,10 +173,10 @@ def test_only_a_possible_lens_counts(focal_mm, equivalent_mm, zoom, true_deg):
     }  # fmt: skip
     found = lens_of(tags, (4000, 3000))
     assert found.fov_deg == pytest.approx(true_deg, rel=0.01)
-    assert found.sd_deg == pytest.approx(
+    assert found.fov_sd_deg == pytest.approx(
         0.1 * math.degrees(math.sin(math.radians(true_deg))), rel=0.01
     )
-    assert found.most_deg is None
+    assert found.most_fov_deg is None
 
 
 def test_a_line_says_both_readings_of_a_zoom():
@@ -185,8 +185,8 @@ def test_a_line_says_both_readings_of_a_zoom():
     # 36 mm over 29 mm, and over 58 mm.
     assert "with or without the digital zoom of 2" in found.reason
     assert found.reason.endswith("63.7 or 34.5 degrees")
-    assert abs(63.7 - found.fov_deg) < 1.2 * found.sd_deg
-    assert abs(34.5 - found.fov_deg) < found.sd_deg
+    assert abs(63.7 - found.fov_deg) < 1.2 * found.fov_sd_deg
+    assert abs(34.5 - found.fov_deg) < found.fov_sd_deg
     for none in (0, 1, 65535):
         alone = lens_of(tags | {Base.DigitalZoomRatio: none}, (3000, 2000))
         assert alone.fov_deg == pytest.approx(63.7, abs=0.1)

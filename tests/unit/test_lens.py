@@ -39,8 +39,8 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     # Of the camera's height, which sees 36 mm of film, 2500 pixels are between 70 and 100 %.
     for kept in (0.7, 0.97):
         true_deg = np.degrees(8000 / (28 / 36 * 2500 / kept))
-        assert found.fov_deg == pytest.approx(true_deg, abs=2.0 * found.sd_deg)
-    assert found.most_deg == 360.0
+        assert found.fov_deg == pytest.approx(true_deg, abs=2.0 * found.fov_sd_deg)
+    assert found.most_fov_deg == 360.0
     assert "panorama" in found.reason
     assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
     assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
@@ -52,18 +52,18 @@ def test_sources_that_contradict_one_another_widen_what_is_possible():
     narrow = fov_of(0.5, 0.75)
     assert narrow < found.fov_deg < 90.0
     # Each of the two is about a deviation off.
-    assert found.sd_deg == pytest.approx((90.0 - narrow) / 2.0, rel=0.05)
+    assert found.fov_sd_deg == pytest.approx((90.0 - narrow) / 2.0, rel=0.05)
     assert "contradict" in found.reason
 
 
 def test_a_crop_that_was_resized_bounds_the_field_of_view():
     found = lens_of(PLANE, (1600, 800))
     # The focal plane alone is a hint, so a focal length 1.5 times as short is possible.
-    assert found.most_deg == pytest.approx(1.05 * fov_of(1.5, 1.0))
-    assert found.fov_deg + 2.0 * found.sd_deg > 90.0 > found.fov_deg
+    assert found.most_fov_deg == pytest.approx(1.05 * fov_of(1.5, 1.0))
+    assert found.fov_deg + 2.0 * found.fov_sd_deg > 90.0 > found.fov_deg
     agreed = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM}, (1600, 800))
-    assert agreed.most_deg == pytest.approx(1.05 * 90.0)
-    assert agreed.sd_deg < found.sd_deg
+    assert agreed.most_fov_deg == pytest.approx(1.05 * 90.0)
+    assert agreed.fov_sd_deg < found.fov_sd_deg
     assert "cropped from 90.0 degrees" in found.reason
 
 
@@ -103,7 +103,11 @@ WHOLE = {
 def test_a_panorama_resized_or_cropped_has_the_field_of_view_that_is_left(size, fov_deg):
     projection, lens = panorama_of_xmp(gpano(**WHOLE), size)
     assert projection is Projection.CYLINDRICAL
-    assert (lens.fov_deg, lens.sd_deg, lens.most_deg) == (pytest.approx(fov_deg), None, None)
+    assert (lens.fov_deg, lens.fov_sd_deg, lens.most_fov_deg) == (
+        pytest.approx(fov_deg),
+        None,
+        None,
+    )
 
 
 # Cropped to a third and shrunk by two, which could be all columns of a strip as well; and enlarged.
@@ -120,7 +124,7 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
         fov_deg=lens.fov_deg,
         projection=Projection.CYLINDRICAL,
     )
-    low, high = rays.about(lens.sd_deg, lens.most_deg).fov_bounds_deg
+    low, high = rays.about(lens.fov_sd_deg, lens.most_fov_deg).fov_bounds_deg
     assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
     assert f"a panorama of {most_deg:.1f} degrees, but the photo was cropped" in lens.reason
 

@@ -55,7 +55,7 @@ def test_a_phone_s_panorama_is_known_as_one(tmp_path):
     query = read_query(tmp_path / "swept.jpg")
     assert query.projection is CYLINDER
     assert 200.0 < query.fov_deg < 300.0
-    assert query.lens.sd_deg > 20.0
+    assert query.lens.fov_sd_deg > 20.0
     chosen = read_query(tmp_path / "swept.jpg", projection=Projection.PERSPECTIVE)
     assert (chosen.projection, chosen.fov_deg, chosen.lens) == (Projection.PERSPECTIVE, None, None)
 

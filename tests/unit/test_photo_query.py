@@ -90,7 +90,9 @@ HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
         (HEAD.format("") + "3,nan\n", "draws no column"),
         (HEAD.replace("=80", "=80.7").format("") + "3,10\n", "is 100 x 80.7 px; expected whole"),
         (HEAD.format(" fov=60"), "line 1 notes 'fov'; expected some of width, height, fov_deg"),
-        (HEAD.format(" fov_deg=60 fov_slack=5") + "0,30\n9,31\n", "fov_slack is `5`"),
+        (HEAD.format(" fov_deg=60 fov_slack=0.1"), "notes 'fov_slack'; expected some of"),
+        (HEAD.format(" fov_deg=60 fov_slack=0.1"), "fov_deg, fov_sd_share, eye_height_m"),
+        (HEAD.format(" fov_deg=60 fov_sd_share=5") + "0,30\n9,31\n", "fov_sd_share is `5`"),
         (HEAD.format(" fov_deg=600") + "0,30\n9,31\n", "horizontal field of view is 600"),
     ],
 )
@@ -162,10 +164,11 @@ def test_overlay_draws_trusted_columns_only(tmp_path):
 
 
 def test_a_trace_notes_its_camera(tmp_path):
-    for notes in (" fov_deg=60 fov_slack=0.1 eye_height_m=12", "\n# fov_deg=60 fov_slack=0.1\n"
-                  "# drawn by hand eye_height_m=12"):  # fmt: skip
+    in_one = " fov_deg=60 fov_sd_share=0.1 eye_height_m=12"
+    in_two = "\n# fov_deg=60 fov_sd_share=0.1\n# drawn by hand eye_height_m=12"
+    for notes in (in_one, in_two):
         query = read_query(trace_file(tmp_path, "0,30\n9,31\n", notes))
-        assert (query.fov_deg, query.lens.sd_deg, query.eye_height_m) == (60.0, 6.0, 12.0)
+        assert (query.fov_deg, query.lens.fov_sd_deg, query.eye_height_m) == (60.0, 6.0, 12.0)
         assert query.row_px[0] == 30.0
         write_trace(query, tmp_path / "again.csv")
         again = read_query(tmp_path / "again.csv")
@@ -174,5 +177,5 @@ def test_a_trace_notes_its_camera(tmp_path):
     given = read_query(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
     for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
-        entry = batch.Entry(str(path), fov_deg, fov_slack=0.2).read()
-        assert entry.lens.sd_deg == pytest.approx(sd_deg)
+        entry = batch.Entry(str(path), fov_deg, fov_sd_share=0.2).read()
+        assert entry.lens.fov_sd_deg == pytest.approx(sd_deg)

@@ -3,7 +3,7 @@
 In a page, the dotted path of a constant follows its number in a comment, which readers do not see::
 
     at most 1,600<!-- skyline.match.refine.WHOLE.shortlist --> poses
-    a deviation of 2.5 %<!-- skyline.MatchConfig.fov_slack:.1% -->
+    a deviation of 2.5 %<!-- skyline.MatchConfig.fov_sd_share:.1% -->
 
 A path may lead to a module's constant, an attribute of an object, the default of a dataclass's
 field, or, by its position, an item of a tuple. A format of Python's may follow a colon.

@@ -90,7 +90,7 @@ class QueryConfig:
     azimuths: int = 10_240  # To a turn, of the exact horizon that the skyline is taken from
 
     @property
-    def fov_slack(self) -> float:
+    def fov_sd_share(self) -> float:
         """Standard deviation of the field of view given, as a share of the true one."""
         return self.fov_error / math.sqrt(3.0)
 
@@ -127,7 +127,7 @@ class SyntheticQuery:
 
     skyline: PhotoSkyline  # The matcher's input
     given_fov_deg: float  # The field of view it is given with
-    fov_slack: float  # Standard deviation of the true one about that, as a share
+    fov_sd_share: float  # Standard deviation of the true one about that, as a share
     truth: Truth
     # (W,); the true skyline of the pin-hole camera, without errors, distortion, masks and
     # occluders; NaN where not in the image.
@@ -140,7 +140,7 @@ class SyntheticQuery:
 
         It raises `InputError` where no column has a skyline.
         """
-        return Rays.of(self.skyline, self.fov_slack, finds_fov=True)
+        return Rays.of(self.skyline, self.fov_sd_share, finds_fov=True)
 
 
 def make_queries(
@@ -260,7 +260,7 @@ def _photographed(
     return SyntheticQuery(
         PhotoSkyline(found, sure, camera.width_px, camera.height_px, given),
         given,
-        config.fov_slack,
+        config.fov_sd_share,
         truth,
         row_px,
         1.0 / float(np.mean(1.0 / seen_m)) if len(seen_m) else np.nan,

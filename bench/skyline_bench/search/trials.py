@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
 from skyline.geodesy import in_turn
-from skyline.match.confidence import MatchConfig
+from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses
 from skyline.store.header import PLACES, RENDERINGS
@@ -33,7 +33,7 @@ UNREFINED = "unrefined"
 MATCHERS = (PAPER, "correlation", UNREFINED, FULL)
 """All matchers."""
 
-MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
+MATCHING = MatchConfig(fov_sd_share=QueryConfig().fov_sd_share)
 """The field of view of synthetic queries is known to 5 %."""
 
 

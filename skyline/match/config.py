@@ -1,0 +1,41 @@
+"""The settings of a match."""
+
+from dataclasses import dataclass
+
+from skyline.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class MatchConfig:
+    """Settings of a match.
+
+    Attributes
+    ----------
+    refine : bool
+        Whether the full matcher refines the retrieved poses by rendering.
+    min_confidence : float
+        The best place is the answer if it is right within 1 km with at least this probability, 0 to
+        1. The answer is stated to 200 m if the probability of an error above 200 m is at
+        most half of what is allowed for 1 km: with the default, if it is right with a probability
+        of 0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km,
+        245 were right; docs/accuracy.md says how hard those are.
+    fov_sd_share : float
+        Standard deviation of a given field of view, as a share of it, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    refine: bool = True
+    min_confidence: float = 0.8
+    fov_sd_share: float = 0.025
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_confidence <= 1.0:
+            raise InputError(
+                f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
+            )
+        if not 0.0 <= self.fov_sd_share < 1.0:
+            raise InputError(f"fov_sd_share is {self.fov_sd_share}; expected a share from 0 to 1")

@@ -1,0 +1,273 @@
+"""The verdict on a match: how near the answer is to be right, or why there is no answer.
+
+All reasons for which a photo has no answer are here, in the order in which they are asked:
+
+1. `too_little`, before the search: the photo shows too little skyline.
+2. `Verdict.of_search`, `Verdict.of_joint_search` and `Verdict.of_fit`, after a search of one photo,
+   a search of several, and a fit without a search. A heading at a known place is judged by
+   `refusal_of`, with the doubts that `skyline.orientation` has.
+
+A pose is refused for lack of confidence before it is refused for its field of view. That the photo
+may have another projection is said besides, since it may be the cause.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from skyline.geodesy import distance_in_words
+from skyline.match.config import MatchConfig
+from skyline.match.projections import OtherProjection
+from skyline.match.rays import FOV_RANGE_DEG, Rays
+from skyline.match.solver import TEMPERATURE
+from skyline.photo.skyline import PhotoSkyline
+from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """Limits beyond which there is no answer, or a hint is given."""
+
+    min_visible_deg: float = 14.0
+    """Least width of a skyline. Screening compares rises over 2 degrees, and a pose has seven
+    unknowns: below 14 degrees there are fewer rises than unknowns."""
+    near_slope_m: float = 150.0
+    """Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
+    photos: wrong slopes fit as well (docs/accuracy.md)."""
+    at_bound_share: float = 1e-3
+    """A field of view counts as at an end of the searched range if its distance from the end is
+    less than this share of the range: a fit held at a bound may differ from it by rounding."""
+    least_of_fit: float = 0.75
+    """Least share of right ones among poses that fit like a given one. The share is learned from
+    the best poses of searches; a pose that a person gives is right more often."""
+
+
+_LIMITS = _Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether the best pose of a photo is the answer, and how near it is to be right."""
+
+    refusal: str | None = None
+    """Why the pose is not the answer; None if it is."""
+    within_m: float | None = None
+    """Distance within which the answer is sure to be right, 200 or 1000 m. None without an answer,
+    and for matchers without a confidence."""
+
+    @classmethod
+    def of_search(
+        cls,
+        candidates: Sequence[Pose],
+        other: OtherProjection | None,
+        config: MatchConfig,
+        skyline: PhotoSkyline,
+        rays: Rays,
+    ) -> "Verdict":
+        """Return the verdict on a photo's candidates, best first.
+
+        ``other`` is the likeliest other projection of the photo, if any is known.
+        """
+        if not candidates:
+            return cls("no place fits")
+        doubts = [_lack_of_confidence(candidates, config)]
+        refusal = refusal_of(candidates[0], skyline, rays, doubts=doubts, other=other)
+        return cls._on(candidates[0], refusal, config)
+
+    @classmethod
+    def of_joint_search(
+        cls,
+        candidates: Sequence[Sequence[Pose]],
+        others: Iterable[tuple[str, OtherProjection | None]],
+        config: MatchConfig,
+    ) -> "Verdict":
+        """Return the verdict on the common places of the photos that agree.
+
+        ``candidates`` has the poses of each photo at these places, best first, and ``others`` the
+        photo's name and its likeliest other projection; they are asked for only if nothing else
+        speaks against the places.
+        """
+        if len(candidates) < 2:
+            return cls("fewer than two photos agree on a place")
+        best = candidates[0][0]
+        bent = (
+            f"{name or 'a photo'}: {other.in_words}"
+            for name, other in others
+            if other is not None and other.is_likely
+        )
+        refusal = _lack_of_confidence(candidates[0], config) or next(bent, None)
+        return cls._on(best, refusal, config)
+
+    @classmethod
+    def of_fit(cls, fitted: Pose | None, answer: Pose | None, config: MatchConfig) -> "Verdict":
+        """Return the verdict on a fit that led away from all candidates of a search.
+
+        The fit has failed if the answer of the search fits better, or if poses that fit as badly
+        are seldom right. The confidence of ``fitted`` comes from the models named
+        `skyline.match.confidence.FITTED`.
+        """
+        if fitted is None:
+            return cls("nothing near this pose fits")
+        if answer is not None and answer.cost <= fitted.cost:
+            away = distance_in_words(answer.distance_m(fitted))
+            turn_deg = answer.turn_deg(fitted)
+            if turn_deg > SAME_VIEW_DEG:
+                away += f" and {turn_deg:.0f} degrees of heading"
+            return cls(f"{fitted.residual_in_words}; {answer.name}, {away} away, fits better")
+        sure = fitted.confidence_1km or 0.0
+        least = min(_LIMITS.least_of_fit, config.min_confidence)
+        if sure >= least:
+            return cls()
+        return cls(
+            f"{fitted.residual_in_words}; of poses that fit like this {100.0 * sure:.0f} % are "
+            f"right, and {100.0 * least:.0f} % are needed"
+        )
+
+    @classmethod
+    def _on(cls, best: Pose, refusal: str | None, config: MatchConfig) -> "Verdict":
+        """Return the verdict on a pose that is the answer unless it is refused."""
+        return cls(refusal, None if refusal else _sure_within_m(best, config))
+
+
+def too_little(skyline: PhotoSkyline) -> str | None:
+    """Return the refusal of a photo that shows too little skyline; None if it shows enough."""
+    widest_deg = FOV_RANGE_DEG[1] if skyline.fov_deg is None else skyline.fov_deg
+    if skyline.lens is not None and skyline.lens.most_fov_deg is not None:
+        widest_deg = skyline.lens.most_fov_deg
+    visible_deg = skyline.with_fov(widest_deg).visible_deg()
+    if visible_deg >= _LIMITS.min_visible_deg:
+        return None
+    return (
+        f"{visible_deg:.1f} degrees of skyline are visible, {_LIMITS.min_visible_deg:g} are "
+        "needed; correct the skyline by a trace or a mask, or check the field of view"
+    )
+
+
+def refusal_of(
+    best: Pose,
+    skyline: PhotoSkyline,
+    rays: Rays,
+    *,
+    doubts: Sequence[str | None] = (),
+    ambiguity: str | None = None,
+    other: OtherProjection | None = None,
+) -> str | None:
+    """Return why the best pose is refused; None if it is trusted.
+
+    Parameters
+    ----------
+    best : Pose
+    skyline : PhotoSkyline
+        The photo's skyline, with the field of view that was expected.
+    rays : Rays
+        Its rays, with the fields of view that were searched.
+    doubts : sequence of str or None
+        What speaks against the pose. The first that is not None counts, with a hint if the pose's
+        field of view is far from the one expected.
+    ambiguity : str, optional
+        What speaks against the pose if nothing else does.
+    other : OtherProjection, optional
+        Another projection of the photo, which is named beside any other reason if it is likely.
+    """
+    doubt = next((one for one in doubts if one is not None), None)
+    if doubt is None:
+        refusal = _fov_at_bound(best, rays) or ambiguity
+    else:
+        refusal = doubt + _fov_hint(best, skyline, rays)
+    if other is None or not other.is_likely:
+        return refusal
+    return other.in_words if refusal is None else f"{refusal}; {other.in_words}"
+
+
+def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) -> Pose | None:
+    """Return the candidate of a search to which a fit has led; None if it led elsewhere.
+
+    The fit leads to the nearest candidate of the same answer, or back to the one that it started
+    from, whichever fits better. A pose that fits better than both replaces the nearest candidate:
+    it gets the rank and the confidences, which are of the answer. But where a pose fits better than
+    all candidates, only the best one's answer can be its own; the search did not know of others.
+
+    Costs compare, since a fit ends with the rays and the prior of the search. Of two poses of one
+    answer neither fits better if their odds are less than e to 1.
+    """
+
+    def nearest(pose: Pose) -> Pose | None:
+        alike = filter(pose.is_same_answer, candidates)
+        return min(alike, key=pose.distance_m, default=None)
+
+    left = nearest(start)
+    if fitted is None:
+        return left
+    near = nearest(fitted)
+    standing = [one for one in (near, left) if one and one.cost < fitted.cost + TEMPERATURE]
+    if standing:
+        return min(standing, key=lambda one: one.cost)
+    if near is None or (near is not candidates[0] and fitted.cost < candidates[0].cost):
+        return None
+    return replace(
+        fitted,
+        rank=near.rank,
+        confidence=near.confidence,
+        confidence_1km=near.confidence_1km,
+    )
+
+
+def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
+    """Return the distance within which a pose is sure enough to be right, 200 or 1000 m.
+
+    None if it is sure within neither. An answer within 200 m may leave half the doubt that an
+    answer within 1 km may leave, and the pose's radius may not exceed 200 m: a wrong answer is
+    worse than a vague one.
+    """
+    doubt = 1 - config.min_confidence
+    if best.confidence is None or best.confidence_1km is None:
+        return None
+    if best.confidence >= 1.0 - 0.5 * doubt and (best.radius_m or 0.0) <= RIGHT_WITHIN_M:
+        return RIGHT_WITHIN_M
+    return ROUGHLY_WITHIN_M if best.confidence_1km >= 1.0 - doubt else None
+
+
+def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str | None:
+    """Return the refusal of a best candidate that is not sure enough; None if it is."""
+    best = candidates[0]
+    if best.confidence is None or _sure_within_m(best, config) is not None:
+        return None
+    return (
+        f"the best place has confidence {best.confidence:.2f}, within 1 km "
+        f"{best.confidence_1km:.2f}; {config.min_confidence:.2f} is needed"
+        + _slope_hint(candidates)
+    )
+
+
+def _slope_hint(candidates: Sequence[Pose]) -> str:
+    """Return a hint if the skyline is a near slope that most candidates have; empty if not."""
+    distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
+    near = [distance for distance in distances_m if distance < _LIMITS.near_slope_m]
+    if len(near) < max(2, len(candidates) // 2 + 1):
+        return ""
+    return (
+        f"; the skyline is a slope {min(near):.0f} to {max(near):.0f} m away, and {len(near)} "
+        "places have a slope like it: a photo that shows farther ridges says more"
+    )
+
+
+def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
+    """Return a hint if a pose's field of view is far from the one expected; empty if not."""
+    expected_deg = skyline.fov_deg
+    if expected_deg is None or abs(best.fov_deg - expected_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
+    return (
+        f"; the best pose has a field of view of {best.fov_deg:.1f} degrees, and "
+        f"{expected_deg:.1f} was expected: check that"
+    )
+
+
+def _fov_at_bound(best: Pose, rays: Rays) -> str | None:
+    """Return the refusal of a field of view at an end of the range searched; None elsewhere."""
+    low_deg, high_deg = rays.fov_bounds_deg
+    near_deg = _LIMITS.at_bound_share * (high_deg - low_deg)
+    if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:
+        return None
+    return (
+        f"the best place needs a field of view of {best.fov_deg:.1f} degrees, and {low_deg:.1f} to "
+        f"{high_deg:.1f} were searched; give another one (--fov-deg)"
+    )
