@@ -9,8 +9,8 @@ from .errors import OffMapError as OffMapError
 from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
-from .geodesy import Curvature as Curvature
-from .geodesy import Frame as Frame
+from .geodesy.earth import Curvature as Curvature
+from .geodesy.frame import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate

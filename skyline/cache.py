@@ -28,7 +28,8 @@ from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import lock_file, version_of
-from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
+from skyline.geodesy.degrees import Bounds, check_bounds, width_deg
+from skyline.geodesy.frame import TRUE_DEG, Frame
 from skyline.store.header import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places

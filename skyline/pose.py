@@ -8,7 +8,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.camera import Camera
-from skyline.geodesy import Frame, in_turn
+from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.frame import Frame
 from skyline.photo.skyline import PhotoSkyline
 
 RIGHT_WITHIN_M = 200.0

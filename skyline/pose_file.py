@@ -10,7 +10,7 @@ from typing import Any
 from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Projection
 from skyline.errors import InputError, printable
 from skyline.files import read_bytes
-from skyline.geodesy import are_degrees
+from skyline.geodesy.degrees import are_degrees
 from skyline.pose import Pose
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, check_eye_elevation
 from skyline.view import Viewer

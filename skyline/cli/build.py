@@ -19,7 +19,7 @@ from skyline.cli.options import (
     read_terrain,
 )
 from skyline.cli.terminal import Terminal
-from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.store.read import open_store
 from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of

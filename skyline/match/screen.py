@@ -38,7 +38,7 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
-from skyline.geodesy import in_turn
+from skyline.geodesy.degrees import in_turn
 from skyline.match.rays import Rays, on_bins
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 from skyline.store.read import PlaceSource

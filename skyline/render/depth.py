@@ -14,7 +14,7 @@ from pyrr import matrix44
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.skylines import (
     DEFAULT_WIDTH,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import RenderThread, acquire_context
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
 from skyline.render.windows import GpuLimits

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.errors import ContextError, InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation

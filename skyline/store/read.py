@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.skylines import Views
 from skyline.store.header import (
     EYE,

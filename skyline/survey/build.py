@@ -25,7 +25,8 @@ from uuid import uuid4
 
 from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
-from skyline.geodesy import Bounds, Curvature
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import is_whole
 from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch

@@ -16,7 +16,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, Int64Array, IntArray, Rows
 from skyline.errors import InputError
-from skyline.geodesy import Rectangle
+from skyline.geodesy.frame import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
 from skyline.survey.losses import lost_shares

@@ -10,7 +10,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
+from skyline.geodesy.degrees import Bounds, are_bounds, check_bounds
+from skyline.geodesy.earth import Curvature
+from skyline.geodesy.frame import Rectangle
 from skyline.render.context import Releasable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer

@@ -13,7 +13,7 @@ import numpy as np
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.geodesy import Bounds
+from skyline.geodesy.degrees import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
 from skyline.skylines import HEADINGS
