@@ -38,10 +38,10 @@ BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """The backends in the order of attempts, and Debian's packages for each."""
 
 _VERSION = (4, 3)
-_VERSION_CODE = 430
-_SOFTWARE = re.compile(
-    r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software", re.IGNORECASE
-)
+"""The version of OpenGL that is required, for its compute shaders."""
+
+_VERSION_CODE = 100 * _VERSION[0] + 10 * _VERSION[1]
+"""That version as glcontext and moderngl write it."""
 
 _PACKAGE = Path(__file__).parents[1]
 _SHADERS = next(
@@ -84,7 +84,8 @@ class GlContext:
     @property
     def software(self) -> bool:
         """True if the CPU does the rendering."""
-        return _SOFTWARE.search(self.renderer) is not None
+        names = r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software"
+        return re.search(names, self.renderer, re.IGNORECASE) is not None
 
     @property
     def reason(self) -> str:

@@ -101,8 +101,8 @@ class DepthRenderer(Renderer):
             tan[rows] = np.where(is_seen, ordinate, np.nan)
             depth_m[rows] = np.where(is_seen, depth, np.nan)
             flags[rows] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
-        places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
-        views = Views(*places, headings, tan, depth_m, flags)
+        position = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
+        views = Views(*position, headings, tan, depth_m, flags)
         lowest_m = self.field.height_range_m[0]
         return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 
@@ -113,14 +113,14 @@ class DepthRenderer(Renderer):
         """
         images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
         field = self.field
-        place = {
+        position = {
             "easting_m": viewpoints.easting_m[index],
             "northing_m": viewpoints.northing_m[index],
         }
-        row, col = (float(number) for number in field.to_grid(**place))
+        row, col = (float(number) for number in field.to_grid(**position))
         self._stand(row, col, float(viewpoints.eye_elevation_m[index]))
         near_m = _near_m(field, viewpoints, index)
-        far_m = 1.1 * field.reach_m(**place) + field.spacing_m
+        far_m = 1.1 * field.reach_m(**position) + field.spacing_m
         for heading in HEADINGS:
             self._terrain["camera"] = tuple(_camera_matrix(heading, near_m, far_m).ravel())
             self._draw(_tiles_in_view(self._tiles, (col, row), field, heading))
@@ -171,9 +171,9 @@ def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
 def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     """Return a near plane in front of which no part of the surface can come into view.
 
-    Within one cell around the eye the surface is no nearer than the eye's clearance over it
-    times the cosine of its steepest slope; beyond, no nearer than a cell. A point nearer than
-    the plane and inside a 90 degree view lies within sqrt(3) of the plane's distance.
+    Within one cell around the eye, the surface is no nearer than the eye's clearance over it times
+    the cosine of its steepest slope. Beyond, it is no nearer than a cell. A point nearer than the
+    plane and inside a view of 90 degrees lies within sqrt(3) times the plane's distance.
     """
     easting_m = viewpoints.easting_m[index]
     northing_m = viewpoints.northing_m[index]

@@ -31,25 +31,16 @@ from skyline.terrain.data_edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
-_PIECE_COLUMNS = 12_000
-"""Columns of the views that a scene renders in one piece: a few milliseconds without a GPU."""
-
 _T = TypeVar("_T")
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
 class RenderConfig:
-    """Settings of views of 90 degrees.
-
-    Attributes
-    ----------
-    width : int
-        Columns W of a view.
-    curvature : Curvature
-    """
+    """Settings of views of 90 degrees."""
 
     width: int = DEFAULT_WIDTH
+    """Columns W of a view."""
     curvature: Curvature = field(default_factory=Curvature)
 
 
@@ -97,7 +88,7 @@ def render_views(
 
 
 class RenderedScene:
-    """Terrain that renders views of its skyline, and of a surface that may stand on it, if any.
+    """Renders views of the skylines of a terrain, and of a surface that may stand on it.
 
     With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
     makes the scene may render.
@@ -116,7 +107,8 @@ class RenderedScene:
         self._terrain = terrain
         self._curvature = config.curvature
         self._thread = thread
-        self._piece = max(1, _PIECE_COLUMNS // config.width)
+        # Views of 12,000 columns take a few milliseconds without a GPU.
+        self._piece = max(1, 12_000 // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
         self._renderers = self._run(lambda: [HorizonRenderer(one, config) for one in fields])
 
@@ -128,12 +120,11 @@ class RenderedScene:
     def render(
         self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False
     ) -> list[Views]:
-        """Render one view an eye, each along its heading (N,): of the terrain, then of the surface.
+        """Render one view per eye along its heading (N,): of the terrain, then of the surface.
 
-        Where a thread renders for all, ``urgent`` views are rendered before those that are not, and
-        the pieces leave room for them.
-
-        Raises `InputError` after a release, and `ContextError` in another thread than the maker's.
+        Where a thread renders for all, it renders ``urgent`` views first, between the pieces of
+        others. Raises `InputError` after a release, and `ContextError` in another thread than the
+        maker's.
         """
         if not self._renderers:
             raise InputError("the matcher or viewer has been released; make another one")
@@ -217,7 +208,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
-        """Return (4 N, B/4) values of views in the order of bins (N, B)."""
+        """Return values (4 N, B/4) of views in the order of bins (N, B)."""
         # The first view begins an eighth of a turn before bin 0.
         turned = values.reshape(-1, self.bins)
         return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)

@@ -34,15 +34,6 @@ NEAR_ERROR_PX = 0.02
 _NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet, as in the shader."""
 
-_ROUNDING = 3.0 * 2.0**-24
-"""Relative rounding error of a crossing's height in float32."""
-
-_MAX_GROUPS = 65_535
-"""Work groups that every OpenGL starts at once."""
-
-_MANY_EYES = 16
-"""Eyes from which on a lane takes a long run of columns; fewer would leave cores without work."""
-
 _EYE_DTYPE = np.dtype(
     [
         ("nearest", "<i4", 2),
@@ -129,9 +120,9 @@ class Eyes:
         return sorted(windows, key=lambda window: float(np.hypot(*self._gap_m(window, middle))))
 
     def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
-        """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
+        """Return an upper bound (N,) of v over a window no higher than ``highest_m``.
 
-        -inf where the window lies outside the view.
+        The eyes are in sorted order; -inf where the window lies outside the view.
         """
         corners = np.array(
             [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
@@ -179,10 +170,11 @@ def _needs_double(
 ) -> BoolArray:
     """Mark the eyes (N,) near whose edges float32 blurs v by more than ``near_error_tan``.
 
-    A crossing at depth z among heights up to H above or below the eye has v to within
-    ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
-    eye's height over ground, G the steepest slope around, s the spacing), so that its error
-    cannot show. The edges between these two depths are computed in float64.
+    A crossing at depth z among heights up to H above or below the eye has v to within r H / z,
+    where r is the relative rounding error of its height. An edge nearer than c / (G + 2 H / s) is
+    below what follows it (c the eye's height over ground, G the steepest slope around, s the
+    spacing), so that its error cannot show. The edges between these two depths are computed in
+    float64.
     """
     steps = np.arange(-1, 3)
     rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
@@ -196,7 +188,8 @@ def _needs_double(
     ground_m = field.height_at(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
-    blurred_to_m = _ROUNDING * relief_m / near_error_tan
+    rounding = 3.0 * 2.0**-24
+    blurred_to_m = rounding * relief_m / near_error_tan
     lines = np.stack([row, col, col - row])
     offset = np.abs(lines - np.rint(lines))
     # An eye exactly on a line does not cross it.
@@ -366,7 +359,8 @@ class ColumnRenderer(Renderer):
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
         groups = math.ceil(self.width / (self._lanes * columns_a_lane))
-        at_once = _MAX_GROUPS // groups
+        # Every OpenGL starts 65,535 work groups at once.
+        at_once = 65_535 // groups
         for first_eye in range(0, len(eyes), at_once):
             _set_uniforms(program, {"first_eye": first_eye})
             program.run(min(at_once, len(eyes) - first_eye) * groups)
@@ -414,7 +408,8 @@ class ColumnRenderer(Renderer):
 
     def _columns_a_lane(self, eyes: int) -> int:
         longest = 80 if self._context.software else 5
-        if eyes < _MANY_EYES:
+        # Few eyes with long runs of columns would leave cores without work.
+        if eyes < 16:
             longest = max(longest // 8, 1)
         groups = math.ceil(self.width / (self._lanes * longest))
         return math.ceil(self.width / (self._lanes * groups))
