@@ -79,7 +79,7 @@ def main() -> None:
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results[FULL], strict=True):
         picture = np.asarray(Image.open(query.path))
-        write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
+        write_overlay(picture, result.skyline, query.path.with_suffix(".skyline.png"))
 
     draw(terrain, queries[0], out)
     page = report_matches(out / "report", matchers[FULL], results[FULL])

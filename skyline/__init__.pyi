@@ -30,7 +30,7 @@ from .photo.exif import NotedPlace as NotedPlace
 from .photo.extract import Correction as Correction
 from .photo.photo import Photo as Photo
 from .photo.photo import read_photo as read_photo
-from .photo.read import read_query as read_query
+from .photo.read import read_skyline as read_skyline
 from .photo.skyline import Lens as Lens
 from .photo.skyline import PhotoSkyline as PhotoSkyline
 from .photo.strokes import Stroke as Stroke

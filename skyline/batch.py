@@ -22,7 +22,7 @@ from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import photos_in
 from skyline.photo.photo import check_fov
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.tables import Row, Table, is_table, read_table
@@ -71,8 +71,8 @@ class Entry:
             self.read()
 
     def read(self) -> PhotoSkyline:
-        """Return the skyline; raises as `skyline.photo.read.read_query`."""
-        photo = read_query(self.path, self.fov_deg, projection=self.projection)
+        """Return the skyline; raises as `skyline.photo.read.read_skyline`."""
+        photo = read_skyline(self.path, self.fov_deg, projection=self.projection)
         if photo.fov_deg is None or self.fov_sd_share is None:
             return photo
         lens = photo.lens if self.fov_deg is None and photo.lens else Lens(photo.fov_deg)

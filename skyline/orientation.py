@@ -108,7 +108,7 @@ class Orientation:
 
     Attributes
     ----------
-    query : PhotoSkyline
+    skyline : PhotoSkyline
         The skyline that was fitted.
     pose : Pose or None
         The best pose; None if nothing fits. Its place is the known one, moved as the skyline asks.
@@ -121,14 +121,14 @@ class Orientation:
     eye_height_m : float
         Height of the eye above the DEM's ground; NaN without a pose.
     seconds : float
-        From the query to the pose.
+        From the photo to the pose.
     refusal : str or None
         Why the pose cannot be trusted; None if it can.
     name : str
-        The query's file; empty for a query skyline.
+        The photo's file; empty for a skyline.
     """
 
-    query: PhotoSkyline
+    skyline: PhotoSkyline
     pose: Pose | None
     heading_sd_deg: float = math.nan
     pitch_sd_deg: float = math.nan
@@ -156,7 +156,7 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the orientation as a row of the table that ``skyline orient -o`` writes."""
-        row: dict[str, Any] = {"query": printable(self.name), "trusted": int(not self.refusal)}
+        row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
             row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
             sd_name = f"{angle}_sd_deg"
@@ -173,7 +173,7 @@ class Orientation:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient`` prints."""
-        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
+        lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
         if self.pose is not None:
@@ -189,8 +189,8 @@ class Orientation:
                 f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
                 f"{self.eye_height_m:.0f} m above the ground"
             )
-        if self.query.lens is not None:
-            lines.append(self.query.lens.in_words)
+        if self.skyline.lens is not None:
+            lines.append(self.skyline.lens.in_words)
         return "\n  ".join(filter(None, lines))
 
 
@@ -287,28 +287,28 @@ class Orienter(Releasable):
 
     @one_blas_thread()
     def orient(
-        self, query: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
+        self, photo: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
-        """Find how the camera of a photo, a sky mask, a trace or a query skyline was held.
+        """Find how the camera of a photo, a sky mask, a trace or a skyline was held.
 
         The compass direction that a photo notes counts as a hint.
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
+        photo : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
-            Horizontal field of view; by default the query's own, and one of 25 to 100 degrees if
+            Horizontal field of view; by default the photo's own, and one of 25 to 100 degrees if
             that is not known.
         name : str
-            Name of the result; by default the query's file.
+            Name of the result; by default the photo's file.
 
         Raises
         ------
         InputError
-            The query has no usable skyline, or is a panorama of unknown field of view.
+            The photo has no usable skyline, or is a panorama of unknown field of view.
         """
         started = time.perf_counter()
-        file, skyline = named_skyline(query, fov_deg)
+        file, skyline = named_skyline(photo, fov_deg)
         name = name or file
         refusal = too_little(skyline)
         if refusal is not None:
@@ -318,17 +318,17 @@ class Orienter(Releasable):
         found = self._orientation(skyline, rays, poses)
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
-    def _refined(self, rays: Rays, query: PhotoSkyline) -> Poses:
+    def _refined(self, rays: Rays, skyline: PhotoSkyline) -> Poses:
         """Return the best pose of each heading in each standing, best first."""
         found = list[Poses]()
-        for number, standing in enumerate(self._standings(query.noted)):
+        for number, standing in enumerate(self._standings(skyline.noted)):
             retriever = self._retriever
             if number > 0:
                 retriever = self._retriever_at(standing.elevation_m)
             fitted = retriever.fitted_all_round(rays)
             each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
             best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
-            refinement = self._refinement(rays, query.noted, standing)
+            refinement = self._refinement(rays, skyline.noted, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
             found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
         poses = Poses.concatenate(found)
@@ -359,10 +359,10 @@ class Orienter(Releasable):
             heading_sd_deg=from_exif.heading_sd_deg,
         )
 
-    def _orientation(self, query: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
+    def _orientation(self, skyline: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
         """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
         if not len(poses):
-            return Orientation(query, None, refusal="no heading fits at this place")
+            return Orientation(skyline, None, refusal="no heading fits at this place")
         other_eye = self._other_eye(poses)
         poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _APART_DEG)]
         moved_m = self._moved_m(poses)
@@ -376,11 +376,11 @@ class Orienter(Releasable):
             other = projections.other_projection(
                 rays,
                 Poses.of(pose),
-                lambda bent: self._refinement(bent, query.noted, standing),
+                lambda bent: self._refinement(bent, skyline.noted, standing),
             )
         refusal = refusal_of(
             pose,
-            query,
+            skyline,
             rays,
             doubts=(self._doubt(poses, pose, sure), self._far(moved_m[0])),
             ambiguity=other_eye,
@@ -389,7 +389,7 @@ class Orienter(Releasable):
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
-            query,
+            skyline,
             pose,
             **errors_deg,
             confidence=sure,
@@ -490,7 +490,7 @@ class _RefinementByHeading(Refinement):
 
 
 def orient(
-    query: Picture | PhotoSkyline,
+    photo: Picture | PhotoSkyline,
     dem: Dem,
     *,
     lon: float | None = None,
@@ -515,7 +515,7 @@ def orient(
         raise InputError(
             "one of lon and lat is given; give both, or neither to use the photo's GPS position"
         )
-    name, skyline = named_skyline(query, fov_deg)
+    name, skyline = named_skyline(photo, fov_deg)
     if lon is None or lat is None:
         lon, lat, _, noted_m = noted_place(skyline, name)
         within_m = noted_m if within_m is None else within_m
@@ -524,15 +524,15 @@ def orient(
         return orienter.orient(skyline, name=name)
 
 
-def noted_place(query: PhotoSkyline, name: str) -> Place:
+def noted_place(skyline: PhotoSkyline, name: str) -> Place:
     """Return the place that a photo notes, without an elevation.
 
     Raises `InputError` for a photo without a position.
     """
-    if query.noted.lonlat_deg is None:
-        aside = f" ({query.noted.left_aside})" if query.noted.left_aside else ""
+    if skyline.noted.lonlat_deg is None:
+        aside = f" ({skyline.noted.left_aside})" if skyline.noted.left_aside else ""
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    within_m = max(LEAST_GPS_SD_M, query.noted.accuracy_m or GPS_SD_M)
-    return (*query.noted.lonlat_deg, None, within_m)
+    within_m = max(LEAST_GPS_SD_M, skyline.noted.accuracy_m or GPS_SD_M)
+    return (*skyline.noted.lonlat_deg, None, within_m)

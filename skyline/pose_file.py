@@ -116,11 +116,11 @@ def _record_of(records: list[Any], path: Path, photo: Path) -> Any:
     """Return the record of a photo; None if there is none in a file without records."""
     if len(records) <= 1:
         return records[0] if records else None
-    named = {"query": printable(photo)}
+    named = {"photo": printable(photo)}
     of_photo = [one for one in records if isinstance(one, dict) and named.items() <= one.items()]
     if len(of_photo) != 1:
         raise InputError(
-            f"pose {path} has {len(of_photo)} lines whose `query` is {photo}; expected one: "
+            f"pose {path} has {len(of_photo)} lines whose `photo` is {photo}; expected one: "
             "give a file of this photo alone"
         )
     return of_photo[0]

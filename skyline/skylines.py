@@ -170,7 +170,7 @@ def joined_views(
 
     ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
     or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
-    bound. It is used as it is: farther terrain may rise above it in the query, as a tree may
+    bound. It is used as it is: farther terrain may rise above it in the photo, as a tree may
     anywhere.
     """
     y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)

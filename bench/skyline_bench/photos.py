@@ -24,7 +24,7 @@ from skyline import (
     Pose,
     Viewer,
     read_dem,
-    read_query,
+    read_skyline,
 )
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
@@ -59,7 +59,7 @@ class Measured:
 
     photograph: Photograph
     figures: dict[str, Any]  # The row of the table
-    query: PhotoSkyline | None = None  # None where no skyline was found
+    skyline: PhotoSkyline | None = None  # None where no skyline was found
     row_px: Float64Array | None = None  # (W,); the true skyline, where it is known
     best: Pose | None = None
     searched: tuple[str, str] | None = None  # The store's name and digest
@@ -148,12 +148,12 @@ def _section(measured: Measured, viewer: Viewer | None) -> str:
     """Return the section of a photograph, with a drawing if its skyline was found."""
     known = ([name, shown(value)] for name, value in measured.figures.items() if value is not None)
     parts = [table(("", ""), list(known))]
-    if measured.query is not None:
+    if measured.skyline is not None:
         sight = None
         if viewer is not None and measured.best is not None:
-            sight = viewer.look(measured.best, measured.query)
+            sight = viewer.look(measured.best, measured.skyline)
         photo = read_picture(measured.photograph.photo)
-        drawn, _ = draw_overlay(measured.query, photo, measured.best, sight)
+        drawn, _ = draw_overlay(measured.skyline, photo, measured.best, sight)
         parts.insert(0, figures([picture(drawn, "Found, and rendered at the best candidate.")]))
     return section(measured.photograph.name, parts)
 
@@ -230,31 +230,31 @@ def _extracted(one: Photograph) -> Measured:
     figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
     started = time.perf_counter()
     try:
-        query = read_query(one.photo, one.given_fov_deg)
+        skyline = read_skyline(one.photo, one.given_fov_deg)
     except InputError as error:
         refusal = str(error).replace(str(one.photo), one.name)
         return Measured(one, figures | {"refusal": refusal, "lost": "extraction"})
-    figures |= {"seconds": time.perf_counter() - started, "trusted": float(query.trusted.mean())}
+    figures |= {"seconds": time.perf_counter() - started, "trusted": float(skyline.trusted.mean())}
     if one.given_eye_height_m is not None:
-        query = replace(query, eye_height_m=one.given_eye_height_m)
-    true_px = one.true_row_px(query.width_px, query.height_px)
+        skyline = replace(skyline, eye_height_m=one.given_eye_height_m)
+    true_px = one.true_row_px(skyline.width_px, skyline.height_px)
     if true_px is not None:
-        trusted, right, _, known = count_columns(query, true_px)
+        trusted, right, _, known = count_columns(skyline, true_px)
         figures |= {
             "right_columns": right / trusted if trusted else None,
             "found_columns": right / max(known, 1),
         }
-    return Measured(one, figures, query, true_px)
+    return Measured(one, figures, skyline, true_px)
 
 
-def count_columns(query: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
+def count_columns(skyline: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
     """Count the columns with a true skyline.
 
     Returned are the trusted ones, of these the right and the far ones, and all. A column is right
     within 1 % of the photo's height, and far beyond 3 %.
     """
     known = np.isfinite(true_px)
-    off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
+    off = np.abs(skyline.row_px - true_px)[known & skyline.trusted] / skyline.height_px
     right = int((off <= 0.01).sum())
     far = int((off > 0.03).sum())
     return off.size, right, far, int(known.sum())
@@ -262,10 +262,10 @@ def count_columns(query: PhotoSkyline, true_px: Float64Array) -> tuple[int, int,
 
 def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -> Measured:
     measured = _extracted(one)
-    if measured.query is None:
+    if measured.skyline is None:
         return measured
-    query = measured.query
-    result = matcher.match(query, narrowing=Narrowing(use_gps=use_gps))
+    skyline = measured.skyline
+    result = matcher.match(skyline, narrowing=Narrowing(use_gps=use_gps))
     best = next(iter(result.candidates), None)
     errors = [_off_m(one, place, matcher) for place in result.candidates]
     right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_WITHIN_M]
@@ -277,7 +277,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -
         "error_m": errors[0] if errors else None,
         "rank": right[0] if right else None,
         "heading_error_deg": None if best is None else _turn_deg(one, best),
-        "fov_given_deg": query.fov_deg,
+        "fov_given_deg": skyline.fov_deg,
         "fov_found_deg": None if best is None else best.fov_deg,
         "confidence": None if best is None else best.confidence,
         "confidence_1km": None if best is None else best.confidence_1km,
@@ -299,25 +299,25 @@ def _stages(
     The truth is given to one later stage after the other.
     docs/howto/comparing-grids.md says what each stage means.
     """
-    query = result.query
+    skyline = result.skyline
     if measured.figures["rank"] == 1:
         return {"lost": "confidence"}
     refused = result.refusal is not None and not result.candidates
-    if refused or _found_by_truth(one, query, measured.row_px, matcher):
+    if refused or _found_by_truth(one, skyline, measured.row_px, matcher):
         return {"lost": "extraction"}
     near = Narrowing(near=(*one.lonlat, 0.3))
     try:
-        there = next(iter(matcher.match(query, narrowing=near).candidates), None)
+        there = next(iter(matcher.match(skyline, narrowing=near).candidates), None)
     except InputError:
         there = None
     stage = "ranking"
     if there is None or abs(_turn_deg(one, there) or 0.0) > RIGHT_DEG:
-        fitted = _fitted(one, query, matcher, viewer)
+        fitted = _fitted(one, skyline, matcher, viewer)
         stage = "skyline" if fitted is None else "pose"
         there = fitted or there
     if there is None:
         return {"lost": "skyline"}
-    gap_deg = viewer.look(there, query).median_gap_deg
+    gap_deg = viewer.look(there, skyline).median_gap_deg
     # A found skyline so far from what the model shows at the true place is not the model's.
     if gap_deg is None or gap_deg > 0.5:
         stage = "skyline"
@@ -331,17 +331,19 @@ def _stages(
 
 
 def _found_by_truth(
-    one: Photograph, query: PhotoSkyline, true_px: Float64Array | None, matcher: Matcher
+    one: Photograph, skyline: PhotoSkyline, true_px: Float64Array | None, matcher: Matcher
 ) -> bool:
     """Whether the true skyline, as far as it is known, leads to the place."""
     if true_px is None:
         return False
-    true = replace(query, row_px=true_px, trust=np.isfinite(true_px).astype(float))
+    true = replace(skyline, row_px=true_px, trust=np.isfinite(true_px).astype(float))
     found = matcher.match(true).candidates
     return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_WITHIN_M
 
 
-def _fitted(one: Photograph, query: PhotoSkyline, matcher: Matcher, viewer: Viewer) -> Pose | None:
+def _fitted(
+    one: Photograph, skyline: PhotoSkyline, matcher: Matcher, viewer: Viewer
+) -> Pose | None:
     """Return the fit of the true pose; None where it is unknown or lost."""
     if one.heading_deg is None:
         return None
@@ -350,10 +352,10 @@ def _fitted(one: Photograph, query: PhotoSkyline, matcher: Matcher, viewer: View
     above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
     pose = viewer.pose(
         lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
-        roll_deg=one.roll_deg or 0.0, fov_deg=one.fov_deg or query.fov_deg or 60.0,
+        roll_deg=one.roll_deg or 0.0, fov_deg=one.fov_deg or skyline.fov_deg or 60.0,
         eye_height_m=above_m,
     )  # fmt: skip
-    fitted = next(iter(matcher.fit(query, pose).candidates), None)
+    fitted = next(iter(matcher.fit(skyline, pose).candidates), None)
     if fitted is None or _off_m(one, fitted, matcher) > RIGHT_WITHIN_M:
         return None
     return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
@@ -448,8 +450,8 @@ def sky_masks(
 def _columns(photo: Photograph) -> tuple[int, int, int, int]:
     """Return the figures of `count_columns`; no column is trusted where the photo is refused."""
     measured = _extracted(photo)
-    if measured.query is not None and measured.row_px is not None:
-        return count_columns(measured.query, measured.row_px)
+    if measured.skyline is not None and measured.row_px is not None:
+        return count_columns(measured.skyline, measured.row_px)
     with Image.open(photo.photo) as picture:
         true_px = photo.true_row_px(*picture.size)
     return 0, 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())

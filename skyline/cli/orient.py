@@ -91,7 +91,7 @@ def _print(terminal: Terminal, entry: Entry, found: Orientation, output: Path | 
 
 def _row(entry: Entry, found: Orientation | SkylineError) -> dict[str, Any]:
     if isinstance(found, SkylineError):
-        failed = {"query": printable(entry.path), "trusted": 0, "refusal": str(found)}
+        failed = {"photo": printable(entry.path), "trusted": 0, "refusal": str(found)}
         return failed | _label(entry)
     return found.to_row() | _label(entry)
 

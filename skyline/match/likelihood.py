@@ -1,6 +1,6 @@
-r"""Likelihood of a query's residuals, given the errors of the photo and of the terrain model.
+r"""Likelihood of a photo's residuals, given the errors of the photo and of the terrain model.
 
-The residual of a column is the elevation of the query's skyline above the rendered one, radians.
+The residual of a column is the elevation of the photo's skyline above the rendered one, radians.
 It is the sum of
 
 * the photo's error, independent from column to column, with standard deviation sigma_a, and
@@ -196,11 +196,11 @@ def likelihood(
 ) -> Likelihood:
     """Return the likelihood of residuals, with the odds of each column improved once.
 
-    ``residual_rad`` (M, R) is query minus terrain, NaN where the terrain is unknown; such a column
-    is as likely as one that does not show terrain. ``trust`` (R,) is in the query's columns,
+    ``residual_rad`` (M, R) is photo minus terrain, NaN where the terrain is unknown; such a column
+    is as likely as one that does not show terrain. ``trust`` (R,) is in the photo's columns,
     ``odds`` (M, R) are the probabilities that they show terrain, to start from. ``angle_deg`` and
     ``height_m`` (M,) are the standard deviations of the photo's error and of the model's heights.
-    ``magnified`` (M,) is the size of a pixel, as an angle, over that of the query's assumed lens:
+    ``magnified`` (M,) is the size of a pixel, as an angle, over that of the photo's assumed lens:
     the photo's error is a number of pixels, and the likelihood a density of pixels.
     """
     magnified = np.broadcast_to(magnified, len(residual_rad))[:, np.newaxis]

@@ -1,4 +1,4 @@
-"""`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
+"""`Matcher`: matches photos to a store, and to the terrain that the store was rendered from."""
 
 import logging
 import time
@@ -24,7 +24,7 @@ from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
@@ -48,7 +48,7 @@ FULL = "full"
 
 
 class Matcher(Releasable):
-    """Matches query skylines to a store, which is read once.
+    """Matches skylines to a store, which is read once.
 
     Parameters
     ----------
@@ -129,19 +129,19 @@ class Matcher(Releasable):
 
     def match(
         self,
-        query: Picture | PhotoSkyline,
+        photo: Picture | PhotoSkyline,
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
         report_progress: ReportProgress = silent,
     ) -> MatchResult:
-        """Find where a photo, a sky mask, a trace or a query skyline was taken.
+        """Find where a photo, a sky mask, a trace or a skyline was taken.
 
         Parameters
         ----------
-        query : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
+        photo : path, PIL image, (H, W, 3) uint8 or PhotoSkyline
         fov_deg : float, optional
-            Horizontal field of view, degrees; by default the query's own.
+            Horizontal field of view, degrees; by default the photo's own.
         top : int
             Most candidates to return; the candidates themselves do not depend on it.
         narrowing : Narrowing, optional
@@ -160,14 +160,14 @@ class Matcher(Releasable):
         Raises
         ------
         InputError
-            The query has no usable skyline, its field of view is unknown and the matcher needs one,
+            The photo has no usable skyline, its field of view is unknown and the matcher needs one,
             the search is narrowed to no place, or ``top`` is below 1.
         StoreError
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
         _check_top(top)
-        name, skyline = named_skyline(query, fov_deg)
+        name, skyline = named_skyline(photo, fov_deg)
         candidates: tuple[Pose, ...] = ()
         verdict = Verdict(too_little(skyline))
         if verdict.refusal is None:
@@ -190,7 +190,7 @@ class Matcher(Releasable):
 
     def match_together(
         self,
-        queries: Sequence[Picture | PhotoSkyline],
+        photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
@@ -204,34 +204,34 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        queries : sequence of path, PIL image, array or PhotoSkyline
+        photos : sequence of path, PIL image, array or PhotoSkyline
             Two or more.
         fov_deg, top, report_progress
             See `match`.
         narrowings : sequence of Narrowing or None, optional
-            Knowledge about the pose of each query.
+            Knowledge about the pose of each photo.
 
         Returns
         -------
         JointResult
-            Its ``answer`` is the place, ``results`` has a `MatchResult` for each query.
+            Its ``answer`` is the place, ``results`` has a `MatchResult` for each photo.
 
         Raises
         ------
         InputError
-            There are fewer than two queries, the matcher does not render, or as in `match`.
+            There are fewer than two photos, the matcher does not render, or as in `match`.
         StoreError
             See `match`.
         """
         started = time.perf_counter()
         _check_top(top)
-        photos = self._photos(queries, fov_deg, narrowings)
-        usable = [number for number, photo in enumerate(photos) if photo.known is not None]
-        found = self._found_together(photos, usable, top, report_progress)
+        read = self._read(photos, fov_deg, narrowings)
+        usable = [number for number, photo in enumerate(read) if photo.known is not None]
+        found = self._found_together(read, usable, top, report_progress)
         verdict = Verdict.of_joint_search(
             list(found.values()),
             (
-                (photos[number].name, self._other_projection(photos[number], candidates[0]))
+                (read[number].name, self._other_projection(read[number], candidates[0]))
                 for number, candidates in found.items()
             ),
             self._config,
@@ -249,34 +249,34 @@ class Matcher(Releasable):
             )
             if number in found
             else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
-            for number, photo in enumerate(photos)
+            for number, photo in enumerate(read)
         )
         return JointResult(results, seconds, verdict.refusal)
 
-    def _photos(
+    def _read(
         self,
-        queries: Sequence[Picture | PhotoSkyline],
+        photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None,
         narrowings: Sequence[Narrowing | None] | None,
     ) -> "list[_Photo]":
         """Return the photos of one place; raises `InputError` for fewer than two."""
-        if isinstance(queries, str | Path | PhotoSkyline | Image):
-            queries = [queries]
-        queries = list(queries)
+        if isinstance(photos, str | Path | PhotoSkyline | Image):
+            photos = [photos]
+        given = list(photos)
         if narrowings is None:
-            narrowings = [None] * len(queries)
-        if len(queries) < 2 or len(narrowings) != len(queries):
+            narrowings = [None] * len(given)
+        if len(given) < 2 or len(narrowings) != len(given):
             raise InputError(
-                f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
+                f"{len(given)} photos and {len(narrowings)} narrowings; expected two photos or "
                 "more and as many narrowings"
             )
-        named = [named_skyline(photo, fov_deg) for photo in queries]
-        photos = []
+        named = [named_skyline(photo, fov_deg) for photo in given]
+        read = []
         for (name, skyline), narrowing in zip(named, narrowings, strict=True):
             refusal = too_little(skyline)
             known = None if refusal else self._rays_and_prior(skyline, narrowing)
-            photos.append(_Photo(name, skyline, refusal, known))
-        return photos
+            read.append(_Photo(name, skyline, refusal, known))
+        return read
 
     def _found_together(
         self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
@@ -297,7 +297,7 @@ class Matcher(Releasable):
 
     def fit(
         self,
-        query: PhotoSkyline | MatchResult,
+        photo: PhotoSkyline | MatchResult,
         start: Pose,
         narrowing: Narrowing | None = None,
     ) -> MatchResult:
@@ -314,7 +314,7 @@ class Matcher(Releasable):
 
         Parameters
         ----------
-        query : PhotoSkyline or MatchResult
+        photo : PhotoSkyline or MatchResult
             A skyline, or the result of `match` for it, which has its narrowing.
         start : Pose
             A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
@@ -326,18 +326,18 @@ class Matcher(Releasable):
         ------
         InputError
             The matcher does not render, the pose is off the map, or the result is not that of a
-            search of one query.
+            search of one photo.
         """
         started = time.perf_counter()
-        if isinstance(query, MatchResult):
-            if query.narrowing is None or narrowing is not None:
-                raise InputError("a fit takes a query and a narrowing, or the result of `match`")
-            searched = query
-            skyline = searched.query
+        if isinstance(photo, MatchResult):
+            if photo.narrowing is None or narrowing is not None:
+                raise InputError("a fit takes a photo and a narrowing, or the result of `match`")
+            searched = photo
+            skyline = searched.skyline
             narrowing = searched.narrowing
         else:
             searched = None
-            skyline = query
+            skyline = photo
         pose = self._fitted(skyline, start, narrowing)
         reached = candidate_reached(searched.candidates, start, pose) if searched else None
         if searched and reached:
@@ -451,24 +451,24 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
 
 
 def named_skyline(
-    query: Picture | PhotoSkyline, fov_deg: float | None = None
+    photo: Picture | PhotoSkyline, fov_deg: float | None = None
 ) -> tuple[str, PhotoSkyline]:
-    """Return the file of a query, empty for pixels and for a query skyline, and its skyline.
+    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
 
-    The skyline has the given field of view, or else its own. Raises as `read_query`, and
-    `InputError` for anything but one query.
+    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
+    `InputError` for anything but one photo.
     """
     if fov_deg is not None:
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"
         (fov_deg,) = numbers_of([fov_deg], 1, error)
-    if isinstance(query, PhotoSkyline):
-        return "", query if fov_deg is None else query.with_fov(fov_deg)
-    if not isinstance(query, str | Path | Image | np.ndarray):
+    if isinstance(photo, PhotoSkyline):
+        return "", photo if fov_deg is None else photo.with_fov(fov_deg)
+    if not isinstance(photo, str | Path | Image | np.ndarray):
         raise InputError(
-            f"the query is of type {type(query).__name__}; expected one path, PIL image, array of "
+            f"the photo is of type {type(photo).__name__}; expected one path, PIL image, array of "
             "uint8 or PhotoSkyline"
         )
-    return str(query) if isinstance(query, str | Path) else "", read_query(query, fov_deg)
+    return str(photo) if isinstance(photo, str | Path) else "", read_skyline(photo, fov_deg)
 
 
 def _check_top(top: int) -> None:

@@ -397,7 +397,7 @@ class Narrowing:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Prior knowledge of one query's pose, in the metres of a frame."""
+    """Prior knowledge of one photo's pose, in the metres of a frame."""
 
     narrowing: Narrowing = Narrowing()
     frame: Frame | None = None

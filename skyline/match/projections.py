@@ -95,29 +95,29 @@ class OtherProjection:
 
 
 def other_projection(
-    query: Rays, pose: Poses, refinement_of: Callable[[Rays], Refinement]
+    rays: Rays, pose: Poses, refinement_of: Callable[[Rays], Refinement]
 ) -> OtherProjection | None:
     """Return the likeliest other projection of a photo; None for a panorama.
 
     Parameters
     ----------
-    query : Rays
+    rays : Rays
     pose : Poses
         The photo's best pose: one.
     refinement_of : callable
         Returns the refinement of a photo's rays, with the priors with which the pose was found.
     """
-    if query.is_panorama:
+    if rays.is_panorama:
         return None
-    columns = _columns(query, float(pose.fov_deg[0]))
+    columns = _columns(rays, float(pose.fov_deg[0]))
     own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1)))
     own_log_p = -max(float(own.state[0, WARP:].sum()), 0.0) / _LENS_DISTORTION
     others = []
-    for name, rays in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
-        fit = _best_fit(refinement_of(rays), _from(replace(pose, distortion=None), rays, _SCALES))
-        log_p = -0.5 * float(np.square(fit.state[0, WARP:] / rays.warp_sd).sum())
+    for name, bent in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
+        fit = _best_fit(refinement_of(bent), _from(replace(pose, distortion=None), bent, _SCALES))
+        log_p = -0.5 * float(np.square(fit.state[0, WARP:] / bent.warp_sd).sum())
         log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
-        fov_deg = float(rays.fov_at(fit.state[0, LOG_SCALE]))
+        fov_deg = float(bent.fov_at(fit.state[0, LOG_SCALE]))
         others.append(OtherProjection(name, fov_deg, _probability(log_odds + _PRIOR_LOG_ODDS)))
     return max(others, key=lambda other: other.probability)
 
@@ -127,11 +127,11 @@ def _probability(log_odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-bounded))
 
 
-def _columns(query: Rays, fov_deg: float) -> Rays:
+def _columns(rays: Rays, fov_deg: float) -> Rays:
     """Return a photo's rays with a field of view, averaged over columns of equal width."""
     step_rad = 2.0 * np.pi / ROUGH.bins
     count = int(_DENSITY * math.sin(math.radians(fov_deg)) / step_rad)
-    return replace(in_runs(query.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
+    return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
 
 
 def _panorama(columns: Rays) -> Rays:

@@ -1,4 +1,4 @@
-"""The answer to a query: its sentences, its JSON, its rows, and its tables."""
+"""The answer to a photo: its sentences, its JSON, its rows, and its tables."""
 
 import math
 from collections.abc import Iterable
@@ -37,30 +37,30 @@ _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_
 
 @dataclass(frozen=True, slots=True)
 class MatchResult:
-    """The candidates found for one query, and whether the best of them is the answer.
+    """The candidates found for one photo, and whether the best of them is the answer.
 
     Attributes
     ----------
-    query : PhotoSkyline
+    skyline : PhotoSkyline
         The skyline that was matched.
     candidates : tuple of Pose
         Best first.
     seconds : float
-        From the query to the candidates.
+        From the photo to the candidates.
     refusal : str or None
         Why there is no answer, where there is none.
     within_m : float or None
         Distance within which the answer is sure to be right: 200 m, or 1 km where only that is
         sure. None without an answer, and for matchers without a confidence.
     name : str
-        The query's file, as it was given to the matcher; empty for a `PhotoSkyline`.
+        The photo's file, as it was given to the matcher; empty for a `PhotoSkyline`.
     id : str
-        The ``id`` or ``name`` that a list of queries gives it; else empty.
+        The ``id`` or ``name`` that a list of photos gives it; else empty.
     narrowing : Narrowing or None
-        What was known about the pose in a search of this query alone; None where there was none.
+        What was known about the pose in a search of this photo alone; None where there was none.
     """
 
-    query: PhotoSkyline
+    skyline: PhotoSkyline
     candidates: tuple[Pose, ...]
     seconds: float
     refusal: str | None = None
@@ -142,7 +142,7 @@ class MatchResult:
         where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
         that cannot be used, with the reasons. None where the photo notes nothing.
         """
-        noted, best = self.query.noted, self.best
+        noted, best = self.skyline.noted, self.best
         if noted == NOTHING_NOTED:
             return None
         lon, lat = noted.lonlat_deg or (None, None)
@@ -201,9 +201,9 @@ class MatchResult:
         a direction, ``lens`` if it notes a lens and no field of view was given.
         """
         candidates = [one.to_dict() for one in self.candidates]
-        lens, exif = self.query.lens, self.exif
+        lens, exif = self.skyline.lens, self.exif
         return {
-            "query": printable(self.name),
+            "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
@@ -220,7 +220,7 @@ class MatchResult:
         best, exif = self.best, self.exif
         row = {} if best is None else best.to_dict()
         return row | {
-            "query": printable(self.name),
+            "photo": printable(self.name),
             "id": printable(self.id) or None,
             "answered": int(self.answer is not None),
             "within_m": self.within_m,
@@ -231,8 +231,8 @@ class MatchResult:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline match`` prints."""
-        lens = self.query.lens
-        lines = [f"{printable(self.name) or 'query'} ({self.seconds:.2f} s)"]
+        lens = self.skyline.lens
+        lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
         if self.answer is not None:
             sure = _sure_in_words(self.confidence, self.within_m)
             lines.append(f"the answer is candidate 1{sure}; all candidates, best first:")
@@ -269,21 +269,21 @@ class MatchResult:
             for one in self.candidates
         )
         table = f"<table><tr>{header}</tr>{rows}</table>" if rows else ""
-        return f"<div><p>{escape(self.summary)}</p>{_skyline_svg(self.query)}{table}</div>"
+        return f"<div><p>{escape(self.summary)}</p>{_skyline_svg(self.skyline)}{table}</div>"
 
 
 @dataclass(frozen=True, slots=True)
 class JointResult:
-    """The places found for several queries that were taken at one place.
+    """The places found for several photos that were taken at one place.
 
     Attributes
     ----------
     results : tuple of MatchResult
-        One for each query. The candidates of those that agree are the same places with the same
-        confidences; each has its own camera there. A query that does not agree has no candidates,
+        One for each photo. The candidates of those that agree are the same places with the same
+        confidences; each has its own camera there. A photo that does not agree has no candidates,
         and its refusal says why.
     seconds : float
-        From the queries to the places.
+        From the photos to the places.
     refusal : str or None
         Why there is no answer, where there is none.
     """
@@ -294,17 +294,17 @@ class JointResult:
 
     @property
     def agrees(self) -> tuple[bool, ...]:
-        """For each query, whether it was taken at the best place rather than at any other."""
+        """For each photo, whether it was taken at the best place rather than at any other."""
         return tuple(bool(one.candidates) for one in self.results)
 
     @property
     def first(self) -> MatchResult | None:
-        """The result of the first query that agrees; None if no query does."""
+        """The result of the first photo that agrees; None if no photo does."""
         return next((one for one in self.results if one.candidates), None)
 
     @property
     def places(self) -> tuple[Pose, ...]:
-        """The places, best first, with the camera of the first query that agrees."""
+        """The places, best first, with the camera of the first photo that agrees."""
         return () if self.first is None else self.first.candidates
 
     @property
@@ -337,7 +337,7 @@ class JointResult:
             if one.best is not None:
                 about = {name: getattr(one.best, name) for name in _OF_CAMERA}
             agrees = one.best is not None
-            names = {"query": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
+            names = {"photo": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
             photos.append({**names, "agrees": agrees, **about})
         return {
             "answer": places[0] if self.answer is not None else None,
@@ -418,7 +418,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     Returns
     -------
     geopandas.GeoDataFrame
-        Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
+        Points in EPSG:4326, with ``photo`` (the result's number, from 0), ``rank`` (1 is the
         best), ``is_answer`` (whether it is the answer) and the fields of `Pose`; of the
         covariance three columns, which files can hold. Unknown values are missing.
 
@@ -430,13 +430,13 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     geopandas = library("geopandas", "a GeoDataFrame")
     names = [n for n in Pose.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
     columns: dict[str, list[Any]] = {
-        name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
+        name: [] for name in ("photo", "rank", "is_answer", *names, *_COVARIANCE)
     }
     for number, result in enumerate(listed(results)):
         for one in result.candidates:
             (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
             row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
-            row |= {"query": number, "is_answer": one is result.answer}
+            row |= {"photo": number, "is_answer": one is result.answer}
             for name, values in columns.items():
                 values.append(math.nan if row[name] is None else row[name])
     places = geopandas.points_from_xy(columns["lon"], columns["lat"])
@@ -471,13 +471,13 @@ def _quality(one: Pose) -> str:
     return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
 
 
-def _skyline_svg(query: PhotoSkyline) -> str:
-    runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
+def _skyline_svg(skyline: PhotoSkyline) -> str:
+    runs = np.flatnonzero(np.diff(skyline.trusted, prepend=False, append=False)).reshape(-1, 2)
     lines = "".join(
-        "M" + " ".join(f"{col},{query.row_px[col]:.1f}" for col in range(start, stop))
+        "M" + " ".join(f"{col},{skyline.row_px[col]:.1f}" for col in range(start, stop))
         for start, stop in runs.tolist()
     )
-    size = f"{query.width_px} {query.height_px}"
+    size = f"{skyline.width_px} {skyline.height_px}"
     return (
         f'<svg viewBox="0 0 {size}" width="360" style="border: 1px solid; margin: 0.5em 0">'
         f'<path d="{lines}" fill="none" stroke="crimson" vector-effect="non-scaling-stroke"/></svg>'

@@ -20,7 +20,7 @@ from skyline.tables import is_table
 _log = logging.getLogger(__name__)
 
 
-def read_query(
+def read_skyline(
     path: Picture,
     fov_deg: float | None = None,
     *,

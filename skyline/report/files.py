@@ -108,7 +108,7 @@ def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in candidate.to_dict().items()
     }
-    of_pose: Json = {"query": photo, "rank": candidate.rank, "origin": candidate.origin}
+    of_pose: Json = {"photo": photo, "rank": candidate.rank, "origin": candidate.origin}
 
     def feature(shape: str, geometry: Json, about: Json) -> Json:
         properties = of_pose | {"shape": shape} | about
@@ -157,9 +157,9 @@ def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | Non
         places = [_Placemark.of(name, one) for one in result.candidates]
         for place in places:
             _add_place(folder, place, frame)
-        is_flat = result.query.projection is Projection.PERSPECTIVE
+        is_flat = result.skyline.projection is Projection.PERSPECTIVE
         if href is not None and places and is_flat:
-            _add_photo(folder, name, result.query, places[0], href)
+            _add_photo(folder, name, result.skyline, places[0], href)
     return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
 
 

@@ -139,7 +139,7 @@ def _section(
 
     Its pictures are added to ``pictures`` by the names of their files.
     """
-    skyline = result.query
+    skyline = result.skyline
     best = result.best
     sight: Sight | None = None
     sightings: list[Sighting] = []

@@ -23,7 +23,7 @@ Row = Mapping[str, Any]
 """Values by column, as `skyline.match.result.MatchResult.to_row` returns them."""
 
 _COLUMN_TYPES: Mapping[str, str] = {
-    "query": "TEXT", "id": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
+    "photo": "TEXT", "id": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
     "lon": "REAL", "lat": "REAL", "easting_m": "REAL", "northing_m": "REAL",
     "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
     "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",

@@ -12,7 +12,7 @@ from skyline.files import check_outputs, write_whole
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.pose_file import NotedPose, read_pose
@@ -72,7 +72,7 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
     if task.pose is not None:
         noted = read_pose(task.pose, task.photo, photo.projection)
     else:
-        photo = read_query(task.photo, task.fov_deg, projection=task.projection)
+        photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
     with listener.slow("reading the elevation model"):
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))

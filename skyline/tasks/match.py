@@ -339,7 +339,7 @@ class _Run:
         A photo that was tried and cannot be used gets a row; others are tried again next time.
         """
         self.exit_code = error.exit_code
-        names = {"query": printable(entry.path)}
+        names = {"photo": printable(entry.path)}
         if entry.label:
             names["id"] = printable(entry.label)
         if is_tried:

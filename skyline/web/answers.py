@@ -14,7 +14,7 @@ POSE = {
 
 def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
     """Return the candidates and the verdict of a search or fit."""
-    lens = "" if result.query.lens is None else result.query.lens.in_words
+    lens = "" if result.skyline.lens is None else result.skyline.lens.in_words
     return {
         "candidates": [candidate_json(one, engine) for one in result.candidates],
         "answered": result.answer is not None,

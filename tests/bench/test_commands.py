@@ -40,7 +40,7 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, monkeypatch, comm
 def test_tables_figures_and_pictures_are_made_from_the_records(run_bench, tmp_path):
     results = ROOT / "bench" / "results"
     readme = (ROOT / "README.md").read_text()
-    stale = readme.replace("It takes", "It\ntakes").replace("| tie |", "| adaptive |")
+    stale = readme.replace("The place found", "The place\nfound").replace("| tie |", "| adaptive |")
     (tmp_path / "README.md").write_text(re.sub(r"(find )\d+", r"\1 7", stale, count=1))
     assert "README.md: written" in run_bench("figures", results, "--output", tmp_path).ok().out
     made = (tmp_path / "README.md").read_text()
@@ -49,9 +49,12 @@ def test_tables_figures_and_pictures_are_made_from_the_records(run_bench, tmp_pa
         assert "<svg" in (tmp_path / "docs" / f"{name}.svg").read_text()
     # A second run changes nothing.
     assert run_bench("figures", results, "--output", tmp_path).ok().out == ""
-    (tmp_path / "README.md").write_text(readme.replace("It takes", "One takes"))
+    (tmp_path / "README.md").write_text(readme.replace("The place found", "A place found"))
     refused = run_bench("figures", results, "--output", tmp_path)
-    assert_refused(refused, "README.md has the sentence `It takes {} ms to render` 0 times")
+    assert_refused(
+        refused,
+        "README.md has the sentence `The place found is {} m off; its confidence is {}.` 0 times",
+    )
     (tmp_path / "README.md").write_text("<!-- figures: none -->\n\n\n<!-- end of figures -->\n")
     assert_refused(run_bench("figures", results, "--output", tmp_path), "has the table `none`")
     (tmp_path / "README.md").write_text(readme)

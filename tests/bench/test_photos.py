@@ -8,7 +8,7 @@ from commands import assert_refused, lonlat_of
 from photo_scenes import make_scene
 from PIL import Image
 
-from skyline import read_query
+from skyline import read_skyline
 from skyline.errors import InputError, MissingFileError
 from skyline_bench.queries.manifest import Photograph, read_manifest
 
@@ -21,7 +21,7 @@ def manifest(tmp_path, dem, photo):
     sky = np.array(image)
     sky[: int(0.97 * len(sky))] = (90, 140, 200)
     Image.fromarray(sky).save(tmp_path / "sky.jpg")
-    query = read_query(photo, 60.0)
+    query = read_skyline(photo, 60.0)
     rows = np.arange(query.height_px)[:, np.newaxis]
     ground = rows > np.nan_to_num(query.row_px, nan=1e9)
     Image.fromarray(ground).convert("RGB").save(tmp_path / "mask.png")

@@ -28,7 +28,7 @@ NEAR_M = RIGHT_WITHIN_M
 @pytest.fixture
 def train(run_main):
     """Return a function that runs ``python -m skyline_training ARGS...``."""
-    return partial(run_main, lambda: run_app(app), "skyline_training")
+    return partial(run_main, lambda terminal=None: run_app(app, terminal), "skyline_training")
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from scenes import field_of
 from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
 from skyline.peaks import read_peaks
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.report.labels import encode_figure, labels_of
 
 TRIED = {
@@ -91,7 +91,7 @@ def test_an_eye_aloft_stands_at_the_noted_height(cases, oriented):
 def test_a_zoomed_or_cropped_field_of_view_is_searched_and_found(cases, oriented, name):
     folder, truths = cases
     fov_deg = numbers_in(truths[name][1])[0]
-    query = read_query(folder / name)
+    query = read_skyline(folder / name)
     low_deg, high_deg = Rays.of(query, MatchConfig().fov_sd_share, finds_fov=True).fov_bounds_deg
     assert low_deg < fov_deg < high_deg
     assert abs(query.fov_deg - fov_deg) < 2.0 * query.lens.fov_sd_deg
@@ -104,7 +104,7 @@ def test_a_sphere_is_read_whatever_the_prefix_of_its_namespace(cases):
     folder, truths = cases
     name = "sphere_renamed_xmp_prefix.jpg"
     projection, fov_deg = truths[name][1].removesuffix(" degrees").split(", ")
-    query = read_query(folder / name)
+    query = read_skyline(folder / name)
     assert (query.projection, query.fov_deg) == (projection, float(fov_deg))
 
 

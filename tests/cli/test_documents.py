@@ -46,7 +46,7 @@ SMALLER = {
 
 LEFT = {
     "dem-formats.md": ("own.h5", "heights.tif", "same.h5"),
-    "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
+    "photos.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
     "surfaces.md": ("both.csv", "trees.png"),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
@@ -191,7 +191,7 @@ def test_the_commands_of_a_page_run(world, document):
         assert (world / name).stat().st_size > 0, name
     if document.name == "scripts.md":
         found = [json.loads(line) for line in (world / "matches.jsonl").read_text().splitlines()]
-        assert [each["query"] for each in found] == ["photos/a.jpg"]
+        assert [each["photo"] for each in found] == ["photos/a.jpg"]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)

@@ -109,14 +109,14 @@ def test_a_picture_names_the_summits_that_no_font_draws(
 def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
     record = json.loads(pose.read_text())
     off = record | {"heading_deg": 10.0}
-    result = {"query": str(photo), "answer": record, "candidates": [record, off]}
-    other = {"query": "other.jpg", "answer": off, "candidates": [off]}
+    result = {"photo": str(photo), "answer": record, "candidates": [record, off]}
+    other = {"photo": "other.jpg", "answer": off, "candidates": [off]}
     forms = {
         "record": json.dumps(record),
         "answer": json.dumps(result),
         "lines": f"{json.dumps(other)}\n{json.dumps(result)}\n",
         "no answer": json.dumps(result | {"answer": None}),
-        "refused": json.dumps(record | {"query": str(photo), "refusal": "fog"}),
+        "refused": json.dumps(record | {"photo": str(photo), "refusal": "fog"}),
     }
     found, notes = {}, {}
     for name, text in forms.items():
@@ -172,7 +172,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         (f'{_POSED}, "distortion": true}}', "distortion is True"),
         (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
         ('{"candidates": {"a": 1}}', "has no pose"),
-        ('{"query": "a"}\n{"query": "b"}', "has 0 lines whose `query`"),
+        ('{"photo": "a"}\n{"photo": "b"}', "has 0 lines whose `photo`"),
     ],
 )
 def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):

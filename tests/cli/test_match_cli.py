@@ -30,7 +30,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert cv2.imread(str(overlay)).shape == (640, 960, 3)
     found = run("match", store, trace, "--fov-deg", "60", "--json").ok()
     record = json.loads(found.out)
-    keys = "query answer answer_within_m answer_confidence candidates seconds loading_seconds"
+    keys = "photo answer answer_within_m answer_confidence candidates seconds loading_seconds"
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
         fov_deg cost confidence confidence_1km refined beyond_share distortion wander
@@ -99,7 +99,7 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
     assert found.code == 2
     records = [json.loads(line) for line in found.out.splitlines()]
     names = ["one.jpg", "one.jpg", "absent.jpg"]
-    assert [one["query"] for one in records] == [str(tmp_path / name) for name in names]
+    assert [one["photo"] for one in records] == [str(tmp_path / name) for name in names]
     assert [one["id"] for one in records] == ["A", "B", "C"]
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[1]["candidates"]) < 401.0
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[0]["candidates"]) > 401.0
@@ -151,7 +151,7 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path, monkeypa
     assert run(*command).code == 0
     whole = results.read_text()
     first = [line.split(",")[0] for line in whole.splitlines()]
-    assert first == ["query", str(folder / "a.jpg"), str(folder / "b.JPG")]
+    assert first == ["photo", str(folder / "a.jpg"), str(folder / "b.JPG")]
     results.write_text(whole[:-20])
     again = run(*command)
     assert "1 of 2 are there already" in again.err
@@ -202,10 +202,10 @@ def test_a_folder_is_matched_with_its_subfolders_but_without_reports(
     command = ["match", store, folder, "--fov-deg", "60", "--matcher", "unrefined", "--json"]
     done = run(*command, "--report", folder / "report").ok()
     expected = [str(folder / name) for name in ("b.insp", "day 9/IMG_1", "day 10/a.jpg")]
-    assert [json.loads(line)["query"] for line in done.out.splitlines()] == expected
+    assert [json.loads(line)["photo"] for line in done.out.splitlines()] == expected
     assert caplog.messages == [f"{folder}: 1 file is left out, which is no picture: b.xmp"]
     again = run(*command, "--report", folder / "report").ok()
-    assert [json.loads(line)["query"] for line in again.out.splitlines()] == expected
+    assert [json.loads(line)["photo"] for line in again.out.splitlines()] == expected
     caplog.clear()
     assert run(*command, "--quiet").ok().err == ""
     assert caplog.messages == []
@@ -264,8 +264,8 @@ def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path
     done = run(*command, "--json", "--export", geojson)
     assert done.code == 2
     found = [json.loads(line) for line in done.out.splitlines()]
-    assert [one["query"] for one in found] == [str(photo), str(text), str(photo)]
-    assert found[1].keys() == {"query", "error"}
+    assert [one["photo"] for one in found] == [str(photo), str(text), str(photo)]
+    assert found[1].keys() == {"photo", "error"}
     assert "text.jpg" in found[1]["error"]
     assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
     assert json.loads(geojson.read_text())["features"]
@@ -323,7 +323,7 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert f"{record['answer']['lat']:.5f}" in html
     assert "the skyline rendered at the best candidate" in html
     assert cv2.imread(str(folder / "01-overlay.jpg")).std() > 20.0
-    assert json.loads(geojson.read_text())["features"][0]["properties"]["query"] == str(photo)
+    assert json.loads(geojson.read_text())["features"][0]["properties"]["photo"] == str(photo)
     assert_refused(run(*query, "--peaks", peaks), "--report")
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
     unwritable = run(*query, "--export", photo / "a.gpx")

@@ -37,7 +37,7 @@ def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_plac
     assert record["answer_within_m"] in (200.0, 1000.0)
     assert record["candidates"][0] == record["answer"]
     assert off_m(record["answer"]) < min(10.0, 3.0 * record["answer"]["radius_m"])
-    assert [one["query"] for one in record["photos"]] == [str(one) for one in photos_of_one_place]
+    assert [one["photo"] for one in record["photos"]] == [str(one) for one in photos_of_one_place]
     assert [one["agrees"] for one in record["photos"]] == [True, True, False]
     assert abs(record["photos"][0]["heading_deg"] - 141.0) < 1.0
     assert abs(record["photos"][1]["heading_deg"] - 31.0) < 1.0

@@ -47,11 +47,11 @@ def test_photos_of_any_name_are_matched_and_written(run, store, photos):
     common = ("match", store, *photos, "--fov-deg", "60", "--matcher", "unrefined")
     done = run(*common, *written, "--report", "report", "--results", "out.csv", "--json").ok()
     shown = list(NAMES.values())
-    assert [json.loads(line)["query"] for line in done.out.splitlines()] == shown
+    assert [json.loads(line)["photo"] for line in done.out.splitlines()] == shown
     with Path("out.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["query"] for row in csv.DictReader(file)] == shown
+        assert [row["photo"] for row in csv.DictReader(file)] == shown
     table = json.loads(Path("out.geojson").read_text(encoding="utf-8"))
-    assert {one["properties"]["query"] for one in table["features"]} == set(shown)
+    assert {one["properties"]["photo"] for one in table["features"]} == set(shown)
     for kind in ("kml", "gpx"):
         names = {one.text.rpartition(":")[0] for one in Xml.parse(f"out.{kind}").iter() if one.text}
         assert set(shown) <= names
@@ -132,8 +132,8 @@ def test_no_name_is_a_formula_to_a_spreadsheet(run, dem, store, photo, tmp_path,
         row = rows_of(table)[0]
         assert row["id"] == f"'{FORMULA}"
         assert float(row["lon"]) == pytest.approx(found["candidates"][0]["lon"], abs=0.02)
-        if "query" in row:
-            assert row["query"] == "'-2+3.jpg"
+        if "photo" in row:
+            assert row["photo"] == "'-2+3.jpg"
     # What is written is read as it was.
     csv_of(Path("points.csv"), [f"{rows_of('horizon.csv')[0]['id']},{place}"], "id,lon,lat")
     run("horizon", dem, "--viewpoints", "points.csv", "-o", "horizon.json").ok()

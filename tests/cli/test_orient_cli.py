@@ -35,7 +35,7 @@ def test_a_frame_in_fog_is_a_row_with_the_reason(run, dem, photo, tmp_path):
     assert (done.code, done.err.count("\n")) == (2, 2)
     absent, fog, clear = csv.DictReader(table.read_text().splitlines())
     assert "does not exist" in absent["refusal"]
-    assert list(fog)[:2] == ["query", "trusted"]
+    assert list(fog)[:2] == ["photo", "trusted"]
     assert (fog["trusted"], fog["heading_deg"], clear["trusted"]) == ("0", "", "1")
     assert "no skyline found" in fog["refusal"]
 

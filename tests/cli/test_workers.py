@@ -32,10 +32,10 @@ def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, reque
         answer.pop("seconds")
         answer.pop("loading_seconds")
     assert answers[0] == answers[1]
-    assert [answer["query"] for answer in answers[0]] == [str(path) for path in traces[:3]]
+    assert [answer["photo"] for answer in answers[0]] == [str(path) for path in traces[:3]]
     assert len({json.dumps(answer["candidates"]) for answer in answers[0]}) == 3
     # The fourth has no skyline; what came before it has been said.
-    assert failed == {"query": str(traces[3]), "error": failed["error"]}
+    assert failed == {"photo": str(traces[3]), "error": failed["error"]}
     assert (here.code, spread.code) == (0, 2)
     assert spread.err.count("\n") == 1
     assert "3.csv" in spread.err

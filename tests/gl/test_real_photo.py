@@ -28,4 +28,4 @@ def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
     assert np.hypot(*np.subtract(place, station)) < 200.0
     assert abs(best.heading_deg - FITTED_HEADING_DEG) < 1.0
     # Clouds touch the ridge: columns in front of them are left out rather than guessed.
-    assert 0.7 < np.isfinite(result.query.row_px).mean() < 1.0
+    assert 0.7 < np.isfinite(result.skyline.row_px).mean() < 1.0

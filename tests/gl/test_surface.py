@@ -143,7 +143,7 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
         ring = 60.0 * np.exp(2j * np.pi * np.arange(6) / 6)
         around = at_m((place[0] + ring.real, place[1] + ring.imag))
         heading_deg = camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6)
-        start = poses(6, **around, heading_deg=heading_deg)
+        start = poses(6, **around, grid_heading_deg=heading_deg)
         for name, scene in scenes.items():
             best = Refinement(query, scene, SHORT).run(start)
             off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))

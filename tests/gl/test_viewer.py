@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_query
+from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_skyline
 from skyline.errors import ContextError, InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS
@@ -28,7 +28,7 @@ def matcher(store):
 @pytest.fixture(scope="module")
 def query(photo):
     """The photo's skyline."""
-    return read_query(photo, 60.0)
+    return read_skyline(photo, 60.0)
 
 
 def true_pose(viewer, frame, **other):
@@ -122,7 +122,7 @@ def test_a_bad_fit_has_failed(matcher, query):
 
 def test_a_fit_at_a_candidate_of_a_search_is_that_candidate(matcher, photo):
     """Whether the pose was moved a little or not, and also with an unknown field of view."""
-    for query in (read_query(photo, 60.0), read_query(photo)):
+    for query in (read_skyline(photo, 60.0), read_skyline(photo)):
         searched = matcher.match(query)
         for one in searched.candidates[:2]:
             moved = replace(one, easting_m=one.easting_m + 20.0, heading_deg=one.heading_deg + 1.0)

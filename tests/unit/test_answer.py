@@ -11,7 +11,7 @@ from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
 
 
-def query(noted=NOTHING_NOTED, lens=None):
+def skyline_of(noted=NOTHING_NOTED, lens=None):
     return PhotoSkyline(np.full(40, 12.0), np.ones(40), 40, 30, 60.0, noted=noted, lens=lens)
 
 
@@ -20,7 +20,7 @@ BEST = replace(candidate_at(0.0, 0.0), lon=9.8, lat=46.7, heading_deg=131.0)
 
 def noting(noted, refusal=None):
     """Return a result for a photo whose EXIF notes a place."""
-    return MatchResult(query(noted=noted), (BEST,), 0.0, refusal)
+    return MatchResult(skyline_of(noted=noted), (BEST,), 0.0, refusal)
 
 
 def test_the_photo_s_own_place_is_compared_with_the_answer():
@@ -39,22 +39,24 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "compass and candidate 1 disagree: if the photo is right, search round its" in far
 
 
-def test_an_answer_and_a_refusal_are_printed_with_their_query():
+def test_an_answer_and_a_refusal_are_printed_with_their_photo():
     lens = Lens(60.3, 5.0, reason="EXIF's 35 mm equivalent alone")
     sure = replace(BEST, confidence=0.93, confidence_1km=0.97, refined=True)
     first, answer, place, *_, lens_line = (
-        MatchResult(query(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg").to_text().splitlines()
+        MatchResult(skyline_of(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg")
+        .to_text()
+        .splitlines()
     )
     assert first == r"a\nb.jpg (1.50 s)"
     assert "candidate 1, right within 200 m" in answer
     assert "lat 46.70000 lon 9.80000" in place
     assert "60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in lens_line
-    scored = MatchResult(query(), (replace(BEST, cost=0.00421, confidence=None),), 1.5, None)
+    scored = MatchResult(skyline_of(), (replace(BEST, cost=0.00421, confidence=None),), 1.5, None)
     assert "cost 0.00421 (the lower" in scored.to_text()
-    refused = MatchResult(query(), (), 1.5, "no place fits", name="c.jpg")
+    refused = MatchResult(skyline_of(), (), 1.5, "no place fits", name="c.jpg")
     assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
-    assert replace(refused, name="").to_text().startswith("query (1.50 s)")
-    said = {"query": "c.jpg", "seconds": 1.5, "refusal": "no place fits"}
+    assert replace(refused, name="").to_text().startswith("photo (1.50 s)")
+    said = {"photo": "c.jpg", "seconds": 1.5, "refusal": "no place fits"}
     assert refused.to_dict() == said | {
         "answer": None,
         "answer_within_m": None,

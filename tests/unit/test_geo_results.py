@@ -46,7 +46,7 @@ def test_results_of_any_kind_are_a_table():
     nothing = MatchResult(QUERY, (), 0.1, "no place fits", name="c.jpg")
     found = MatchResult(QUERY, (BEST, OTHER), 0.1, name="a.jpg", id="A")
     table = skyline.to_dataframe([found, refused, nothing])
-    assert table["query"].tolist() == ["a.jpg", "b.jpg", "c.jpg"]
+    assert table["photo"].tolist() == ["a.jpg", "b.jpg", "c.jpg"]
     assert table["answered"].tolist() == [1, 0, 0]
     assert table["lon"].tolist()[:2] == [BEST.lon, OTHER.lon]
     assert table["lon"].isna()[2]

@@ -14,7 +14,7 @@ from skyline.errors import InputError
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, rgb_of, shrink_if_large
 from skyline.photo.photo import read_photo
-from skyline.photo.read import find_skyline, read_query
+from skyline.photo.read import find_skyline, read_skyline
 from skyline.photo.sky_mask import skyline_of_mask
 
 
@@ -30,7 +30,7 @@ def close_to(query, scene):
 
 def refused(path, message):
     with pytest.raises(InputError, match=message) as caught:
-        read_query(path)
+        read_skyline(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -54,26 +54,26 @@ VARIANTS = {
 def test_any_format_gives_the_skyline(tmp_path, scene, name):
     path = tmp_path / name
     VARIANTS[name](scene).save(path, format="PNG" if path.suffix == "" else None)
-    assert close_to(read_query(path), scene)
+    assert close_to(read_skyline(path), scene)
 
 
 def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene, monkeypatch):
     path = tmp_path / "photo.png"
     Image.fromarray(scene.image).save(path)
-    of_file = read_query(path, 60.0)
+    of_file = read_skyline(path, 60.0)
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(path.read_bytes())))
     for other in (scene.image, Image.open(path), "-"):
-        query = read_query(other, 60.0)
+        query = read_skyline(other, 60.0)
         np.testing.assert_array_equal(query.row_px, of_file.row_px)
         assert query.fov_deg == 60.0
     for bad in (np.zeros((4, 4)), np.zeros((4, 4, 1), np.uint8), np.zeros((4, 4, 5), np.uint8)):
         with pytest.raises(InputError, match=r"array of .* of shape \(4, 4.*\); expected"):
-            read_query(bad)
+            read_skyline(bad)
 
 
 def test_a_dithered_photo_is_no_mask(tmp_path, scene):
     Image.fromarray(scene.image).convert("1").save(tmp_path / "dithered.png")
-    query = read_query(tmp_path / "dithered.png")
+    query = read_skyline(tmp_path / "dithered.png")
     assert np.median(np.abs(query.row_px - scene.row_px)[query.trusted]) < 3.0
 
 
@@ -206,7 +206,7 @@ def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
         cut = rng.integers(0, len(whole)) if rng.random() < 0.3 else len(whole)
         path.write_bytes(damaged[:cut].tobytes())
         try:
-            assert read_query(path).trusted.any()
+            assert read_skyline(path).trusted.any()
         except InputError as error:
             messages.append(str(error))
     assert messages
@@ -221,7 +221,7 @@ def test_an_opened_picture_that_is_cut_short_is_refused(tmp_path, scene):
         Image.open(io.BytesIO(content[: len(content) // 2])) as picture,
         pytest.raises(InputError, match=r"the image cannot be decoded \([^(]*\); it is damaged"),
     ):
-        read_query(picture)
+        read_skyline(picture)
 
 
 def test_the_preview_that_a_raw_file_begins_with_is_refused(tmp_path):
@@ -250,5 +250,5 @@ def test_large_jpeg_is_reduced_while_decoding(tmp_path, caplog):
 def test_a_wide_photo_without_a_projection_is_warned_of(tmp_path, caplog, given, warned):
     wide = make_scene("clear", 3, 640, 200)
     Image.fromarray(wide.image).save(tmp_path / "wide.png")
-    read_query(tmp_path / "wide.png", **given)
+    read_skyline(tmp_path / "wide.png", **given)
     assert ("give --projection cylindrical" in caplog.text) == warned

@@ -9,7 +9,7 @@ from xmp_packets import ATTRIBUTES, xmp_packet
 
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
 
@@ -29,7 +29,7 @@ def test_an_impossible_field_of_view_is_refused_before_a_file_is_read(projection
     with pytest.raises(InputError, match=said):
         PhotoSkyline(np.zeros(3), np.ones(3), 3, 3, fov_deg, projection)
     with pytest.raises(InputError, match=said):
-        read_query("absent.jpg", fov_deg, projection=projection)
+        read_skyline("absent.jpg", fov_deg, projection=projection)
 
 
 def test_panorama_file_says_its_own_span(tmp_path):
@@ -38,13 +38,13 @@ def test_panorama_file_says_its_own_span(tmp_path):
     xmp = xmp_packet(ATTRIBUTES, **noted).encode()
     image = make_scene("clear", 104, 960, 240).image
     Image.fromarray(image).save(tmp_path / "wide.jpg", quality=95, xmp=xmp)
-    query = read_query(tmp_path / "wide.jpg")
+    query = read_skyline(tmp_path / "wide.jpg")
     assert (query.projection, query.fov_deg) == (CYLINDER, 120.0)
     # Options take precedence over notes of the file.
-    chosen = read_query(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
+    chosen = read_skyline(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
     assert (chosen.projection, chosen.fov_deg, chosen.lens) == (SPHERE, 100.0, None)
-    assert read_query(tmp_path / "wide.jpg", projection=SPHERE).fov_deg == 120.0
-    assert read_query(tmp_path / "wide.jpg", projection=Projection.PERSPECTIVE).fov_deg is None
+    assert read_skyline(tmp_path / "wide.jpg", projection=SPHERE).fov_deg == 120.0
+    assert read_skyline(tmp_path / "wide.jpg", projection=Projection.PERSPECTIVE).fov_deg is None
 
 
 def test_a_phone_s_panorama_is_known_as_one(tmp_path):
@@ -52,11 +52,11 @@ def test_a_phone_s_panorama_is_known_as_one(tmp_path):
     exif.get_ifd(IFD.Exif).update({Base.CustomRendered: 6, Base.FocalLengthIn35mmFilm: 28})
     scene = make_scene("clear", 104, 960, 240)
     Image.fromarray(scene.image).save(tmp_path / "swept.jpg", quality=95, exif=exif)
-    query = read_query(tmp_path / "swept.jpg")
+    query = read_skyline(tmp_path / "swept.jpg")
     assert query.projection is CYLINDER
     assert 200.0 < query.fov_deg < 300.0
     assert query.lens.fov_sd_deg > 20.0
-    chosen = read_query(tmp_path / "swept.jpg", projection=Projection.PERSPECTIVE)
+    chosen = read_skyline(tmp_path / "swept.jpg", projection=Projection.PERSPECTIVE)
     assert (chosen.projection, chosen.fov_deg, chosen.lens) == (Projection.PERSPECTIVE, None, None)
 
 
@@ -65,11 +65,11 @@ def test_a_trace_notes_its_projection(tmp_path):
     rows = np.r_[np.nan, np.linspace(10.0, 40.0, 479)]
     drawn = PhotoSkyline(rows, np.isfinite(rows) * 1.0, 480, 100, 240.0, CYLINDER)
     write_trace(drawn, path)
-    read = read_query(path)
+    read = read_skyline(path)
     assert (read.width_px, read.fov_deg, read.projection) == (480, 240.0, CYLINDER)
     np.testing.assert_array_equal(read.row_px, rows)
-    chosen = read_query(path, 200.0, projection=SPHERE)
+    chosen = read_skyline(path, 200.0, projection=SPHERE)
     assert (chosen.fov_deg, chosen.projection) == (200.0, SPHERE)
     path.write_text("# width=480 height=100 projection=round\ncolumn_px,row_px\n0,10\n")
     with pytest.raises(InputError, match="projection is round; expected perspective, cylind"):
-        read_query(path)
+        read_skyline(path)

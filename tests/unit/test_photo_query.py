@@ -12,7 +12,7 @@ from PIL import Image
 from skyline import batch
 from skyline.errors import InputError
 from skyline.photo.overlay import write_overlay
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
 
@@ -58,7 +58,7 @@ def test_sparse_and_fractional_points_are_joined_but_not_across_gaps(tmp_path):
     drawn = read_trace(trace_file(tmp_path, "3,10\n4,\n5,10\n"))
     assert_array_equal(np.flatnonzero(drawn.trusted), [3, 5])
     # Points 7.5 columns apart are joined, points 10.5 apart (more than 100/10) are not.
-    query = read_query(trace_file(tmp_path, "18.0,9\n0.5,20.0\n8.0,35.0\n28.5,1\n"), 60.0)
+    query = read_skyline(trace_file(tmp_path, "18.0,9\n0.5,20.0\n8.0,35.0\n28.5,1\n"), 60.0)
     trusted = np.flatnonzero(query.trusted)
     assert_array_equal(trusted, np.r_[1:19])
     assert_allclose(query.row_px[1:9], 20.0 + 2.0 * (np.arange(1, 9) - 0.5))
@@ -99,7 +99,7 @@ HEAD = "# width=100 height=80{}\ncolumn_px,row_px\n"
 def test_a_trace_that_cannot_be_read_is_refused(tmp_path, content, said):
     (tmp_path / "trace.csv").write_text(content)
     with pytest.raises(InputError, match=re.escape(said)):
-        read_query(tmp_path / "trace.csv")
+        read_skyline(tmp_path / "trace.csv")
 
 
 def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
@@ -122,7 +122,7 @@ def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
     mask[20:, 4] = 0  # column 3: skyline below the image
     mask[30:, 4] = 255  # a lake in column 4
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    query = read_query(tmp_path / "mask.png", 50.0)
+    query = read_skyline(tmp_path / "mask.png", 50.0)
     assert_array_equal(query.row_px, [9.5, 10.5, np.nan, np.nan, 19.5])
     assert_array_equal(query.trust, [1, 1, 0, 0, 1])
     assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
@@ -134,10 +134,10 @@ def test_a_mask_of_white_ground_in_a_white_frame_is_refused(tmp_path):
     mask[60:80, 100:200] = 255  # a hill
     Image.fromarray(mask).save(tmp_path / "mask.png")
     with pytest.raises(InputError, match="row 4 and white below it, as one with white ground"):
-        read_query(tmp_path / "mask.png")
+        read_skyline(tmp_path / "mask.png")
     Image.fromarray(mask[4:-4, 4:-4]).save(tmp_path / "mask.png")  # The frame is cut off.
     with pytest.raises(InputError, match="black above white, as one with white ground"):
-        read_query(tmp_path / "mask.png")
+        read_skyline(tmp_path / "mask.png")
 
 
 def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):
@@ -145,7 +145,7 @@ def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):
     share = np.clip(np.arange(200)[:, np.newaxis] + 0.5 - border, 0.0, 1.0)
     mask = np.rint(255 * (1 - share)).astype(np.uint8)
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    query = read_query(tmp_path / "mask.png")
+    query = read_skyline(tmp_path / "mask.png")
     # Halfway between two levels differs from the area by at most 1/8 (at a share of 1/4).
     assert np.abs(query.row_px - border).max() < 0.13
 
@@ -167,14 +167,14 @@ def test_a_trace_notes_its_camera(tmp_path):
     in_one = " fov_deg=60 fov_sd_share=0.1 eye_height_m=12"
     in_two = "\n# fov_deg=60 fov_sd_share=0.1\n# drawn by hand eye_height_m=12"
     for notes in (in_one, in_two):
-        query = read_query(trace_file(tmp_path, "0,30\n9,31\n", notes))
+        query = read_skyline(trace_file(tmp_path, "0,30\n9,31\n", notes))
         assert (query.fov_deg, query.lens.fov_sd_deg, query.eye_height_m) == (60.0, 6.0, 12.0)
         assert query.row_px[0] == 30.0
         write_trace(query, tmp_path / "again.csv")
-        again = read_query(tmp_path / "again.csv")
+        again = read_skyline(tmp_path / "again.csv")
         assert (again.fov_deg, again.lens, again.eye_height_m) == (60.0, query.lens, 12.0)
     path = trace_file(tmp_path, "0,30\n9,31\n", notes)
-    given = read_query(path, 50.0)
+    given = read_skyline(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
     for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
         entry = batch.Entry(str(path), fov_deg, fov_sd_share=0.2).read()

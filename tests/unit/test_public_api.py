@@ -11,7 +11,7 @@ import skyline
 from skyline.cli import COMMANDS
 
 HEAVY = {"cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray"}
-INTERNAL = {"Horizons", "Sighting", "SkySession", "Spec", "WholeFile"}
+INTERNAL = {"Horizons", "Sighting", "SkySession", "Spec", "Tabled", "WholeFile"}
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 
 

@@ -137,7 +137,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     collection = json.loads(path.read_text())
     assert collection["type"] == "FeatureCollection"
     noted = [feature["properties"] for feature in collection["features"]]
-    assert {one["query"] for one in noted} == {"<b>.jpg"}
+    assert {one["photo"] for one in noted} == {"<b>.jpg"}
     assert [(one["rank"], one["shape"]) for one in noted] == [
         (1, "candidate"), (1, "view"), (1, "ellipse95"), (2, "candidate"), (2, "view"),
     ]  # fmt: skip

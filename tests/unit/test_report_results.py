@@ -27,7 +27,7 @@ PLACE = candidate_at(
 RESULT = MatchResult(QUERY, (PLACE,), 2.0, None, 200.0, "a,b.jpg")
 FOUND = RESULT.to_row()
 NOTHING = MatchResult(QUERY, (), 1.0, "no\nplace", name="c.jpg").to_row()
-BROKEN = {"query": "d.jpg", "answered": 0, "reason": "d.jpg is not an image"}
+BROKEN = {"photo": "d.jpg", "answered": 0, "reason": "d.jpg is not an image"}
 
 
 @pytest.fixture(params=RESULTS)
@@ -40,7 +40,7 @@ def write(path, *rows):
     with ResultsFile(path, "one") as kept:
         before = dict(kept.photos)
         for row in rows:
-            kept.add(row, row["query"])
+            kept.add(row, row["photo"])
     return before
 
 
@@ -103,7 +103,7 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
     assert write(path) == {"a,b.jpg": None}
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["query"] for row in rows] == ["a,b.jpg"]
+    assert [row["photo"] for row in rows] == ["a,b.jpg"]
     assert (rows[0]["answered"], float(rows[0]["lon"])) == ("1", PLACE.lon)
     assert (float(rows[0]["within_m"]), float(rows[0]["confidence_1km"])) == (200.0, 0.95)
 
@@ -132,7 +132,7 @@ def test_geopandas_reads_the_geopackage(tmp_path):
     table = geopandas.read_file(path)
     assert table.crs.to_epsg() == 4326
     np.testing.assert_allclose([table.geometry[0].x, table.geometry[0].y], [PLACE.lon, PLACE.lat])
-    assert list(table["query"]) == ["a,b.jpg", "c.jpg"]
+    assert list(table["photo"]) == ["a,b.jpg", "c.jpg"]
     assert table["reason"][1] == r"no\nplace"
     assert table.geometry[1] is None
 

@@ -10,7 +10,7 @@ from photo_scenes import make_scene
 from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.read import read_query
+from skyline.photo.read import read_skyline
 from skyline.photo.sky_model import load_sky_model, model_skyline
 
 
@@ -91,6 +91,6 @@ def test_absent_runtime_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "sky.onnx").write_bytes(b"model")
     Image.fromarray(make_scene("clear", 3, 320, 240).image).save(tmp_path / "photo.png")
     with pytest.raises(InputError, match="pip install onnxruntime"):
-        read_query(tmp_path / "photo.png", sky_model=tmp_path / "sky.onnx")
+        read_skyline(tmp_path / "photo.png", sky_model=tmp_path / "sky.onnx")
     with pytest.raises(MissingFileError, match=r"absent\.onnx does not exist"):
         load_sky_model(tmp_path / "absent.onnx")

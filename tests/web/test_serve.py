@@ -15,7 +15,7 @@ from pages import POSE, TINY, Served, live, look, received, serving
 from PIL import Image
 from PIL.ExifTags import Base
 
-from skyline import Matcher, Narrowing, read_query
+from skyline import Matcher, Narrowing, read_skyline
 from skyline.render.context import release_context
 from skyline.web.server import Reach, own_addresses
 
@@ -157,7 +157,7 @@ NARROWED = Narrowing(
 
 def masked(photo, path):
     """Write the sky of a photo as a mask with a white border."""
-    query = read_query(photo, 60.0)
+    query = read_skyline(photo, 60.0)
     row = np.where(query.trusted, query.row_px, -1.0)
     sky = np.where(np.arange(query.height_px)[:, np.newaxis] < row, 255, 0).astype(np.uint8)
     sky[:, :60] = 255
