@@ -52,8 +52,8 @@ from .report.panorama import save_panorama as save_panorama
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.header import StoreHeader as StoreHeader
+from .store.place_map import PlaceMap as PlaceMap
 from .store.places import Places as Places
-from .store.read import PlaceMap as PlaceMap
 from .store.read import Store as Store
 from .store.read import open_store as open_store
 from .survey.build import BuildResult as BuildResult
