@@ -42,7 +42,10 @@ _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A photo, sky mask or trace, what is known of its camera, and where to search for it."""
+    """A photo, what is known of its camera, and where to search.
+
+    The photo may be a sky mask or a trace.
+    """
 
     path: str
     fov_deg: float | None = None
@@ -128,7 +131,7 @@ def _in_order(path: Path) -> tuple[list[str | int], str]:
 
 
 def _entry(table: Table, row: Row, common: Entry) -> Entry:
-    """Return the entry of a row of a list; raises `InputError` for a bad value."""
+    """Return a row's entry; raises `InputError` for a bad value."""
     if not row["path"]:
         raise InputError(f"{row.where} has no path; {_EXPECTED}")
     given = {column: row.number(column) for column in _NUMBERS if row[column]}
@@ -166,7 +169,7 @@ def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResu
 def match_many(
     runner: Runner, matcher: tuple[Hashable, ...], entries: Sequence[Entry]
 ) -> Iterator[MatchResult | SkylineError]:
-    """Match photos on workers; yields results in order, each as soon as it is there.
+    """Match photos on workers; yields results in order, as soon as possible.
 
     A photo that cannot be matched yields its error; the others are still matched. ``matcher`` are
     the arguments of `Matcher`, in order: the store's path first, or the paths of several. Workers
@@ -186,7 +189,10 @@ def match_many(
 
 
 def _named_as(path: str, result: MatchResult | SkylineError) -> MatchResult | SkylineError:
-    """Return a worker's result with a photo's path as given, not as the worker knows it."""
+    """Return a worker's result under the photo's path as given.
+
+    The worker knows the photo by its absolute path.
+    """
     if isinstance(result, MatchResult):
         return replace(result, name=path)
     return type(result)(str(result).replace(str(Path(path).absolute()), path))

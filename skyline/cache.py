@@ -1,4 +1,4 @@
-"""The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
+"""The areas that `locate` keeps: elevation tiles, and a store of places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
 ``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN
@@ -84,7 +84,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class CachedArea:
-    """A folder of the cache with the elevation tiles of an area, its terrain, and its store."""
+    """A folder of the cache: an area's tiles, terrain and store."""
 
     folder: Path
     bounds_deg: Bounds
@@ -139,7 +139,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return an area from the cache; its store is built first where it is missing.
+    """Return an area from the cache, which is built if it is missing.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
     source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
@@ -185,7 +185,7 @@ def cached_areas() -> list[CachedArea]:
 
 
 def cached_files() -> set[Path]:
-    """Return the finished files of all areas in the cache: tiles, parts of stores, and stores."""
+    """Return the cache's finished files: tiles, parts of stores, and stores."""
     return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
 
 
@@ -223,7 +223,7 @@ _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
 def _origin(files: Sequence[str], source: str) -> str:
-    """Return the name of the folder of all areas of some files, or else of a source."""
+    """Return the folder's name for areas of some files, or of a source."""
     if not files:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
@@ -269,7 +269,7 @@ def _name_of(bounds_deg: Bounds) -> str:
 
 
 def _bounds_of(name: str) -> Bounds | None:
-    """Return the bounds that a folder's name gives; None for the name of something else."""
+    """Return the bounds in a folder's name; None where it has none."""
     try:
         west, south, east, north = map(float, name.split("_"))
         return check_bounds((west, south, east, north))
@@ -286,7 +286,7 @@ def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
 def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
-    """Fetch the tiles of all terrain that is seen from an area; return their files."""
+    """Fetch the tiles of all terrain seen from an area; return their files."""
     seen = _seen_from(bounds)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
@@ -304,7 +304,7 @@ def _fetch(
 
 
 def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
-    """Raise `InputError` where terrain does not cover the middle of an area, or is all sea."""
+    """Refuse terrain that is all sea, or lacks an area's middle."""
     west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0
     lat = (area.needed[1] + area.needed[3]) / 2.0
@@ -347,7 +347,7 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of writing to a full or forbidden disk into one that names the cache."""
+    """Turn errors of a full or forbidden disk into one that names the cache."""
     no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
     no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
@@ -381,7 +381,7 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
 
 
 def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
-    """Return the open file of an area's lock, or None if the lock was not obtained."""
+    """Return the open file of an area's lock; None if another has it."""
     before_waiting = None
     if print_note is not None:
         before_waiting = partial(

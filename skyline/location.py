@@ -1,4 +1,4 @@
-"""Locating photos without a store: the area comes from the user or from the photos' EXIF."""
+"""Locating photos without a store, in an area that they or the user name."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Coordinate reference systems: whether one can be a map frame, and the way to WGS 84."""
+"""Coordinate reference systems (CRS), and transformations between them."""
 
 import math
 from contextlib import suppress
@@ -43,9 +43,10 @@ def parse_crs(crs: object) -> CRS:
 
 
 def transformer(source: CRS, target: CRS) -> Transformer:
-    """Return the transformation of x and y, in the order of raster files, between two CRS.
+    """Return the transformation between two CRS.
 
-    Raises `InputError` where PROJ knows none, as for the CRS of another planet.
+    Coordinates are x and y, in the order of raster files. Raises `InputError` where PROJ knows
+    none, as for the CRS of another planet.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -57,7 +58,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return the longitude and latitude (WGS 84) of a point, and their accuracy in words."""
+    """Return a point's longitude and latitude (WGS 84), and their accuracy in words."""
     transformation = transformer(crs, CRS.from_epsg(4326))
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # There may be only one operation.
@@ -72,7 +73,10 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
 
 
 def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Return the degrees by which a position lies outside a CRS's area; 0 if that is unknown."""
+    """Return how far a position lies outside a CRS's area, in degrees.
+
+    The result is 0 where the area is not known.
+    """
     authority = crs.to_authority()
     area = CRS.from_authority(*authority).area_of_use if authority else None
     if area is None:

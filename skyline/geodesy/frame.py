@@ -1,4 +1,4 @@
-"""Map frames: positions in metres and degrees, the direction of north, and how true a map is.
+"""Map frames: positions in metres and degrees, north, and true angles.
 
 Inside the program a position is (easting, northing) in one metric frame.
 """
@@ -36,7 +36,7 @@ _WGS84 = Geod(ellps="WGS84")
 
 @dataclass(frozen=True)
 class Frame:
-    """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
+    """A metric map frame: the DEM's own CRS, or a local conformal one."""
 
     wkt: str
     """The CRS as well-known text."""
@@ -132,9 +132,9 @@ class Frame:
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
     def angle_error_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return the greatest error of a level or upright angle on the map, by position.
+        """Return the greatest error of an angle on the map, by position.
 
-        A scale k in some direction divides the tangents of elevation
+        The angle is level or upright. A scale k in some direction divides the tangents of elevation
         angles there by k, which changes an angle of 45 degrees most.
         """
         to_east, to_north = self._steps(easting_m, northing_m)
@@ -148,10 +148,11 @@ class Frame:
         return np.asarray(np.degrees(np.maximum(level, upright)))
 
     def untrue_deg(self, rectangle_m: Rectangle) -> float:
-        """Return the greatest error of an angle in a rectangle; 0 where the frame may be used.
+        """Return the greatest error of an angle in a rectangle, or 0.
 
-        A frame may be used where its error is at most `TRUE_DEG`, or no greater than the error of a
-        local frame, as over areas that are too wide for any map.
+        The result is 0 where the frame may be used. A frame may be used where its error is at most
+        `TRUE_DEG`, or no greater than the error of a local frame, as over areas that are too wide
+        for any map.
         """
         if self.is_local:
             return 0.0
@@ -171,7 +172,10 @@ class Frame:
         return float(np.nanmax(np.append(error_deg, 0.0)))
 
     def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return map metres per metre of ground at each position, a mean over directions."""
+        """Return map metres per metre of ground, by position.
+
+        The scale is a mean over directions.
+        """
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 

@@ -28,7 +28,7 @@ def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
 
 
 def _cut_at(ring: Float64Array, edge: float) -> list[Float64Array]:
-    """Return the parts of a ring on both sides of a longitude, or the ring if it lies on one."""
+    """Return the parts of a ring on both sides of a longitude."""
     count = len(ring) - 1
     is_east = ring[:-1, 0] > edge
     crossed = np.flatnonzero(is_east != np.roll(is_east, -1))

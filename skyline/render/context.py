@@ -1,4 +1,4 @@
-"""The OpenGL context without a display, its programs, and a thread that renders for all others.
+"""The OpenGL context without a display, its programs, and a rendering thread.
 
 OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU,
 EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
@@ -222,7 +222,7 @@ def _choose_context(libraries: GlLibraries) -> GlContext:
 def best_device(
     backend: str, devices: Sequence[tuple[str, Callable[[], Any]]], attempts: list[str]
 ) -> GlContext | None:
-    """Return a context on the first device that is a GPU, else on the first that is none.
+    """Return a context on the first GPU, else on the first device.
 
     Devices are names, each with a function that makes a native context there. Every attempt is
     appended to ``attempts``. Contexts on other devices are destroyed.
@@ -250,7 +250,7 @@ def best_device(
 
 
 def _devices(backend: str, libraries: GlLibraries) -> list[tuple[str, Callable[[], Any]]]:
-    """Return the name of each device of a backend, and a function that makes a context on it."""
+    """Return a backend's devices, each with a function that makes a context."""
     if backend == "osmesa":
         return [("Mesa off-screen library", partial(OsMesaContext, libraries.osmesa, _VERSION))]
     count = 1
@@ -304,10 +304,10 @@ def _destroy(context: GlContext) -> None:
 
 
 def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:
-    """Compile a compute shader, or link a vertex and a fragment shader, from their files.
+    """Compile a compute shader, or link a vertex and a fragment shader.
 
-    ``defines`` are macros of all shaders. Raises `ContextError` with the driver's words if the
-    driver refuses a shader.
+    The names are those of their files. ``defines`` are macros of all shaders. Raises `ContextError`
+    with the driver's words if the driver refuses a shader.
     """
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     texts = []
@@ -327,7 +327,7 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
 
 
 class Releasable(ABC):
-    """Base of objects with memory on the GPU; as context managers they release it at the end."""
+    """Base of objects with memory on the GPU, which context managers release."""
 
     @abstractmethod
     def release(self) -> None:
@@ -341,7 +341,7 @@ class Releasable(ABC):
 
 
 class Renderer(Releasable):
-    """Holds objects of the OpenGL context, which are freed when nothing holds them any more."""
+    """Holds objects of the OpenGL context until nothing needs them."""
 
     def __init__(self, name: str) -> None:
         self._context = acquire_context()

@@ -1,4 +1,4 @@
-"""The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round.
+"""The horizon rasterizer: skylines in views and all round, without an image.
 
 `RenderedScene` renders views of one terrain piece by piece, on the thread that owns the context.
 """
@@ -88,7 +88,7 @@ def render_views(
 
 
 class RenderedScene:
-    """Renders views of the skylines of a terrain, and of a surface that may stand on it.
+    """Renders skylines of a terrain, and of a surface if one is given.
 
     With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
     makes the scene may render.
@@ -114,17 +114,17 @@ class RenderedScene:
 
     @cached_property
     def edge(self) -> DataEdge | None:
-        """Edge of the terrain's data; None if no terrain is taken to lie past it."""
+        """Edge of the terrain's data; None if nothing lies past it."""
         return DataEdge.of(self._terrain, self._curvature)
 
     def render(
         self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False
     ) -> list[Views]:
-        """Render one view per eye along its heading (N,): of the terrain, then of the surface.
+        """Render each eye's view along its heading (N,).
 
-        Where a thread renders for all, it renders ``urgent`` views first, between the pieces of
-        others. Raises `InputError` after a release, and `ContextError` in another thread than the
-        maker's.
+        Views of the terrain come first, then those of the surface. Where a thread renders for all,
+        it renders ``urgent`` views first, between the pieces of others. Raises `InputError` after a
+        release, and `ContextError` in another thread than the maker's.
         """
         if not self._renderers:
             raise InputError("the matcher or viewer has been released; make another one")
@@ -153,9 +153,10 @@ class RenderedScene:
 
 
 class PanoramaRenderer(ColumnRenderer):
-    """Renders the horizons of eyes on one height field, in B bins of azimuth, a multiple of 8.
+    """Renders the horizons of eyes on one height field.
 
-    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
+    A horizon has B bins of azimuth, a multiple of 8. Raises as `HorizonRenderer`, and `InputError`
+    if the bins are out of range.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Skylines in columns at any abscissas: marches of the compute shader `horizon.comp` on the GPU.
+"""Skylines in columns at any abscissas, by the compute shader `horizon.comp`.
 
 A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU marches
 each column's ray over a tree of upper bounds and evaluates only what can still be the greatest;
@@ -291,7 +291,7 @@ class ColumnRenderer(Renderer):
         )
 
     def _reserve(self, rows: int) -> None:
-        """Make room for ``rows`` rows of results; the first march of a row writes all of it."""
+        """Make room for rows of results, which the first march writes whole."""
         self._results = ()
         self._ctx.gc()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
@@ -305,7 +305,7 @@ class ColumnRenderer(Renderer):
             ) from error
 
     def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
-        """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""
+        """Return v (0), depth (1) or flags (2), in the views' sorted order."""
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
@@ -333,7 +333,7 @@ class ColumnRenderer(Renderer):
     def _march(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from the eyes of a group, as the shader reads them.
+        """March over a window from a group's eyes, as the shader reads them.
 
         ``is_first`` is whether no march has written these rows of the results before.
         """
@@ -389,7 +389,7 @@ class ColumnRenderer(Renderer):
         return uniforms
 
     def _textures(self, window: WindowTextures, heading: int) -> dict[str, moderngl.Texture]:
-        """Return the textures for a window and a heading, by their names in the shader."""
+        """Return a heading's textures of a window, by the shader's names."""
         textures = {
             "heights_m": window.heights,
             "slabs": window.slabs.texture,

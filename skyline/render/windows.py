@@ -1,4 +1,4 @@
-"""Windows: the parts of a height field that lie on the GPU, each with its trees of slabs.
+"""Windows: parts of a height field on the GPU, with trees of slabs.
 
 A field up to a limit is one window. A larger one is cut into windows that share their border
 lines of samples, and a skyline over it is the greatest of its skylines over the windows.
@@ -172,7 +172,10 @@ class WindowTextures:
         return words
 
     def _trees_of_rims(self, triangles: Triangles) -> Trees:
-        """Mark where rays may come upon the surface again, for triangles with an apron of one."""
+        """Mark where rays may meet the surface again.
+
+        The triangles have an apron of one.
+        """
 
         def built(heading: int) -> _Tree:
             steepest = self.slope_max[heading % 2]
@@ -246,7 +249,10 @@ def _with_apron(field: HeightField, window: Window) -> Float32Array:
 
 
 def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
-    """Upload heights seen along their first axis: texel m of a column has lines 2 m to 2 m + 2."""
+    """Upload heights seen along their first axis.
+
+    Texel m of a column has lines 2 m to 2 m + 2.
+    """
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
     padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
@@ -256,9 +262,10 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
 
 
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
-    """Upload texels (rows, columns, components), padded to a pitch that is no power of two.
+    """Upload texels (rows, columns, components).
 
-    Raises `ContextError` where OpenGL refuses the texture, which would read as zeros.
+    Columns are padded to a pitch that is no power of two. Raises `ContextError` where OpenGL
+    refuses the texture, which would read as zeros.
     """
     # The width is an odd multiple of 16 texels.
     columns = (-(-values.shape[1] // 16) | 1) * 16

@@ -177,7 +177,7 @@ class StoreHeader:
 
     @property
     def fields(self) -> dict[str, str]:
-        """Field of `Views` or `Places` -> dataset, for the kind of rows that the store holds."""
+        """Datasets of the store's rows, by the field of `Views` or `Places`."""
         return {
             field: name
             for field, (name, *_) in _SPECS[self.holds].items()
@@ -186,19 +186,19 @@ class StoreHeader:
 
     @property
     def sorted_by(self) -> list[str]:
-        """The datasets by which rows are sorted, and which distinguish one row from another."""
+        """Datasets that sort rows, and distinguish one from another."""
         return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
     def specs(self) -> dict[str, np.dtype[Any]]:
-        """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
+        """The type of a row, (W,) float32 for example, by dataset."""
         return {
             name: np.dtype((kind, (self.width,) if shape is None else shape))
             for name, kind, shape in _SPECS[self.holds].values()
         }
 
     def chunk_rows(self, rows: int) -> int:
-        """Return the number of rows in a chunk of every dataset, in a store of ``rows`` rows."""
+        """Return the rows in a chunk, in a store of ``rows`` rows."""
         return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else _PLACES_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
@@ -214,7 +214,7 @@ class StoreHeader:
 
     @property
     def boxes_deg(self) -> list[Bounds] | None:
-        """The boxes for which rows were built, W, S, E, N in degrees; None for all of the DEM."""
+        """The built boxes, W, S, E, N in degrees; None for all of the DEM."""
         bounds: Any = self.config.get("bounds_deg")
         if not bounds:
             return None
@@ -317,7 +317,7 @@ def refuse_mismatch(
 
 
 def _model(header: StoreHeader) -> str:
-    """Return a file of a store's DEM, its frame and its digest, in one line."""
+    """Return a line with a store's DEM, its frame and its digest."""
     names = [Path(file).name for file in header.dem_files] or ["no file"]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
@@ -327,10 +327,10 @@ def _model(header: StoreHeader) -> str:
 def columns_of(
     header: StoreHeader, rows: Views | Places, keypoint_columns: KeypointColumns | None = None
 ) -> Columns:
-    """Return rows as a store with ``header`` holds them; checksums are made as they are written.
+    """Return rows as a store with ``header`` holds them.
 
-    Renderings have keypoints too: the columns (N, K) of their skylines' polyline vertices, padded
-    with `NO_KEYPOINT`.
+    Checksums are made when the rows are written. Renderings have keypoints too: the columns (N, K)
+    of their skylines' polyline vertices, padded with `NO_KEYPOINT`.
     """
     specs = header.specs
     given = {name: getattr(rows, field) for field, name in header.fields.items()}
@@ -435,7 +435,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> object:
-    """Return an attribute of one value; one of a variable length is not read.
+    """Return an attribute of one value; None for a variable length.
 
     HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
     one.

@@ -1,4 +1,4 @@
-"""A map of a store's places in the file, which reads only what is used."""
+"""A map of a store's places in its file."""
 
 import mmap
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class PlaceMap:
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
-        """Map the places of a file, given as a descriptor, whose chunks lie ``at`` offsets."""
+        """Map the places of a file descriptor, whose chunks lie ``at`` offsets."""
         self._path = path
         self._header = header
         self._places = places
@@ -79,7 +79,7 @@ class PlaceMap:
             yield Places(**fields)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        """Return copies of the places ``rows`` (M,), in order, each compared with its checksum.
+        """Return copies of places ``rows`` (M,) in order, compared with their checksums.
 
         Raises
         ------

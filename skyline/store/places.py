@@ -1,4 +1,4 @@
-r"""Places: eyes and their skylines in few bytes, which a search compares a photo with.
+r"""Places: eyes and their skylines in few bytes, for a search.
 
 A place is an eye, its skyline all the way round, the skyline's distance, and the distance around
 the eye within which it represents all other eyes. Places are rendered when a store is built and
@@ -94,7 +94,7 @@ _WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
 
 
 def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
-    """Return the first tangents (N,) float32 and the rises (N, B) int8 of skylines (N, B).
+    """Return the first tangents (N,) and the rises (N, B) of skylines (N, B).
 
     The first bin's byte is 0; where it has no skyline, the rises begin from 0.
     """
@@ -123,7 +123,7 @@ def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
 
 
 def encode_distance(distance_m: Float32Array) -> UInt8Array:
-    """Return codes (N, D) uint8 of the nearest distances, of (N, B), in each of D bins.
+    """Return codes (N, D) of the nearest of distances (N, B) in each bin.
 
     0 stands for no skyline. The nearest skyline moves most as the eye does.
     """
@@ -135,7 +135,7 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
 
 
 def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
-    """Return ``table[codes]`` (N, ...) for a table (256,) of items of 4 or 8 bytes.
+    """Return ``table[codes]`` for a table (256,) of items of 4 or 8 bytes.
 
     OpenCV does this five times as fast as indexing does.
     """
@@ -147,10 +147,11 @@ def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
 
 
 def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
-    """Return the phases' codes (N, 180) of skylines (N, B): 1 + floor(255 phase / 2 pi).
+    """Return the phases' codes (N, 180) of skylines (N, B).
 
-    A rise is from the mean of a run of bins to the mean of the next; the first run follows the
-    last. It is unknown, and its code 0, where either run has a bin without a skyline.
+    A code is 1 + floor(255 phase / 2 pi). A rise is from the mean of a run of bins to the mean of
+    the next; the first run follows the last. It is unknown, and its code 0, where either run has a
+    bin without a skyline.
     """
     count, bins = elevation_tan.shape
     mean = elevation_tan.reshape(count, PHASE_BINS, bins // PHASE_BINS).mean(axis=2)

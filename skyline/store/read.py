@@ -45,7 +45,7 @@ RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
 
 class Store:
-    """The rows of a finished store; use it as a context manager. Made by `open_store`.
+    """The rows of a finished store, which `open_store` opens; a context manager.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Store:
         return self._read(KEYPOINTS, self._indexed(index))
 
     def eyes(self) -> Viewpoints:
-        """Read the eyes of all rows, of a store of either kind; raises as `stored`."""
+        """Read the eyes of all rows, of either kind; raises as `stored`."""
         rows = self._indexed(slice(None))
         names = self.header.fields
         read = {
@@ -150,7 +150,7 @@ class Store:
         return Viewpoints(**read)
 
     def places(self) -> PlaceMap:
-        """Map the places of a store of places; they can be read when the store is closed.
+        """Map the places of a store, which may be closed afterwards.
 
         Raises
         ------
@@ -291,7 +291,7 @@ class Store:
 
 
 def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
-    """Return an object that lies in this very file, following no other kind of link."""
+    """Return an object of this very file; no other link is followed."""
     node = file
     for part in name.split("/"):
         link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
@@ -306,7 +306,7 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
 
 
 def _checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader) -> h5py.Dataset:
-    """Return a dataset if it has the schema's layout and its bytes lie in this file.
+    """Return a dataset that has the schema's layout, in this file.
 
     Virtual, external, contiguous and compact storage have no chunks, so they are refused.
     """
@@ -362,7 +362,10 @@ def parts_folder(path: Path) -> Path:
 
 
 def open_hdf5(path: Path) -> io.FileIO:
-    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError` if there is none."""
+    """Open an HDF5 file to read it.
+
+    Raises `MissingFileError` or `StoreError` if there is none.
+    """
     try:
         raw = io.FileIO(path)
     except FileNotFoundError as error:
@@ -379,7 +382,7 @@ def open_hdf5(path: Path) -> io.FileIO:
 
 
 def _absence(path: Path) -> str:
-    """Return the reason why there is no store at a path, in one line."""
+    """Return why there is no store at a path, in one line."""
     folder = parts_folder(path)
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"

@@ -1,4 +1,4 @@
-"""Rows of a store as an `xarray.Dataset` or a table: angles in degrees, places on the map.
+"""Rows of a store as an `xarray.Dataset` or a table.
 
 Skylines are rendered by grid azimuth, and the angle from true north to grid north differs from
 place to place. So the grid azimuths of places are a dimension, which all places share, and the

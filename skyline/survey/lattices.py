@@ -93,7 +93,7 @@ Look = Callable[[Viewpoints], Sights]
 
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
-    """Return the blocks that meet an area, row by row from the north-west.
+    """Return the blocks that meet an area, by rows from the north-west.
 
     A block is a square with sides of `BLOCK_M`. Its western and southern sides lie at its column
     and its row times `BLOCK_M`.
@@ -116,7 +116,10 @@ class Prices:
         self._lost = look(eyes).lost
 
     def of_loss(self, loss: float) -> float:
-        """Return the highest price that loses at most a share of the views, else the lowest."""
+        """Return the highest price at which at most this share is lost.
+
+        The lowest price is returned if every plan loses more.
+        """
         rows = np.arange(len(self._lost))
         return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
 
@@ -134,7 +137,7 @@ class Prices:
         return levels
 
     def _limit(self, is_too_coarse: Callable[[IntArray], bool]) -> float:
-        """Return the highest price at which the levels of the viewpoints are not too coarse."""
+        """Return the highest price whose levels are not too coarse."""
         # From less than any place can save to more than a whole square of the coarsest lattice.
         low, high = 1e-3, 1e12
         for _ in range(60):
@@ -177,7 +180,7 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
 def planned_places(
     terrain: HeightField, look: Look, area: Rectangle, price: float, block: tuple[int, int]
 ) -> Places:
-    """Lay out and render the places of a block, row by row from the north-west.
+    """Lay out and render a block's places, by rows from the north-west.
 
     ``price`` is computed by `Prices`; places outside the area are not kept.
     """
@@ -220,7 +223,7 @@ _BARE = -1
 
 
 class _Seen:
-    """The nodes in and around a block, and the places at those that were tried.
+    """The nodes in and around a block, and their places.
 
     Nodes are columns and rows of the finest lattice, from the block's south-western corner.
     """
@@ -249,7 +252,7 @@ class _Seen:
         self._lost = np.concatenate([self._lost, seen.lost])
 
     def rows(self, nodes: Int64Array) -> Int64Array:
-        """Return the rows in `places` of the nodes, of (N, 2), that have a place."""
+        """Return the rows, in `places`, of nodes (N, 2) with a place."""
         row = self._row[_index(nodes)]
         return row[row >= 0]
 
@@ -286,13 +289,13 @@ def _side(level: int) -> int:
 
 
 def _lattice_of_roots(first: int, number: int) -> Int64Array:
-    """Return the nodes of the coarsest lattice, a number of them a side, shape (N, 2)."""
+    """Return a square of nodes (N, 2) of the coarsest lattice."""
     at = np.arange(first, first + number) * _UNITS
     return np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2) of a level, each with the node that the next level adds beside it."""
+    """Return nodes (N, 2) of a level, and those that the next level adds beside them."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:

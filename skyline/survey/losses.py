@@ -1,4 +1,4 @@
-"""The share of views that a search loses, by the spacing of places and the skyline's distance.
+"""The share of views that a search loses between places.
 
 Between places a view's skyline differs from theirs by an angle of about the spacing over the
 skyline's distance. The odds that a whole search, refinement included, then fails grow with a power
@@ -46,7 +46,7 @@ class LossLaw:
         return np.asarray(odds / (1.0 + odds), dtype=np.float64)
 
     def nearness(self, distance_m: Float32Array) -> Float64Array:
-        """Return the mean inverse distances, 1 / m, of the views round N places, (N, 36)."""
+        """Return mean inverse distances (N, 36), 1 / m, of views round places."""
         # The nearest stretches of a skyline move most, so the mean is one of nearness.
         known_m = np.nan_to_num(distance_m.astype(np.float64), nan=self.farthest_m)
         nearness = 1.0 / np.clip(known_m, self.nearest_m, self.farthest_m)

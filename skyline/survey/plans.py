@@ -113,7 +113,7 @@ class PlacePlan:
         return header_of(terrain, settings, self.curvature, holds=PLACES)
 
     def jobs(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
-        """Return the jobs of the build: viewpoints to render, or blocks of the map to plan.
+        """Return the jobs: viewpoints to render, or blocks to plan.
 
         Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
         """
@@ -227,7 +227,10 @@ Plan = PlacePlan | RenderingPlan
 
 
 def _at_once(renderer: ColumnRenderer, size: JobSize) -> int:
-    """Return how many viewpoints are rendered at once: all of a job if each loads the terrain."""
+    """Return how many viewpoints are rendered at once.
+
+    These are a whole job's where each rendering loads the terrain anew.
+    """
     return size.at_once if renderer.is_resident else size.whole
 
 
@@ -239,7 +242,7 @@ def _looked_at(eyes: Viewpoints, look: Look) -> Columns:
 def header_of(
     terrain: HeightField, settings: dict[str, object], curvature: Curvature, **rows: Any
 ) -> StoreHeader:
-    """Return the header of a store of a terrain, without the renderer's name."""
+    """Return the header of a terrain's store, without the renderer's name."""
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
@@ -298,7 +301,7 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
 
 
 def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
-    """Return the area as `map_bounds`; warn where the field covers a part of the bounds only."""
+    """Return `map_bounds`; warn where a tenth of the bounds lies outside the field."""
     area = map_bounds(field, bounds_deg)
     if bounds_deg is not None:
         share = _area_m2(area) / _area_m2(field.frame.rectangle_m(bounds_deg))
@@ -319,7 +322,7 @@ def _area_m2(rectangle: Rectangle) -> float:
 
 
 def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
-    """Return the rectangle around bounds, clipped to a field; None where they do not meet."""
+    """Return the part of a field in bounds; None where there is none."""
     west, south, east, north = field.frame.rectangle_m(bounds_deg)
     left, low, right, high = field.bounds_m
     clipped = (max(west, left), max(south, low), min(east, right), min(north, high))
