@@ -351,8 +351,7 @@ def _on_workers(
 ) -> tuple[list[Path], int]:
     """Write each job by a runner; return parts and rendered rows.
 
-    Raises at the end the error of the jobs if all of them failed with the same one, and
-    `BuildError` with the numbers of the first few otherwise.
+    Raises at the end, when all other jobs are done, as `_error_of`.
     """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
@@ -375,16 +374,20 @@ def _on_workers(
             written += parts
             rendered += rows
     if failures:
-        if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
-            raise failures[names[0]]
-        named = [f"{name} ({error})" for name, error in failures.items()]
-        more = f" and {len(named) - 5} more" if len(named) > 5 else ""
-        raise BuildError(
-            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:5])}{more}. The "
-            "others are kept: mend the cause and give the same command, which continues with the "
-            "rest"
-        )
+        raise _error_of(failures, len(names))
     return written, rendered
+
+
+def _error_of(failures: Mapping[str, SkylineError], jobs: int) -> SkylineError:
+    """Return the one error of all jobs, or a `BuildError` that names the first few."""
+    if len(failures) == jobs and len({str(error) for error in failures.values()}) == 1:
+        return next(iter(failures.values()))
+    named = [f"{name} ({error})" for name, error in failures.items()]
+    more = f" and {len(named) - 5} more" if len(named) > 5 else ""
+    return BuildError(
+        f"{len(failures)} of {jobs} jobs failed: {'; '.join(named[:5])}{more}. The others are "
+        "kept: mend the cause and give the same command, which continues with the rest"
+    )
 
 
 def _remove(folder: Path) -> None:
