@@ -9,8 +9,8 @@ from .errors import OffMapError as OffMapError
 from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
-from .geodesy import Curvature as Curvature
-from .geodesy import Frame as Frame
+from .geodesy.earth import Curvature as Curvature
+from .geodesy.frame import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
@@ -54,8 +54,8 @@ from .report.panorama import save_panorama as save_panorama
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.header import StoreHeader as StoreHeader
+from .store.place_map import PlaceMap as PlaceMap
 from .store.places import Places as Places
-from .store.read import PlaceMap as PlaceMap
 from .store.read import Store as Store
 from .store.read import open_store as open_store
 from .survey.build import BuildResult as BuildResult
