@@ -9,7 +9,7 @@ import pytest
 from scenes import at_m, field_of
 
 from skyline.errors import ContextError, InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views, columns_u
 from skyline.terrain.viewpoints import Viewpoints
