@@ -27,15 +27,13 @@ from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, in_turn
 from skyline.match import confidence, projections
 from skyline.match.config import MatchConfig
-from skyline.match.matcher import named_skyline
 from skyline.match.prior import (
-    GPS_SD_M,
-    LEAST_GPS_SD_M,
     EyeHeightPrior,
     KnownGround,
     PlacePrior,
     Prior,
     Standing,
+    position_sd_m,
 )
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
@@ -46,6 +44,7 @@ from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import refusal_of, too_little
 from skyline.photo.exif import NotedPlace
 from skyline.photo.image import Picture
+from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
 from skyline.render.context import Releasable
@@ -72,33 +71,61 @@ LEAST_CONFIDENCE = 0.85
 """Least confidence of a heading that is trusted. It was chosen on the Sierra, Rofental and Everest:
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
 At 0.8, 4 % are wrong."""
-_MOST_WITHIN_M = 500.0
-"""Places that are known less well are searched for: that is a match."""
-_RING = 8
-"""Places rendered around the known one."""
-_TAKEOFF_M = 200.0
-"""Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
-_HEADINGS, _PLACES = 48, 32
-"""Numbers of fits that are refined: the best fit of each heading, and the best of all fits."""
-_SEPARATION_M, _TURN_DEG = 15.0, 4.0
-"""Fits nearer to a better one, that look within this angle of it, are the same."""
-_APART_DEG = 10.0
-"""Poses that look within this angle of each other are one answer."""
-_RIVALS = 6
-"""Best poses of other headings that are kept to the end: their fits show how sure a heading is."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingSearch:
+    """Which eyes and fits the search for a heading tries."""
+
+    most_within_m: float = 500.0
+    """Greatest error of the place. A place that is known less well is searched for by a match."""
+    ring: int = 8
+    """Places rendered around the known one."""
+    takeoff_m: float = 200.0
+    """Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
+    headings: int = 48
+    """Fits that are refined: the best one of each of so many headings."""
+    places: int = 32
+    """Fits that are refined besides: the best ones of all."""
+    separation_m: float = 15.0
+    """Fits nearer to a better one than this, that look its way, are the same."""
+    turn_deg: float = 4.0
+    """Fits look the same way within this angle."""
+    apart_deg: float = 10.0
+    """Refined poses that look within this angle of each other are one answer."""
+    rivals: int = 6
+    """Best poses of other headings that are kept to the end: their fits show how sure a heading is.
+    """
+
+
+_SEARCH = HeadingSearch()
 _EFFORT = Effort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
-_SAME_EYE_SDS, _SAME_EYE_SHARE = 3.0, 0.2
-"""Eyes are the same that differ in height by less than so many deviations of the terrain model, or
-by less than this share of their height above the ground, by which distances of the ground grow."""
-_CLOSE_EYE = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
-"""An eye of another height whose cost is higher by less is too likely to trust the best one."""
-_FAR_SD = 4.0
-"""A pose farther from the known place than so many of its standard errors is of another place."""
-_CLOSE = 20.0
-"""A heading whose cost is higher by less than this is named in a refusal."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubts:
+    """What speaks against the best pose at a known place."""
+
+    eye_sds: float = 3.0
+    """Eyes are the same if their heights differ by less than so many deviations of the terrain
+    model's heights."""
+    eye_share: float = 0.2
+    """Eyes are also the same if their heights differ by less than this share of the height above
+    the ground, since distances of the ground grow by this share."""
+    eye_cost: float = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
+    """An eye of another height whose cost is higher by less than this makes the best one
+    doubtful."""
+    far_sds: float = 4.0
+    """A pose farther from the known place than so many of its standard errors is of another place.
+    """
+    named_cost: float = 20.0
+    """A heading whose cost is higher by less than this is named in a refusal."""
+
+
+_DOUBTS = _Doubts()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,17 +256,19 @@ class Orienter(Releasable):
         elevation_m: float | None = None,
         within_m: float = DEFAULT_WITHIN_M,
     ) -> None:
-        if not 0.0 < within_m <= _MOST_WITHIN_M:
+        if not 0.0 < within_m <= _SEARCH.most_within_m:
             raise InputError(
                 f"the place is known to {within_m:g} m; expected above 0, at most "
-                f"{_MOST_WITHIN_M:g}: search a wider area with skyline match"
+                f"{_SEARCH.most_within_m:g}: search a wider area with skyline match"
             )
-        self.terrain, self.curvature = read_dem(dem), Curvature()
+        self.terrain = read_dem(dem)
+        self.curvature = Curvature()
         self.frame = self.terrain.frame
         self._within_m = within_m
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
-        self._ground_m, self._elevation_m = float(ground.eye_elevation_m[0]), elevation_m
+        self._ground_m = float(ground.eye_elevation_m[0])
+        self._elevation_m = elevation_m
         if elevation_m is not None:
             lowest_m = self._around(within_m).eye_elevation_m.min() - DEFAULT_EYE_HEIGHT_M
             check_eye_elevation(elevation_m, float(lowest_m))
@@ -252,7 +281,7 @@ class Orienter(Releasable):
 
     def _around(self, away_m: float) -> Viewpoints:
         """Return eyes at the known place and on a ring around it, 2 m above the ground."""
-        ring = away_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        ring = away_m * np.exp(2j * np.pi * np.arange(_SEARCH.ring) / _SEARCH.ring)
         around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
         return stand_where_possible(self.terrain, around.real, around.imag)[0]
 
@@ -270,7 +299,7 @@ class Orienter(Releasable):
         if self._elevation_m is not None:
             above_m = max(DEFAULT_EYE_HEIGHT_M, self._elevation_m - self._ground_m)
             return [Standing(EyeHeightPrior(above_m, height_sd_m), self._elevation_m)]
-        reliefs_m = self._relief_m(self._within_m), self._relief_m(_TAKEOFF_M)
+        reliefs_m = self._relief_m(self._within_m), self._relief_m(_SEARCH.takeoff_m)
         ground = KnownGround(self._ground_m, *reliefs_m, height_sd_m)
         return Standing.of_noted(noted, ground)
 
@@ -325,8 +354,10 @@ class Orienter(Releasable):
             if number > 0:
                 retriever = self._retriever_at(standing.elevation_m)
             fitted = retriever.fitted_all_round(rays)
-            each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
-            best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
+            each = fitted.suppress_non_maxima(_SEARCH.headings, np.inf, _SEARCH.turn_deg)
+            best = fitted.suppress_non_maxima(
+                _SEARCH.places, _SEARCH.separation_m, _SEARCH.turn_deg
+            )
             refinement = self._refinement(rays, skyline.noted, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
             found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
@@ -363,7 +394,7 @@ class Orienter(Releasable):
         if not len(poses):
             return Orientation(skyline, None, refusal="no heading fits at this place")
         other_eye = self._other_eye(poses)
-        poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _APART_DEG)]
+        poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _SEARCH.apart_deg)]
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
@@ -400,11 +431,13 @@ class Orienter(Releasable):
     def _other_eye(self, poses: Poses) -> str | None:
         """Return the refusal of a best pose that another standing rivals; None if none does."""
         heights_m = self._eye_heights_m(poses)
-        is_same = np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _APART_DEG
+        is_same = (
+            np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _SEARCH.apart_deg
+        )
         off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
-        same_m = max(_SAME_EYE_SDS * self._scene.height_sd_m, _SAME_EYE_SHARE * heights_m[0])
+        same_m = max(_DOUBTS.eye_sds * self._scene.height_sd_m, _DOUBTS.eye_share * heights_m[0])
         is_other = is_same & (off_m > same_m)
-        is_close = poses.cost - poses.cost[0] < _CLOSE_EYE
+        is_close = poses.cost - poses.cost[0] < _DOUBTS.eye_cost
         rivals = np.flatnonzero(is_other & is_close)
         if not len(rivals):
             return None
@@ -426,7 +459,7 @@ class Orienter(Releasable):
 
     def _far(self, moved_m: float) -> str | None:
         """Return the refusal of a pose far from the known place; None if it is near."""
-        if moved_m <= _FAR_SD * self._within_m:
+        if moved_m <= _DOUBTS.far_sds * self._within_m:
             return None
         return (
             f"the best pose is {moved_m:.0f} m from the place, which is known to "
@@ -439,7 +472,7 @@ class Orienter(Releasable):
             return None
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
-        if len(poses) > 1 and cost[1] - cost[0] < _CLOSE:
+        if len(poses) > 1 and cost[1] - cost[0] < _DOUBTS.named_cost:
             other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
@@ -479,13 +512,13 @@ class _RefinementByHeading(Refinement):
         """Return the particles of the next round: the best, and the best of each heading."""
         ordered = particles.best(len(particles))
         standing = self.poses(ordered)
-        rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
+        rivals = standing.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best particle of each heading, best first."""
         standing = self.poses(particles)
-        return particles[standing.suppress_non_maxima(count, np.inf, _APART_DEG)]
+        return particles[standing.suppress_non_maxima(count, np.inf, _SEARCH.apart_deg)]
 
 
 def orient(
@@ -533,5 +566,4 @@ def noted_place(skyline: PhotoSkyline, name: str) -> Place:
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    within_m = max(LEAST_GPS_SD_M, skyline.noted.accuracy_m or GPS_SD_M)
-    return (*skyline.noted.lonlat_deg, None, within_m)
+    return (*skyline.noted.lonlat_deg, None, position_sd_m(skyline.noted))

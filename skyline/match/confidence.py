@@ -119,13 +119,16 @@ def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64
     narrow search no retrieved pose lies so far away, and rivals are more than 200 m away. If all
     retrieved poses are one place, there is no rival, and the odds are even.
     """
-    retrieved, best = retrieved_figures(found, rays), int(np.argmin(found.cost))
+    retrieved = retrieved_figures(found, rays)
+    best = int(np.argmin(found.cost))
     widest_m = found.distances_m().max(initial=0.0)
     margin = log_odds = np.zeros(len(poses))
     if widest_m > ROUGHLY_WITHIN_M:
-        margin, log_odds = poses.figures().far_margin, _log_odds(poses, ROUGHLY_WITHIN_M)
+        margin = poses.figures().far_margin
+        log_odds = _log_odds(poses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
-        margin, log_odds = poses.figures().margin, _log_odds(poses, RIGHT_WITHIN_M)
+        margin = poses.figures().margin
+        log_odds = _log_odds(poses, RIGHT_WITHIN_M)
     if widest_m > RIGHT_WITHIN_M:
         log_odds = log_odds - 2.0 * np.log(max(1.0, _LIMITS.extent_m / widest_m))
     return pose_figures(poses, rays) | {
@@ -249,7 +252,8 @@ def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) ->
 
     No other answer gets more of the probability for its weight than the best one does.
     """
-    own, others = weight * is_near[best], weight * ~is_near[best]
+    own = weight * is_near[best]
+    others = weight * ~is_near[best]
     worth = sure / own.sum()
     rest = (1.0 - sure) / max(others.sum(), np.finfo(float).tiny)
     return np.asarray(is_near @ own * worth + is_near @ others * min(worth, rest))

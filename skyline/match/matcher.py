@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.errors import InputError, SkylineError, StoreError, numbers_of
+from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy import Frame
 from skyline.match.config import MatchConfig
@@ -24,7 +24,7 @@ from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
-from skyline.photo.read import read_skyline
+from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
@@ -96,10 +96,12 @@ class Matcher(Releasable):
         refine = self._config.refine
         if surface is not None and not (method.renders and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
-        self.render_thread, self._scene = render_thread, None
+        self.render_thread = render_thread
+        self._scene = None
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
-            self.rows, self.holds = len(file), header.holds
+            self.rows = len(file)
+            self.holds = header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
             file.expect(method.holds)
@@ -448,27 +450,6 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
     return paths
-
-
-def named_skyline(
-    photo: Picture | PhotoSkyline, fov_deg: float | None = None
-) -> tuple[str, PhotoSkyline]:
-    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
-
-    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
-    `InputError` for anything but one photo.
-    """
-    if fov_deg is not None:
-        error = f"the field of view is {fov_deg!r}; expected a number of degrees"
-        (fov_deg,) = numbers_of([fov_deg], 1, error)
-    if isinstance(photo, PhotoSkyline):
-        return "", photo if fov_deg is None else photo.with_fov(fov_deg)
-    if not isinstance(photo, str | Path | Image | np.ndarray):
-        raise InputError(
-            f"the photo is of type {type(photo).__name__}; expected one path, PIL image, array of "
-            "uint8 or PhotoSkyline"
-        )
-    return str(photo) if isinstance(photo, str | Path) else "", read_skyline(photo, fov_deg)
 
 
 def _check_top(top: int) -> None:

@@ -28,8 +28,6 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
 GPS_SD_M = 30.0
 """Scale of the error of a position without a noted accuracy."""
-LEAST_GPS_SD_M = 15.0
-"""Least scale of the error of a position with one, since the terrain model is off too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +36,8 @@ class _ExifErrors:
 
     wrong_share: float = 0.05
     """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
+    least_position_sd_m: float = 15.0
+    """Least scale of a position's error, since the terrain model is off too."""
     anywhere_m2: float = 1e9
     """A, a circle of 18 km: the area of a search without a noted position."""
     reach_m: float = 1000.0
@@ -132,7 +132,7 @@ class PlacePrior:
         grid_heading_deg = noted.heading_deg
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = max(LEAST_GPS_SD_M, noted.accuracy_m or GPS_SD_M)
+        sd_m = position_sd_m(noted)
         compass_sd_deg = (
             _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
         )
@@ -309,9 +309,15 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
         sd_m = math.hypot(ground.takeoff_relief_m, _EXIF.takeoff_sd_m, drift_m)
         found.append(_NotedHeight(noted.takeoff_height_m, sd_m, sd_m))
     if noted.elevation_m is not None:
-        above_m, sd_m = noted.elevation_m - ground.elevation_m, _altitude_sd_m(noted)
+        above_m = noted.elevation_m - ground.elevation_m
+        sd_m = _altitude_sd_m(noted)
         found.append(_NotedHeight(above_m, math.hypot(sd_m, ground.relief_m), sd_m))
     return found
+
+
+def position_sd_m(noted: NotedPlace) -> float:
+    """Return the scale of the error of a photo's position."""
+    return max(_EXIF.least_position_sd_m, noted.accuracy_m or GPS_SD_M)
 
 
 def _altitude_sd_m(noted: NotedPlace) -> float:
@@ -471,7 +477,8 @@ class Prior:
 
         The hint is given where the swapped narrowing would meet the rectangle around the places.
         """
-        near, bounds = self.narrowing.near, self.narrowing.bounds_deg
+        near = self.narrowing.near
+        bounds = self.narrowing.bounds_deg
         for given in (near and near[:2], bounds):
             if given is None or self.frame is None:
                 continue

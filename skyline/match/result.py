@@ -24,15 +24,24 @@ _OF_CAMERA = (
 )  # fmt: skip
 """Keys of a candidate that differ between photos of one place."""
 
-_BEYOND_SHARE = 0.1
-"""Share of a skyline from which a line warns of terrain beyond the elevation model."""
-_FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
-"""The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
-than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
-seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """Errors above which a photo's own notes disagree with an answer: phones seldom have them."""
+
+    position_m: float = 500.0
+    """Distance of the answer from the noted position."""
+    accuracies: float = 5.0
+    """The same distance, as a multiple of the noted accuracy; it must exceed both."""
+    compass_deg: float = 45.0
+    """Turn of the answer from the noted heading."""
+
+
+_DISAGREEMENT = Disagreement()
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +108,8 @@ class MatchResult:
     @property
     def summary(self) -> str:
         """One sentence: where the photo was taken, or why there is no answer."""
-        refusal, best = self.refusal or "no place fits", self.best
+        refusal = self.refusal or "no place fits"
+        best = self.best
         if best is None:
             return f"Not answered: {refusal}."
         place = (
@@ -126,7 +136,7 @@ class MatchResult:
     def beyond(self) -> str | None:
         """A warning that much of the skyline may be of terrain beyond the elevation model."""
         share = None if self.best is None else self.best.beyond_share
-        if share is None or share < _BEYOND_SHARE:
+        if share is None or share < 0.1:
             return None
         return (
             f"{100.0 * share:.0f} % of the skyline may be terrain beyond the edge of the elevation "
@@ -142,7 +152,8 @@ class MatchResult:
         where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
         that cannot be used, with the reasons. None where the photo notes nothing.
         """
-        noted, best = self.skyline.noted, self.best
+        noted = self.skyline.noted
+        best = self.best
         if noted == NOTHING_NOTED:
             return None
         lon, lat = noted.lonlat_deg or (None, None)
@@ -165,7 +176,8 @@ class MatchResult:
 
     def exif_in_words(self, with_place: bool = True) -> str:
         """Return `exif` in sentences, with the noted longitude and latitude or without."""
-        exif, best = self.exif, self.best
+        exif = self.exif
+        best = self.best
         if exif is None:
             return ""
         sentences: list[str] = []
@@ -182,9 +194,11 @@ class MatchResult:
             north = _NORTH[exif["heading_is_magnetic"]]
             own = "" if best is None else f", {it} {best.heading_deg:.0f}"
             sentences.append(f"Its compass says {exif['heading_deg']:.0f} degrees{north}{own}.")
-        far_m = max(_FAR_M, _FAR_ACCURACIES * (exif["accuracy_m"] or 0.0))
+        far_m = max(
+            _DISAGREEMENT.position_m, _DISAGREEMENT.accuracies * (exif["accuracy_m"] or 0.0)
+        )
         wrong = ["position"] if (exif["distance_m"] or 0.0) > far_m else []
-        if abs(exif["heading_off_deg"] or 0.0) > _FAR_DEG:
+        if abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg:
             wrong.append("compass")
         if wrong:
             both = " and ".join(wrong)
@@ -201,7 +215,8 @@ class MatchResult:
         a direction, ``lens`` if it notes a lens and no field of view was given.
         """
         candidates = [one.to_dict() for one in self.candidates]
-        lens, exif = self.skyline.lens, self.exif
+        lens = self.skyline.lens
+        exif = self.exif
         return {
             "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
@@ -217,7 +232,8 @@ class MatchResult:
 
     def to_row(self) -> dict[str, Any]:
         """Return a row of ``skyline match --results``: the best candidate and its verdict."""
-        best, exif = self.best, self.exif
+        best = self.best
+        exif = self.exif
         row = {} if best is None else best.to_dict()
         return row | {
             "photo": printable(self.name),

@@ -22,11 +22,9 @@ import numpy as np
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
 from skyline.camera import MOST_DISTORTION
 from skyline.match.likelihood import (
-    ABOVE_SHARE,
-    BELOW_SHARE,
-    RANGE_RAD,
     HeightErrors,
     Likelihood,
+    density_without_terrain,
     likelihood,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
@@ -271,8 +269,8 @@ class Solver:
         state[:, HEADING] = np.radians(poses.grid_heading_deg)
         state[:, PITCH] = np.radians(poses.pitch_deg)
         state[:, ROLL] = np.radians(poses.roll_deg)
-        scale = self.rays.log_scale(poses.fov_deg)
-        state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
+        log_scale = self.rays.log_scale(poses.fov_deg)
+        state[:, LOG_SCALE] = np.clip(log_scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         if not self.rays.is_panorama and poses.distortion is not None:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
         angle = np.full(count, _WIDEST_ANGLE)
@@ -339,8 +337,7 @@ class Solver:
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
-        other = np.where(off >= 0.0, ABOVE_SHARE, BELOW_SHARE)
-        odds = np.log(density + other / RANGE_RAD)
+        odds = np.log(density + density_without_terrain(off))
         agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
@@ -367,9 +364,9 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
-        pitch, roll, scale = state[:, PITCH:WARP].T
+        pitch, roll, log_scale = state[:, PITCH:WARP].T
         turned, ray_y, turned_change, ray_change = self.rays.levelled_with_changes(
-            pitch, roll, scale, state[:, WARP:]
+            pitch, roll, log_scale, state[:, WARP:]
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)
@@ -492,7 +489,7 @@ class Solver:
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
-        gradient[:, LOG_SCALE] -= found.magnification_pull(miss[..., 0])
+        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[..., 0])
         self._pull_to_noted(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)
