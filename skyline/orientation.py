@@ -181,7 +181,7 @@ class Orientation:
         return to_dataframe([self])
 
     def to_row(self) -> dict[str, Any]:
-        """Return the orientation as a row of the table that ``skyline orient -o`` writes."""
+        """Return the row of ``skyline orient -o``."""
         row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
             row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
@@ -221,9 +221,9 @@ class Orientation:
 
 
 class Orienter(Releasable):
-    """Finds how cameras were held at one place, for any number of photos from there.
+    """Finds how cameras were held at one place.
 
-    Only the thread that makes it may use it.
+    It serves any number of photos from there. Only the thread that makes it may use it.
 
     Parameters
     ----------
@@ -280,13 +280,16 @@ class Orienter(Releasable):
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
     def _around(self, away_m: float) -> Viewpoints:
-        """Return eyes at the known place and on a ring around it, 2 m above the ground."""
+        """Return eyes at the known place and on a ring around it."""
         ring = away_m * np.exp(2j * np.pi * np.arange(_SEARCH.ring) / _SEARCH.ring)
         around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
         return stand_where_possible(self.terrain, around.real, around.imag)[0]
 
     def _retriever_at(self, elevation_m: float | None) -> Retriever:
-        """Return a retriever of poses of eyes at an elevation; by default on the ground."""
+        """Return a retriever of poses of eyes at an elevation.
+
+        By default they stand on the ground.
+        """
         eyes = self._around(self._within_m)
         if elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
@@ -294,7 +297,7 @@ class Orienter(Releasable):
         return Retriever(places, self._scene.ground_m)
 
     def _standings(self, noted: NotedPlace) -> list[Standing]:
-        """Return the ways in which the eye may stand at the known place."""
+        """Return the ways of standing at the known place."""
         height_sd_m = self._scene.height_sd_m
         if self._elevation_m is not None:
             above_m = max(DEFAULT_EYE_HEIGHT_M, self._elevation_m - self._ground_m)
@@ -304,7 +307,7 @@ class Orienter(Releasable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the rms difference of the ground so far away from that of the place."""
+        """Return the ground's rms height on a ring above the place."""
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
@@ -317,9 +320,10 @@ class Orienter(Releasable):
     def orient(
         self, photo: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
-        """Find how the camera of a photo, a sky mask, a trace or a skyline was held.
+        """Find how the camera of a photo was held.
 
-        The compass direction that a photo notes counts as a hint.
+        The photo may be a sky mask, a trace or a skyline. The compass direction that a photo notes
+        counts as a hint.
 
         Parameters
         ----------
@@ -367,12 +371,12 @@ class Orienter(Releasable):
     def _refinement(
         self, rays: Rays, noted: NotedPlace, standing: Standing
     ) -> "_RefinementByHeading":
-        """Return the refinement of a photo's rays, with what is known of its pose."""
+        """Return the refinement of a photo's rays, with its prior."""
         prior = Prior(noted=self._known(noted, standing))
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
     def _known(self, noted: NotedPlace, standing: Standing) -> PlacePrior:
-        """Return the known place as a prior, with the direction that a photo notes."""
+        """Return the known place and the photo's compass direction as a prior."""
         known = PlacePrior(
             self._east,
             self._north,
@@ -390,7 +394,7 @@ class Orienter(Releasable):
         )
 
     def _orientation(self, skyline: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
-        """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
+        """Return the best of poses as an orientation, refused if doubtful."""
         if not len(poses):
             return Orientation(skyline, None, refusal="no heading fits at this place")
         other_eye = self._other_eye(poses)
@@ -399,15 +403,14 @@ class Orienter(Releasable):
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
-        other = None
-        if sure >= projections.LEAST_CONFIDENCE:
-            above_m = float(self._eye_heights_m(poses[:1])[0])
-            standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
-            other = projections.other_projection(
-                rays,
-                Poses.of(pose),
-                lambda bent: self._refinement(bent, skyline.noted, standing),
-            )
+        above_m = float(self._eye_heights_m(poses[:1])[0])
+        standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
+        other = projections.other_projection(
+            rays,
+            Poses.of(pose),
+            sure,
+            lambda bent: self._refinement(bent, skyline.noted, standing),
+        )
         refusal = refusal_of(
             pose,
             skyline,
@@ -424,12 +427,12 @@ class Orienter(Releasable):
             **errors_deg,
             confidence=sure,
             moved_m=float(moved_m[0]),
-            eye_height_m=float(self._eye_heights_m(poses[:1])[0]),
+            eye_height_m=above_m,
             refusal=refusal,
         )
 
     def _other_eye(self, poses: Poses) -> str | None:
-        """Return the refusal of a best pose that another standing rivals; None if none does."""
+        """Return the refusal of a pose that another standing rivals, or None."""
         heights_m = self._eye_heights_m(poses)
         is_same = (
             np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _SEARCH.apart_deg
@@ -458,7 +461,7 @@ class Orienter(Releasable):
         return np.abs(place_m - complex(self._east, self._north))
 
     def _far(self, moved_m: float) -> str | None:
-        """Return the refusal of a pose far from the known place; None if it is near."""
+        """Return the refusal of a pose far from the place, or None."""
         if moved_m <= _DOUBTS.far_sds * self._within_m:
             return None
         return (
@@ -467,7 +470,7 @@ class Orienter(Releasable):
         )
 
     def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
-        """Return the refusal of a heading of too little confidence; None if it has enough."""
+        """Return the refusal of a heading of too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
@@ -506,10 +509,13 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
 
 
 class _RefinementByHeading(Refinement):
-    """A refinement of poses at one place: other headings are the rivals, not other places."""
+    """A refinement at one place, where other headings are the rivals."""
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the particles of the next round: the best, and the best of each heading."""
+        """Return the particles of the next round.
+
+        They are the best ones, and the best of each heading.
+        """
         ordered = particles.best(len(particles))
         standing = self.poses(ordered)
         rivals = standing.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
@@ -531,10 +537,10 @@ def orient(
     within_m: float | None = None,
     fov_deg: float | None = None,
 ) -> Orientation:
-    """Find how the camera of one photo was held at a known place; see `Orienter`.
+    """Find how a photo's camera was held at a known place.
 
-    Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the error that the
-    photo notes.
+    See `Orienter`. Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the
+    error that the photo notes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The view of a camera at a given pose: the rendered skyline and summits in its photo.
+"""The view at a pose: rendered skyline and summits in its photo.
 
 A pose is a `Pose`; a picture has the size and the projection of a photo. Azimuths are grid
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
@@ -52,7 +52,7 @@ is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """The skyline rendered at a pose, in pixels of a photo, and its difference from the photo's.
+    """The skyline rendered at a pose, compared with a photo's skyline.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class SeenPeak(Sighting):
     distance_m : float
         Horizontal.
     elevation_m : float
-        Height in the gazetteer; where it has none, that of the summit on the terrain model.
+        Height in the gazetteer; where it has none, the height of the summit on the terrain model.
     """
 
     column_px: float
@@ -138,7 +138,9 @@ def peaks_in_picture(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PixelPlaces:
-    """The place on the terrain that each pixel of a photo shows; NaN for sky.
+    """The terrain that each pixel of a photo shows.
+
+    NaN for sky.
 
     Attributes
     ----------
@@ -196,9 +198,10 @@ class PixelPlaces:
 
 
 class Viewer(Releasable):
-    """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
+    """The terrain as cameras see it.
 
-    Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
+    It shows skylines, summits and the place in each pixel of a photo. Poses are in the terrain's
+    frame: `pose` makes them, or a matcher of the same elevation model.
 
     Parameters
     ----------
@@ -207,7 +210,7 @@ class Viewer(Releasable):
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13; a store's header has that of its matcher.
+        Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may call, with priority over a matcher that
         renders there too. Without one only the thread that first calls `look` may call it.
@@ -247,10 +250,11 @@ class Viewer(Releasable):
         fov_deg: float = 60.0,
         eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
     ) -> Pose:
-        """Return the pose of a camera at a place; headings are clockwise from true north.
+        """Return the pose of a camera at a place.
 
-        Within one sample's spacing of a summit of the model the ground has the summit's height, as
-        in `skyline.horizon`; ``eye_height_m`` may be negative there.
+        Headings are clockwise from true north. Within one sample's spacing of a summit of the model
+        the ground has the summit's height, as in `skyline.horizon`; ``eye_height_m`` may be
+        negative there.
 
         Raises
         ------
@@ -277,7 +281,7 @@ class Viewer(Releasable):
         )
 
     def held(self, pose: Pose) -> Pose:
-        """Return a pose whose eye is lifted to the least height at which a camera is held.
+        """Return a pose lifted to the least height of a camera.
 
         A view from the ground itself would show nothing but that ground. Every view of a pose is
         from this eye. Raises `OffMapError` for a pose off the map or on a hole.
@@ -285,7 +289,7 @@ class Viewer(Releasable):
         return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
 
     def look(self, pose: Pose, photo: PhotoSkyline) -> Sight:
-        """Return the skyline rendered at a pose, in pixels of the photo's picture.
+        """Return the skyline rendered at a pose, in the photo's pixels.
 
         Raises
         ------
@@ -302,7 +306,7 @@ class Viewer(Releasable):
     def places(
         self, pose: Pose, photo: PhotoSkyline, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
-        """Return the places on the terrain that are seen in the pixels of a photo.
+        """Return the places on the terrain in a photo's pixels.
 
         A place lies on the ray through its pixel's centre, where the ray first meets the surface of
         the terrain model, or a surface within a quarter of a pixel beside the ray.
@@ -357,7 +361,7 @@ class Viewer(Releasable):
         )
 
     def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:
-        """Return the summits visible in the photo of a pose, the most prominent first.
+        """Return the summits that a photo shows, most prominent first.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
         """
@@ -377,7 +381,10 @@ class Viewer(Releasable):
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Pose) -> Viewpoints:
-        """Return the eye of a pose, as high as a camera is held at least; raises `OffMapError`."""
+        """Return a pose's eye, at least as high as a camera.
+
+        Raises `OffMapError`.
+        """
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)

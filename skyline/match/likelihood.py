@@ -1,4 +1,4 @@
-r"""Likelihood of a photo's residuals, given the errors of the photo and of the terrain model.
+r"""Likelihood of a photo's residuals under errors of photo and terrain.
 
 The residual of a column is the elevation of the photo's skyline above the rendered one, radians.
 It is the sum of
@@ -34,7 +34,7 @@ from skyline.arrays import Float64Array, Rows
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """What is assumed about the errors of heights and about columns without terrain."""
+    """What is assumed about height errors and about columns without terrain."""
 
     reach_m: float = 300.0
     """Distance at which the correlation of height errors has fallen to 1 / e."""
@@ -62,7 +62,7 @@ _MODEL = ErrorModel()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightErrors(Rows):
-    """Effect of height errors with a standard deviation of 1 m on the R columns of M curves."""
+    """Effect of height errors of 1 m rms on M curves."""
 
     factor: Float64Array
     """(M, R, K) float64. Correlated residuals are ``factor @ z`` with K standard normal z."""
@@ -149,14 +149,17 @@ class Likelihood(Rows):
     """(M, K, K) float64. Inverse of I + factor^T weight factor."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
-        """Return left^T C^-1 right, (M, P, Q), of (M, R, P) and (M, R, Q), C the covariance."""
+        """Return left^T C^-1 right (M, P, Q), C the covariance.
+
+        ``left`` is (M, R, P), ``right`` (M, R, Q).
+        """
         weighted = self.weight[..., np.newaxis] * right
         left_nodes = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
         right_nodes = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
         return np.asarray(left.swapaxes(1, 2) @ weighted - left_nodes @ right_nodes)
 
     def scaled(self) -> "Likelihood":
-        """Return the likelihood with all errors multiplied by the most likely common factor.
+        """Return the likelihood with all errors times their likeliest factor.
 
         The deviations that the solver chooses from are steps apart, and some residuals are smaller
         than any of them expects. If the expected errors were larger than the residuals, a wider
@@ -202,14 +205,15 @@ def likelihood(
     odds: Float64Array,
     scale: Float64Array | float = 1.0,
 ) -> Likelihood:
-    """Return the likelihood of residuals, with the odds of each column improved once.
+    """Return the likelihood of residuals.
 
-    ``residual_rad`` (M, R) is photo minus terrain, NaN where the terrain is unknown; such a column
-    is as likely as one that does not show terrain. ``trust`` (R,) is in the photo's columns,
-    ``odds`` (M, R) are the probabilities that they show terrain, to start from. ``angle_deg`` and
-    ``height_m`` (M,) are the standard deviations of the photo's error and of the model's heights.
-    ``scale`` (M,) is the angle of a pixel, as a multiple of its angle in the photo's assumed lens:
-    the photo's error is a number of pixels, and the likelihood is a density by pixels.
+    The odds of each column are improved once. ``residual_rad`` (M, R) is photo minus terrain, NaN
+    where the terrain is unknown; such a column is as likely as one that does not show terrain.
+    ``trust`` (R,) is in the photo's columns, ``odds`` (M, R) are the probabilities that they show
+    terrain, to start from. ``angle_deg`` and ``height_m`` (M,) are the standard deviations of the
+    photo's error and of the model's heights. ``scale`` (M,) is the angle of a pixel, as a multiple
+    of its angle in the photo's assumed lens: the photo's error is a number of pixels, and the
+    likelihood is a density by pixels.
     """
     scale = np.broadcast_to(scale, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
@@ -261,11 +265,12 @@ def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
 def _raised(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probability (M, R) that an object stands above the terrain, and a density.
+    """Return the odds and density of objects above the terrain.
 
-    The density is the probability times the density of the column's residual. The object's height
-    is uniform up to the rise, blurred by the errors. The probability is ``share`` for a rise far
-    above the errors, and falls as the rise shrinks.
+    The odds are the probability (M, R) that an object stands above it. The density is the
+    probability times the density of the column's residual. The object's height is uniform up to the
+    rise, blurred by the errors. The probability is ``share`` for a rise far above the errors, and
+    falls as the rise shrinks.
     """
     from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
 
@@ -278,7 +283,10 @@ def _raised(
 def _explained(
     residual: Float64Array, weight: Float64Array, factor: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return the part of residuals (M, R) due to height errors, the inner inverse and log det."""
+    """Return the part of residuals (M, R) due to height errors.
+
+    The inner inverse and half the log determinant are returned with it.
+    """
     across = factor.swapaxes(1, 2)
     core = across @ (weight[..., np.newaxis] * factor) + np.eye(factor.shape[2])
     root = np.linalg.cholesky(core)

@@ -1,4 +1,4 @@
-"""`Matcher`: matches photos to a store, and to the terrain that the store was rendered from."""
+"""`Matcher`: matches photos to a store, and to the store's terrain."""
 
 import logging
 import time
@@ -137,7 +137,7 @@ class Matcher(Releasable):
         narrowing: Narrowing | None = None,
         report_progress: ReportProgress = silent,
     ) -> MatchResult:
-        """Find where a photo, a sky mask, a trace or a skyline was taken.
+        """Find where a photo was taken, or its mask, trace or skyline.
 
         Parameters
         ----------
@@ -283,7 +283,7 @@ class Matcher(Releasable):
     def _found_together(
         self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
     ) -> dict[int, tuple[Pose, ...]]:
-        """Return the candidates of the photos that agree on a place, by the photo's number.
+        """Return the candidates of the photos that agree, by number.
 
         ``usable`` are the numbers of the photos that show enough skyline.
         """
@@ -303,7 +303,7 @@ class Matcher(Releasable):
         start: Pose,
         narrowing: Narrowing | None = None,
     ) -> MatchResult:
-        """Refine a pose by rendering, as a search refines the poses that it finds.
+        """Refine a pose by rendering, as a search does.
 
         The result of a search is taken into account. A fit that leads to one of its candidates is
         that candidate, with the search's verdict. A fit that leads to the same answer but fits
@@ -327,7 +327,7 @@ class Matcher(Releasable):
         Raises
         ------
         InputError
-            The matcher does not render, the pose is off the map, or the result is not that of a
+            The matcher does not render, the pose is off the map, or the result is not from a
             search of one photo.
         """
         started = time.perf_counter()
@@ -354,7 +354,7 @@ class Matcher(Releasable):
     def _fitted(
         self, skyline: PhotoSkyline, start: Pose, narrowing: Narrowing | None
     ) -> Pose | None:
-        """Return the pose to which a fit leads from a start; None where nothing near it fits."""
+        """Return the pose to which a start leads, or None."""
         about_start = skyline.with_fov(start.fov_deg)
         if skyline.projection.is_panorama and skyline.fov_deg is None:
             skyline = about_start  # No search finds a panorama's field of view.
@@ -370,7 +370,10 @@ class Matcher(Releasable):
     def _rays_and_prior(
         self, skyline: PhotoSkyline, narrowing: Narrowing | None
     ) -> tuple[Rays, Prior]:
-        """Return a photo's rays and prior; raises `InputError` if the matcher takes no prior."""
+        """Return a photo's rays and prior.
+
+        Raises `InputError` for a narrowing if the matcher takes no prior.
+        """
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
         rays = Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
         if not self._method.takes_prior:
@@ -399,9 +402,10 @@ class _Photo:
 
 
 def _without_search(pose: Pose, refusal: str | None) -> Pose:
-    """Return a fitted pose without a rank and confidences, since no other place was tried.
+    """Return a fitted pose without a rank and confidences.
 
-    A pose that is refused has no covariance either: errors of a wrong fit have no meaning.
+    No other place was tried. A pose that is refused has no covariance either: errors of a wrong fit
+    have no meaning.
     """
     covariance_m2 = None if refusal else pose.covariance_m2
     return replace(
@@ -410,7 +414,10 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
 
 
 def _check_frame(store: Store, frame: Frame) -> None:
-    """Raise `StoreError` for a store on whose map angles are wrong, as earlier releases built."""
+    """Raise `StoreError` if angles are wrong on a store's map.
+
+    Earlier releases built such stores.
+    """
     eyes = store.eyes()
     east_m, north_m = eyes.easting_m, eyes.northing_m
     box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
@@ -423,7 +430,7 @@ def _check_frame(store: Store, frame: Frame) -> None:
 
 
 def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
-    """Return the terrain a store was rendered from, read from its DEM files.
+    """Return a store's terrain, read from its DEM files.
 
     If they cannot be read, a warning names the consequence ``otherwise``, and None is returned.
     Only plain files are read: a store from a stranger must not make the reader open anything else.
@@ -443,7 +450,10 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
-    """Return the paths of one store or several; raises `InputError` for anything else."""
+    """Return the paths of one store or several.
+
+    Raises `InputError` for anything else.
+    """
     if isinstance(store, str | Path):
         return [store]
     paths = list(store) if isinstance(store, Iterable) else [store]

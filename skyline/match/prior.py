@@ -1,9 +1,9 @@
-r"""Prior knowledge of a pose: the user's narrowing, the photo's EXIF, and the height of eyes.
+r"""Prior knowledge of a pose, from the user and from EXIF.
 
 A compass is little more than a hint. A position from EXIF has a long-tailed error: it is usually
-near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is
-that of another photo or an old fix of the phone. The density of the true place at distance d from
-a noted position is therefore
+near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is the
+position of another photo or an old fix of the phone. The density of the true place at distance d
+from a noted position is therefore
 
 .. math::
 
@@ -32,7 +32,7 @@ GPS_SD_M = 30.0
 
 @dataclass(frozen=True, slots=True)
 class _ExifErrors:
-    """What is assumed about the errors of positions, altitudes and compasses in EXIF."""
+    """What is assumed about errors of EXIF's positions, altitudes and compasses."""
 
     wrong_share: float = 0.05
     """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
@@ -123,7 +123,10 @@ class PlacePrior:
 
     @classmethod
     def of_noted(cls, noted: NotedPlace, frame: Frame) -> "PlacePrior | None":
-        """Return the prior from a photo's EXIF in a frame; None if EXIF notes no position."""
+        """Return the prior from a photo's EXIF in a frame.
+
+        None if EXIF notes no position.
+        """
         if noted.lonlat_deg is None:
             return None
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
@@ -147,7 +150,7 @@ class PlacePrior:
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
-        """Return the negative log density (M,) of poses, relative to a uniform density.
+        """Return the negative log density (M,) of poses over a uniform one.
 
         ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.
@@ -167,7 +170,7 @@ class PlacePrior:
     def pull(
         self, place_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the normal distribution that pulls eyes as strongly as this density does.
+        """Return the normal distribution that pulls eyes like this density.
 
         Its precisions (M, 3) along easting, northing and elevation, and the offsets (M, 3) of the
         eyes from the noted place, metres; precision times offset is the gradient of `cost`.
@@ -217,7 +220,10 @@ class EyeHeightPrior:
         return np.asarray(np.log1p(self._deviations(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
-        """Return the precision (M,) of the normal distribution that pulls heights as strongly."""
+        """Return the precision (M,) of an equally strong normal pull.
+
+        A normal distribution of that precision pulls heights as strongly as this prior does.
+        """
         sd_m = max(self.sd_m, _LEAST_SD_M)
         return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
 
@@ -240,7 +246,10 @@ class KnownGround:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One of the ways in which an eye may stand at a known place: on the ground, or aloft."""
+    """One way in which an eye may stand at a known place.
+
+    It stands on the ground, or it is aloft.
+    """
 
     eye: EyeHeightPrior
     elevation_m: float | None = None
@@ -252,9 +261,10 @@ class Standing:
 
     @classmethod
     def of_noted(cls, noted: NotedPlace, ground: KnownGround) -> "list[Standing]":
-        """Return the ways that the heights noted in a photo leave open, the ground first.
+        """Return the ways that a photo's noted heights leave open.
 
-        A noted height may be wrong by far, so many photos are likely taken on the ground below it.
+        The ground comes first. A noted height may be wrong by far, so many photos are likely taken
+        on the ground below it.
         """
         on_ground = cls(EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, ground.height_sd_m))
         heights = _noted_heights(noted, ground)
@@ -285,9 +295,9 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class _NotedHeight:
-    """A height above the ground of a known place that a photo notes.
+    """A height above the ground that a photo notes.
 
-    Its error is distributed as in `PlacePrior`.
+    The photo's place is known. Its error is distributed as in `PlacePrior`.
     """
 
     height_m: float
@@ -332,7 +342,7 @@ def _altitude_sd_m(noted: NotedPlace) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Narrowing:
-    """Knowledge about a photo's pose that narrows the search; unknown values are None.
+    """Knowledge of a photo's pose that narrows its search; None where unknown.
 
     Attributes
     ----------
@@ -438,7 +448,10 @@ class Prior:
         return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
-        """Return which positions (N,) lie within the circles, the bounds and the elevations."""
+        """Return which positions (N,) the narrowing contains.
+
+        They lie within its circles, its bounds and its elevations.
+        """
         inside = np.ones(len(positions), dtype=bool)
         easting_m, northing_m = positions.easting_m, positions.northing_m
         if self.narrowing.elevation_m is not None:
@@ -465,7 +478,7 @@ class Prior:
         return allowed
 
     def near_noted(self) -> "Prior | None":
-        """Return this prior narrowed to the surroundings of the noted place; None without one."""
+        """Return this prior narrowed to the noted place's surroundings, or None."""
         if self.noted is None:
             return None
         radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
@@ -473,9 +486,10 @@ class Prior:
         return replace(self, circles_m=(*self.circles_m, circle))
 
     def swap_hint(self, places: Places) -> str:
-        """Return a hint that longitudes and latitudes are swapped; empty where they are not.
+        """Return a hint that longitudes and latitudes are swapped.
 
-        The hint is given where the swapped narrowing would meet the rectangle around the places.
+        It is empty where they are not. The hint is given where the swapped narrowing would meet the
+        rectangle around the places.
         """
         near = self.narrowing.near
         bounds = self.narrowing.bounds_deg

@@ -1,4 +1,4 @@
-r"""Whether a photo's skyline is bent as by another projection than the one assumed.
+r"""Whether a skyline is bent as by another projection than assumed.
 
 A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or a
 fisheye then fits the right place all the same, with a field of view and a distortion that no lens
@@ -31,14 +31,15 @@ from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
 from skyline.pose import Poses
 
 FISHEYE = "fisheye"
-LEAST_CONFIDENCE = 0.5
-"""Least confidence of a pose that shows which projection a photo has; others may well be wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class BentImages:
     """What is assumed about panoramas and fisheyes, and how they are fitted."""
 
+    least_confidence: float = 0.5
+    """Least confidence of a pose that shows which projection a photo has; a pose of less may well
+    be wrong."""
     trusted_below: float = 0.2
     """Greatest probability of another projection with which a pose is trusted."""
     unmarked_share: float = 0.05
@@ -90,7 +91,10 @@ class OtherProjection:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is too likely for the pose of a perspective photo to be trusted."""
+        """Whether it is too likely for the pose to be trusted.
+
+        The pose is the one that was fitted as a perspective photo's.
+        """
         return self.probability > _BENT.trusted_below
 
     @property
@@ -108,19 +112,23 @@ class OtherProjection:
 
 
 def other_projection(
-    rays: Rays, pose: Poses, refinement_of: Callable[[Rays], Refinement]
+    rays: Rays, pose: Poses, sure: float, refinement_of: Callable[[Rays], Refinement]
 ) -> OtherProjection | None:
-    """Return the likeliest other projection of a photo; None for a panorama.
+    """Return the likeliest other projection of a photo.
+
+    None for a panorama, and for a pose that is more likely wrong.
 
     Parameters
     ----------
     rays : Rays
     pose : Poses
         The photo's best pose: one.
+    sure : float
+        The confidence of the pose.
     refinement_of : callable
         Returns the refinement of a photo's rays, with the priors with which the pose was found.
     """
-    if rays.is_panorama:
+    if rays.is_panorama or sure < _BENT.least_confidence:
         return None
     columns = _columns(rays, float(pose.fov_deg[0]))
     own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1)))
@@ -140,14 +148,20 @@ def other_projection(
 
 
 def _columns(rays: Rays, fov_deg: float) -> Rays:
-    """Return a photo's rays with a field of view, averaged over columns of equal width."""
+    """Return a photo's rays averaged over columns of equal width.
+
+    ``fov_deg`` is the field of view that they are given.
+    """
     step_rad = 2.0 * np.pi / ROUGH.bins
     count = int(_BENT.columns_per_bin * math.sin(math.radians(fov_deg)) / step_rad)
     return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
 
 
 def _panorama(columns: Rays) -> Rays:
-    """Return a perspective photo's rays as those of a cylindrical panorama of the same scale."""
+    """Return a perspective photo's rays in a cylindrical panorama.
+
+    The panorama has the same scale in its middle.
+    """
     fov_deg = min(math.degrees(2.0 * columns.half_width), MAX_PANORAMA_DEG)
     return replace(
         columns,
@@ -159,7 +173,10 @@ def _panorama(columns: Rays) -> Rays:
 
 
 def _fisheye(columns: Rays) -> Rays:
-    """Return a perspective photo's rays as a fisheye of the same scale has them."""
+    """Return a perspective photo's rays in a fisheye's image.
+
+    The image has the same scale in its middle.
+    """
     shrink = min(1.0, _BENT.widest_radius / columns.half_width)
     u, v = fisheye_rays(columns.u, columns.v, shrink)
     side = shrink * columns.half_width
@@ -184,13 +201,16 @@ def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
 
 
 def _from(pose: Poses, rays: Rays, scales: Float64Array) -> Poses:
-    """Return a pose at several scales of rays, from which they are fitted."""
+    """Return a pose at several scales, as starts of fits."""
     several = pose[np.zeros(len(scales), dtype=np.intp)]
     return replace(several, fov_deg=rays.fov_at(np.log(scales)))
 
 
 def _best_fit(refinement: Refinement, start: Poses) -> Fit:
-    """Return the best fit that a move with rough errors and one with fine errors reach."""
+    """Return the best fit of two moves from a start.
+
+    The first move assumes rough errors, the second fine ones.
+    """
     particles = refinement.started(refinement.rough, start)
     particles = refinement.moved(refinement.rough, particles)
     particles = refinement.moved(refinement.fine, refinement.reweighted(particles))

@@ -1,4 +1,4 @@
-"""The trusted columns of a photo's skyline as rays of its camera, and means of them."""
+"""The trusted columns of a photo's skyline as rays, and their means."""
 
 import math
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ _FOV_DEVIATIONS = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Rays(ImagePoints):
-    """The trusted columns of a photo's skyline, and what is known of its camera.
+    """The trusted columns of a skyline, with what the camera may be.
 
     Raises `InputError` where all weights are 0.
     """
@@ -60,7 +60,7 @@ class Rays(ImagePoints):
 
     @classmethod
     def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":
-        """Return a photo's rays, with the fields of view that it may have.
+        """Return a photo's rays, and its possible fields of view.
 
         ``fov_sd_share`` is the deviation of a field of view, as a share of it, where its lens has
         none of its own. Raises `InputError` for a photo of unknown field of view, unless the
@@ -139,7 +139,10 @@ class Rays(ImagePoints):
         return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
 
     def with_fov(self, fov_deg: float) -> "Rays":
-        """Return the same photo's rays for another field of view, degrees, within the range."""
+        """Return the photo's rays for another field of view.
+
+        It is in degrees, and within the range.
+        """
         u, v = self.scaled(np.asarray(self.projection.half_width(fov_deg) / self.half_width))
         return replace(self, u=u, v=v, fov_deg=fov_deg)
 
@@ -159,11 +162,12 @@ class Rays(ImagePoints):
 
 
 def thinned(rays: Rays, bins: int) -> Rays:
-    """Average the rays within each of ``bins`` steps of a level camera's azimuth.
+    """Average the rays within each step of azimuth.
 
-    The terrain's curve is no finer than its bins, so averages hold nearly all the information of
-    many columns at the cost of few. They are returned from left to right. The weight of an average
-    is the mean weight of its rays, so weights refer to the noise of averages.
+    There are ``bins`` steps all the way round a level camera. The terrain's curve is no finer than
+    its bins, so averages hold nearly all the information of many columns at the cost of few. They
+    are returned from left to right. The weight of an average is the mean weight of its rays, so
+    weights refer to the noise of averages.
     """
     azimuth = rays.u if rays.is_panorama else np.arctan(rays.u)
     step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
@@ -174,10 +178,10 @@ def thinned(rays: Rays, bins: int) -> Rays:
 
 
 def in_runs(rays: Rays, count: int) -> Rays:
-    """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
+    """Average rays over ``count`` equal steps of u.
 
-    The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
-    degrees.
+    Steps with few trusted rays are left out. The mean weight is 1. A panorama is joined from
+    photos, so it has ``count`` steps in each 60 degrees.
     """
     if rays.is_panorama:
         count = max(1, round(count * rays.fov_deg / REFERENCE_FOV_DEG))
@@ -190,7 +194,10 @@ def in_runs(rays: Rays, count: int) -> Rays:
 
 
 def _averaged(rays: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
-    """Return the weighted means of the rays in each kept step, with new weights."""
+    """Return the rays' weighted means in the kept steps.
+
+    ``weight`` is their new weight.
+    """
     total = np.bincount(step, rays.weight)[kept]
     u, v = (np.bincount(step, rays.weight * ray)[kept] / total for ray in (rays.u, rays.v))
     return replace(rays, u=u, v=v, weight=weight)

@@ -1,4 +1,4 @@
-"""The answer to a photo: its sentences, its JSON, its rows, and its tables."""
+"""The answer to a photo, as sentences, JSON, rows and tables."""
 
 import math
 from collections.abc import Iterable
@@ -31,7 +31,10 @@ _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """Errors above which a photo's own notes disagree with an answer: phones seldom have them."""
+    """Errors above which a photo's notes disagree with an answer.
+
+    Phones are seldom that wrong.
+    """
 
     position_m: float = 500.0
     """Distance of the answer from the noted position."""
@@ -46,7 +49,9 @@ _DISAGREEMENT = Disagreement()
 
 @dataclass(frozen=True, slots=True)
 class MatchResult:
-    """The candidates found for one photo, and whether the best of them is the answer.
+    """The candidates found for one photo, and its answer.
+
+    The best candidate is the answer if it is sure enough.
 
     Attributes
     ----------
@@ -80,7 +85,7 @@ class MatchResult:
 
     @property
     def best(self) -> Pose | None:
-        """The best candidate, whether it is the answer or not; None without candidates."""
+        """The best candidate, answer or not; None without candidates."""
         return self.candidates[0] if self.candidates else None
 
     @property
@@ -90,13 +95,13 @@ class MatchResult:
 
     @property
     def confidence(self) -> float | None:
-        """The estimated probability that the answer is right within `within_m`, if there is one."""
+        """The estimated probability that the answer is right within `within_m`."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     def chosen(self, rank: int) -> "MatchResult":
-        """Return the result with the candidate of a rank first, as chosen by a person.
+        """Return the result with a chosen candidate first.
 
-        It is the answer only if it was the answer of the search.
+        A person chose it by its rank. It is the answer only if it was the answer of the search.
         """
         if rank == 1:
             return self
@@ -107,7 +112,7 @@ class MatchResult:
 
     @property
     def summary(self) -> str:
-        """One sentence: where the photo was taken, or why there is no answer."""
+        """Where the photo was taken, or why not answered, in a sentence."""
         refusal = self.refusal or "no place fits"
         best = self.best
         if best is None:
@@ -134,7 +139,10 @@ class MatchResult:
 
     @property
     def beyond(self) -> str | None:
-        """A warning that much of the skyline may be of terrain beyond the elevation model."""
+        """A warning that the skyline may lie beyond the elevation model.
+
+        It is given if that is so for a tenth of the skyline or more.
+        """
         share = None if self.best is None else self.best.beyond_share
         if share is None or share < 0.1:
             return None
@@ -145,9 +153,9 @@ class MatchResult:
 
     @property
     def exif(self) -> dict[str, Any] | None:
-        """Place and direction that the photo's EXIF notes, and how far the best candidate is off.
+        """What EXIF notes of the pose, and the best candidate's distance.
 
-        The keys are those of ``exif`` in ``skyline match --json``. ``heading_off_deg`` is how far
+        The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far
         the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None
         where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
         that cannot be used, with the reasons. None where the photo notes nothing.
@@ -231,7 +239,10 @@ class MatchResult:
         }
 
     def to_row(self) -> dict[str, Any]:
-        """Return a row of ``skyline match --results``: the best candidate and its verdict."""
+        """Return a row of ``skyline match --results``.
+
+        It has the best candidate and its verdict.
+        """
         best = self.best
         exif = self.exif
         row = {} if best is None else best.to_dict()
@@ -310,32 +321,44 @@ class JointResult:
 
     @property
     def agrees(self) -> tuple[bool, ...]:
-        """For each photo, whether it was taken at the best place rather than at any other."""
+        """Whether each photo was taken at the best place.
+
+        If not, it was more likely taken at any other.
+        """
         return tuple(bool(one.candidates) for one in self.results)
 
     @property
     def first(self) -> MatchResult | None:
-        """The result of the first photo that agrees; None if no photo does."""
+        """The result of the first photo that agrees, or None."""
         return next((one for one in self.results if one.candidates), None)
 
     @property
     def places(self) -> tuple[Pose, ...]:
-        """The places, best first, with the camera of the first photo that agrees."""
+        """The places, best first.
+
+        They have the camera of the first photo that agrees.
+        """
         return () if self.first is None else self.first.candidates
 
     @property
     def answer(self) -> Pose | None:
-        """The best place, if it is sure enough to be the answer; the camera as in `places`."""
+        """The best place, if it is sure enough to be the answer.
+
+        The camera is as in `places`.
+        """
         return self.places[0] if self.places and not self.refusal else None
 
     @property
     def within_m(self) -> float | None:
-        """Distance within which the answer is sure to be right; None without an answer."""
+        """Distance within which the answer is sure to be right.
+
+        None without an answer.
+        """
         return None if self.first is None else self.first.within_m
 
     @property
     def confidence(self) -> float | None:
-        """The estimated probability that the answer is right within `within_m`, if there is one."""
+        """The estimated probability that the answer is right within `within_m`."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     def to_dict(self) -> dict[str, Any]:
@@ -382,7 +405,10 @@ class JointResult:
         return "\n  ".join(lines)
 
     def to_dataframe(self) -> Any:
-        """Return the cameras as a pandas DataFrame, one row a photo; see `skyline.to_dataframe`."""
+        """Return the cameras as a pandas DataFrame, one row a photo.
+
+        See `skyline.to_dataframe`.
+        """
         return to_dataframe(self.results)
 
     def to_geodataframe(self) -> Any:
@@ -396,14 +422,17 @@ class JointResult:
 
 
 class Tabled(Protocol):
-    """A result that is a row of a table: a match, or an orientation."""
+    """A match or an orientation, as a row of a table."""
 
     def to_row(self) -> dict[str, Any]:
         """Return the row's values by column."""
 
 
 def listed(results: Any) -> list[Any]:
-    """Return results as a list, a single one too; raises `InputError` for anything else."""
+    """Return results as a list, a single one too.
+
+    Raises `InputError` for anything else.
+    """
     if hasattr(results, "to_row"):
         return [results]
     if not isinstance(results, Iterable):
