@@ -9,8 +9,8 @@ from .errors import OffMapError as OffMapError
 from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
-from .geodesy import Curvature as Curvature
-from .geodesy import Frame as Frame
+from .geodesy.earth import Curvature as Curvature
+from .geodesy.frame import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
@@ -37,6 +37,8 @@ from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
+from .pose import Ellipse as Ellipse
+from .pose import NotedPose as NotedPose
 from .pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
@@ -52,8 +54,8 @@ from .report.panorama import save_panorama as save_panorama
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.header import StoreHeader as StoreHeader
+from .store.place_map import PlaceMap as PlaceMap
 from .store.places import Places as Places
-from .store.read import PlaceMap as PlaceMap
 from .store.read import Store as Store
 from .store.read import open_store as open_store
 from .survey.build import BuildResult as BuildResult

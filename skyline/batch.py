@@ -1,7 +1,7 @@
-"""Queries: photos, masks and traces, each with its camera and narrowing; lists; matching many.
+"""Lists of photos: their entries, and matching all of them here or on workers.
 
-A query is one job of a worker, which opens the store once. The answers are those of one process, to
-the bit.
+An entry is one job of a worker, which opens the store once. The answers are the same to the bit as
+in one process.
 """
 
 import re
@@ -10,6 +10,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,22 +27,25 @@ from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
 from skyline.tables import Row, Table, is_table, read_table
 
-_NUMBERS = (
-    "fov_deg", "fov_sd_share", "eye_height_m", "lon", "lat", "radius_km",
-    "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
-)  # fmt: skip
 _TOGETHER = {
     "near": ("lon", "lat", "radius_km"),
     "heading_deg": ("heading_deg", "heading_slack_deg"),
     "elevation_m": ("lowest_m", "highest_m"),
 }
 """Columns of each field of a narrowing; a row fills either all columns of a field or none."""
+
+_NUMBERS = ("fov_deg", "fov_sd_share", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
+"""Columns of numbers."""
+
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
 
 
 @dataclass(frozen=True, slots=True)
-class Query:
-    """One photo, mask or trace, its camera as far as it is known, and where to search for it."""
+class Entry:
+    """A photo, what is known of its camera, and where to search.
+
+    The photo may be a sky mask or a trace.
+    """
 
     path: str
     fov_deg: float | None = None
@@ -71,27 +75,29 @@ class Query:
 
     def read(self) -> PhotoSkyline:
         """Return the skyline; raises as `skyline.photo.read.read_skyline`."""
-        query = read_skyline(self.path, self.fov_deg, projection=self.projection)
-        if query.fov_deg is None or self.fov_sd_share is None:
-            return query
-        lens = query.lens if self.fov_deg is None and query.lens else Lens(query.fov_deg)
-        return replace(query, lens=replace(lens, fov_sd_deg=self.fov_sd_share * query.fov_deg))
+        photo = read_skyline(self.path, self.fov_deg, projection=self.projection)
+        if photo.fov_deg is None or self.fov_sd_share is None:
+            return photo
+        lens = photo.lens if self.fov_deg is None and photo.lens else Lens(photo.fov_deg)
+        return replace(photo, lens=replace(lens, fov_sd_deg=self.fov_sd_share * photo.fov_deg))
 
 
-def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
-    """Yield the queries that paths name: photos, all pictures of folders, all rows of lists.
+def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
+    """Yield an entry per photo: files, pictures in folders, rows of lists.
 
-    ``-`` is standard input. A list is a CSV file with a column ``path``. Paths count from the
-    list's folder; fields that a row leaves empty are those of ``common``, whose own path is not
-    used.
+    ``-`` is standard input. A list is a CSV file with a column ``path``, whose paths count from the
+    list's folder. Fields that a row leaves empty are filled from ``common``, except the path.
 
-    Raises `InputError` for a list with an unknown column or a bad value, for a list without rows,
-    and as `without_folders`.
+    A path with a wildcard that does not exist stands for the files that it matches. Pictures in a
+    folder come in natural order, without those of reports.
+
+    Raises `InputError` for a list with an unknown column, a bad value or no rows, for a folder
+    without pictures, and for a wildcard that matches nothing.
     """
-    for path in without_folders(paths):
+    for path in _files_in(paths):
         table = None
         if is_table(path):
-            with suppress(SkylineError):  # Reading the query itself raises it.
+            with suppress(SkylineError):  # Reading the entry itself raises it.
                 table = read_table(path, _EXPECTED)
         if table is None or "path" not in table.header:
             yield replace(common, path=str(path))
@@ -100,30 +106,22 @@ def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
         if not table.rows:
             raise InputError(f"{path} is a list without photos; add a row for each")
         for row in table.rows:
-            yield _query(table, row, common)
+            yield _entry(table, row, common)
 
 
-def without_folders(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield paths, with the pictures of a folder in place of the folder, in natural order.
-
-    A path that does not exist and has a wildcard stands for the files that it matches. Reports in
-    a folder are passed over. Raises `InputError` as `skyline.photo.read.photos_in`, and where a
-    wildcard matches nothing.
-    """
+def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield paths, and the files that folders and wildcards among them stand for."""
     for path in paths:
         if path.is_dir():
-            yield from sorted(photos_in(path, _is_report), key=_in_order)
+            pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
+            yield from sorted(pictures, key=_in_order)
         elif not path.exists() and any(mark in path.name for mark in "*?["):
             some = sorted(path.parent.glob(path.name), key=_in_order)
             if not some:
                 raise InputError(f"there is no file {path}; check the path of the photos")
-            yield from without_folders(some)
+            yield from _files_in(some)
         else:
             yield path
-
-
-def _is_report(folder: Path) -> bool:
-    return is_own_page(folder / REPORT_PAGE)
 
 
 def _in_order(path: Path) -> tuple[list[str | int], str]:
@@ -132,8 +130,8 @@ def _in_order(path: Path) -> tuple[list[str | int], str]:
     return [int(part) if number % 2 else part for number, part in enumerate(parts)], str(path)
 
 
-def _query(table: Table, row: Row, common: Query) -> Query:
-    """Return the query of a row of a list; raises `InputError` for a bad value."""
+def _entry(table: Table, row: Row, common: Entry) -> Entry:
+    """Return a row's entry; raises `InputError` for a bad value."""
     if not row["path"]:
         raise InputError(f"{row.where} has no path; {_EXPECTED}")
     given = {column: row.number(column) for column in _NUMBERS if row[column]}
@@ -159,23 +157,23 @@ def _query(table: Table, row: Row, common: Query) -> Query:
     )
 
 
-def match_here(matcher: Matcher, queries: Iterable[Query]) -> Iterator[MatchResult | SkylineError]:
-    """Match queries in this process; yields the result of each, or the error that refuses it."""
-    for query in queries:
+def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResult | SkylineError]:
+    """Match photos in this process; yields the result of each, or its error."""
+    for entry in entries:
         try:
-            yield _match(matcher, query)
+            yield _match(matcher, entry)
         except SkylineError as error:
             yield error
 
 
 def match_many(
-    runner: Runner, matcher: tuple[Hashable, ...], queries: Sequence[Query]
+    runner: Runner, matcher: tuple[Hashable, ...], entries: Sequence[Entry]
 ) -> Iterator[MatchResult | SkylineError]:
-    """Match queries on workers; yields results in the queries' order, each as soon as it is there.
+    """Match photos on workers; yields results in order, as soon as possible.
 
-    In place of a query's result stands the error that refuses it; the others are still matched.
-    ``matcher`` are the arguments of `Matcher`, in order: the store's path first, or the paths of
-    several. Workers need the store, the DEM and the queries under the same paths.
+    A photo that cannot be matched yields its error; the others are still matched. ``matcher`` are
+    the arguments of `Matcher`, in order: the store's path first, or the paths of several. Workers
+    need the store, the DEM and the photos under the same paths.
     """
     stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
     # A worker that outlives this command must not take a file for the one it has replaced.
@@ -183,23 +181,26 @@ def match_many(
     versions = tuple(map(version_of, [*stores, *models]))
     given: Any = (stores, *matcher[1:])
     opening = Opening((versions, *given), partial(Matcher, *given))
-    jobs = [replace(one, path=str(Path(one.path).absolute())) for one in queries]
-    names = [f"query-{index}" for index in range(len(jobs))]
+    jobs = [replace(one, path=str(Path(one.path).absolute())) for one in entries]
+    names = [f"photo-{index}" for index in range(len(jobs))]
     matched = runner(_match, opening, jobs, names)
-    for query, result in zip(queries, matched, strict=True):
-        yield _named_as(query.path, result)
+    for entry, result in zip(entries, matched, strict=True):
+        yield _named_as(entry.path, result)
 
 
 def _named_as(path: str, result: MatchResult | SkylineError) -> MatchResult | SkylineError:
-    """Return the result of a worker, which knows a photo by its absolute path, with a path."""
+    """Return a worker's result under the photo's path as given.
+
+    The worker knows the photo by its absolute path.
+    """
     if isinstance(result, MatchResult):
         return replace(result, name=path)
     return type(result)(str(result).replace(str(Path(path).absolute()), path))
 
 
-def _match(matcher: Matcher, query: Query, _: Tell | None = None) -> MatchResult:
-    """Match one query; the result's seconds include reading it."""
+def _match(matcher: Matcher, entry: Entry, _: Tell | None = None) -> MatchResult:
+    """Match one photo; the result's seconds include reading it."""
     started = time.perf_counter()
-    found = matcher.match(query.read(), narrowing=query.narrowing)
+    found = matcher.match(entry.read(), narrowing=entry.narrowing)
     seconds = time.perf_counter() - started
-    return replace(found, seconds=seconds, name=query.path, id=query.label)
+    return replace(found, seconds=seconds, name=entry.path, id=entry.label)

@@ -1,4 +1,4 @@
-"""The areas that `locate` keeps: elevation tiles round a place, and the store of its places.
+"""The areas that `locate` keeps: elevation tiles, and a store of places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
 ``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN
@@ -28,8 +28,10 @@ from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import lock_file, version_of
-from skyline.geodesy import TRUE_DEG, Bounds, Frame, check_bounds, width_deg
-from skyline.store.header import PLACE_CODING, SCHEMA_VERSION
+from skyline.geodesy.degrees import Bounds, check_bounds, width_deg
+from skyline.geodesy.frame import TRUE_DEG, Frame
+from skyline.store.header import SCHEMA_VERSION
+from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.terrain.dem import read_dem
@@ -43,16 +45,12 @@ _SEEN_KM = 30.0
 is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
-_PLACE_BYTES_KM2 = 200_000
-_SAMPLE_BYTES_DEG2 = 8 * 3600**2
-"""Greatest usual size of a store, for a square kilometre, and of tiles of 1 arc-second with the
-terrain that is read from them."""
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_NO_RIGHTS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
 _LOCK = "lock"
+"""Name of the file in an area's folder that is locked while the area is made."""
 
 PrintNote = Callable[[str], None]
 """Prints a line on what is done."""
+
 Bar = Callable[[str], AbstractContextManager[Progress | None]]
 """Shows the progress of a step that it is given by name."""
 
@@ -86,7 +84,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class CachedArea:
-    """A folder of the cache with the elevation tiles of an area, its terrain, and its store."""
+    """A folder of the cache: an area's tiles, terrain and store."""
 
     folder: Path
     bounds_deg: Bounds
@@ -141,7 +139,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return the store of an area from the cache; it is built first if it is not there.
+    """Return an area from the cache, which is built if it is missing.
 
     ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
     source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
@@ -187,7 +185,7 @@ def cached_areas() -> list[CachedArea]:
 
 
 def cached_files() -> set[Path]:
-    """Return the finished files of all areas in the cache: tiles, parts of stores, and stores."""
+    """Return the cache's finished files: tiles, parts of stores, and stores."""
     return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
 
 
@@ -225,7 +223,7 @@ _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
 def _origin(files: Sequence[str], source: str) -> str:
-    """Return the name of the folder of all areas of some files, or else of a source."""
+    """Return the folder's name for areas of some files, or of a source."""
     if not files:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
@@ -265,13 +263,13 @@ def _name_of(bounds_deg: Bounds) -> str:
     """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
     rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
     rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
-    limits = (18000, 9000) * 2
+    limits = (18000, 9000, 18000, 9000)
     within = (min(max(side, -most), most) for side, most in zip(rounded, limits, strict=True))
     return "_".join(f"{side / 100.0:.2f}" for side in within)
 
 
 def _bounds_of(name: str) -> Bounds | None:
-    """Return the bounds that a folder's name gives; None for the name of something else."""
+    """Return the bounds in a folder's name; None where it has none."""
     try:
         west, south, east, north = map(float, name.split("_"))
         return check_bounds((west, south, east, north))
@@ -288,7 +286,7 @@ def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
 def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
-    """Fetch the tiles of all terrain that is seen from an area; return their files."""
+    """Fetch the tiles of all terrain seen from an area; return their files."""
     seen = _seen_from(bounds)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
@@ -306,20 +304,20 @@ def _fetch(
 
 
 def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
-    """Raise `InputError` where terrain does not cover the middle of an area, or is all sea."""
+    """Refuse terrain that is all sea, or lacks an area's middle."""
     west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0
     lat = (area.needed[1] + area.needed[3]) / 2.0
     easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
     if not (west <= easting_m <= east and south <= northing_m <= north):
-        data = terrain.bounds_m
-        box = terrain.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+        covered = ",".join(f"{side:.4f}" for side in terrain.box_deg)
         raise InputError(
-            f"the DEM covers {','.join(f'{side:.4f}' for side in box)}, and not the place "
+            f"the DEM covers {covered}, and not the place "
             f"{lon:.4f},{lat:.4f}; give elevation of the place with --dem, or another --near"
         )
     rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
-    (top, bottom), (left, right) = np.rint(rows).astype(int), np.rint(cols).astype(int)
+    top, bottom = np.rint(rows).astype(int)
+    left, right = np.rint(cols).astype(int)
     inside = terrain.heights_m[top : bottom + 1, left : right + 1]
     if not np.any(np.isfinite(inside) & (inside != 0.0)):
         raise InputError(
@@ -329,10 +327,12 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
 
 
 def _check_room(folder: Path, bounds: Bounds, with_tiles: bool) -> None:
-    _, south, _, north = seen = _seen_from(bounds)
-    wanted = _PLACE_BYTES_KM2 * _km2(bounds)
+    # The greatest usual size of a store is 200 kB for a square kilometre.
+    wanted = 200_000 * _km2(bounds)
     if with_tiles:
-        wanted += _SAMPLE_BYTES_DEG2 * (north - south) * width_deg(seen)
+        # Tiles of 1 arc-second, and the terrain that is read from them: 4 bytes a sample each.
+        _, south, _, north = seen = _seen_from(bounds)
+        wanted += 8 * 3600**2 * (north - south) * width_deg(seen)
     free = shutil.disk_usage(folder).free
     if free < wanted:
         raise _unwritable(f"{free / 1e6:.0f} MB are free, and this may take {wanted / 1e6:.0f} MB")
@@ -347,7 +347,9 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of writing to a full or forbidden disk into one that names the cache."""
+    """Turn errors of a full or forbidden disk into one that names the cache."""
+    no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+    no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
         yield
     except (MissingFileError, FetchError):
@@ -355,7 +357,7 @@ def _explained() -> Iterator[None]:
     except (SkylineError, OSError) as error:
         cause: BaseException | None = error
         while cause is not None:
-            if isinstance(cause, OSError) and cause.errno in _NO_ROOM | _NO_RIGHTS:
+            if isinstance(cause, OSError) and cause.errno in no_room | no_rights:
                 raise _unwritable(os.strerror(cause.errno or 0)) from error
             cause = cause.__cause__
         raise
@@ -365,8 +367,8 @@ def _explained() -> Iterator[None]:
 def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
     """Hold an area's lock for the block, and yield whether it was obtained.
 
-    The folder is made if it is missing. With ``print_note`` the function waits for another process;
-    without it, the function gives up at once. A folder that contains only the lock at the end is
+    The folder is made if it is missing. With ``print_note`` the function waits for another process,
+    else it gives up at once. A folder that contains only the lock at the end is
     removed.
     """
     file = _lock(folder, print_note)
@@ -379,7 +381,7 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
 
 
 def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
-    """Return the open file of an area's lock, or None if the lock was not obtained."""
+    """Return the open file of an area's lock; None if another has it."""
     before_waiting = None
     if print_note is not None:
         before_waiting = partial(
@@ -394,7 +396,7 @@ def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove an area's folder, of which the lock is held, if it has nothing but the lock."""
+    """Remove an area's folder if it has nothing but the lock, which is held."""
     with suppress(OSError):
         (folder / "tiles").rmdir()
     with suppress(OSError):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.errors import InputError, library
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons

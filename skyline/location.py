@@ -1,4 +1,4 @@
-"""Locating photos without a store: the area comes from the user or from the photos' EXIF."""
+"""Locating photos without a store, in an area that they or the user name."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,7 +7,8 @@ import numpy as np
 
 from skyline.cache import Area, prepare_area
 from skyline.errors import InputError
-from skyline.geodesy import Bounds, Frame
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.frame import Frame
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
@@ -15,9 +16,12 @@ from skyline.photo.image import Picture, name_of
 from skyline.photo.photo import read_noted_place
 from skyline.terrain.dem_files import Paths
 
-NOTED_KM, _NEEDED_KM = 10.0, 5.0
-"""Radius of the area that is built round a photo's own position, and of the area that a cached
-store must have there, so that photos taken within some kilometres share a store."""
+NOTED_KM = 10.0
+"""Radius of the area that is built round a photo's own position."""
+
+_NEEDED_KM = 5.0
+"""Radius of the area that a cached store must have round a photo's own position, so that photos
+taken within some kilometres share a store."""
 
 _TOGETHER_KM = 50.0
 """Greatest extent of the positions of photos that are located together."""
@@ -47,7 +51,7 @@ def locate(
     dem : path or paths, optional
         Elevation files, or folders of them; by default tiles are fetched.
     source : str, optional
-        Source of tiles, a name or address as of ``skyline dem fetch``; by default
+        Source of tiles, a name or address as for ``skyline dem fetch``; by default
         ``$SKYLINE_DEM_SOURCE``, else Copernicus.
     fov_deg : float, optional
         Horizontal field of view; by default the photo's own.
@@ -78,8 +82,8 @@ def locate(
 def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narrowing]:
     """Return the area in which to search for photos, and the narrowing to it.
 
-    Raises `InputError` if neither the narrowing nor a photo has a place, or the photos lie far
-    apart.
+    Raises `InputError` if neither the narrowing nor a photo has a position, or if the photos were
+    taken far apart.
     """
     if narrowing.near is not None:
         lon, lat, km = narrowing.near
@@ -87,8 +91,8 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
     if narrowing.bounds_deg is not None:
         return Area(narrowing.bounds_deg, narrowing.bounds_deg), narrowing
     noted = [read_noted_place(photo) for photo in photos]
-    places = [one.lonlat_deg for one in noted if one.lonlat_deg is not None]
-    if not places:
+    positions = [one.lonlat_deg for one in noted if one.lonlat_deg is not None]
+    if not positions:
         why = next((f" ({one.left_aside})" for one in noted if one.left_aside), "")
         which = name_of(photos[0]) if len(photos) == 1 else f"none of {len(photos)} photos"
         notes = "notes no position" if len(photos) == 1 else "notes a position"
@@ -96,13 +100,14 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
             f"{which} {notes}{why}; say where to search: --near LON,LAT,KM, e.g. 9.84,46.80,10, "
             "or --bounds W,S,E,N"
         )
-    east, north = Frame.local(lon=places[0][0], lat=places[0][1]).from_lonlat(*np.transpose(places))
+    lon, lat = positions[0]
+    east, north = Frame.local(lon=lon, lat=lat).from_lonlat(*np.transpose(positions))
     if not np.hypot(np.ptp(east), np.ptp(north)) <= 1000.0 * _TOGETHER_KM:
         raise InputError(
             f"the photos were taken more than {_TOGETHER_KM:g} km apart, by their EXIF; locate "
             "those of one area at a time, or give --near LON,LAT,KM"
         )
-    area = Area.around(places, NOTED_KM, _NEEDED_KM)
-    if len(places) == 1:
-        return area, replace(narrowing, near=(*places[0], NOTED_KM))
+    area = Area.around(positions, NOTED_KM, _NEEDED_KM)
+    if len(positions) == 1:
+        return area, replace(narrowing, near=(*positions[0], NOTED_KM))
     return area, replace(narrowing, bounds_deg=area.built)

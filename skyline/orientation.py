@@ -24,7 +24,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
-from skyline.geodesy import Curvature, in_turn
+from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.earth import Curvature
 from skyline.match import confidence, projections
 from skyline.match.config import MatchConfig
 from skyline.match.prior import (

@@ -1,14 +1,18 @@
-"""Poses of a camera: one on the map, or columns of many."""
+"""Poses of a camera: one on the map, its record, or columns of many."""
 
 import math
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
-from skyline.camera import Camera
-from skyline.geodesy import Frame, in_turn
+from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Camera, Projection
+from skyline.errors import InputError
+from skyline.geodesy.degrees import are_degrees, in_turn
+from skyline.geodesy.frame import Frame
 from skyline.photo.skyline import PhotoSkyline
 
 RIGHT_WITHIN_M = 200.0
@@ -34,11 +38,22 @@ _LEAST_SHARE = 0.005
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
 
-_JSON = (
+_WRITTEN = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
     "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "cost", "confidence",
     "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
 )  # fmt: skip
+"""What `Pose.to_dict` writes."""
+_NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
+"""What a record of a pose must have for `NotedPose.from_dict`."""
+_OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
+_MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
+"""Greatest absolute values that a camera has."""
+EXPECTED_RECORD = (
+    "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
+    f"with {', '.join(_NEEDED)}"
+)
+"""What a record of a pose is, for errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,8 +215,11 @@ class Pose:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the candidate as ``skyline match --json`` prints it."""
-        return {name: getattr(self, name) for name in _JSON}
+        """Return the record of the pose: JSON on the page and of ``skyline match --json``.
+
+        `NotedPose.from_dict` reads it.
+        """
+        return {name: getattr(self, name) for name in _WRITTEN}
 
     def cells(self) -> list[str]:
         """Return the values of `COLUMNS` as text.
@@ -213,6 +231,103 @@ class Pose:
             "" if value is None or not math.isfinite(value) else format(value, form)
             for value, form in values
         ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotedPose:
+    """A pose as a program or a person has written it down, not yet on a terrain.
+
+    Attributes
+    ----------
+    lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg, distortion : float
+        As in `Pose`.
+    wander : tuple of float
+        As in `Pose`.
+    eye_elevation_m : float or None
+        Elevation of the camera above the DEM's datum.
+    eye_height_m : float or None
+        Height of the camera above the ground, in place of its elevation. By default a person
+        holds the camera.
+    doubt : str
+        Why the pose is not to be trusted; empty where its file does not doubt it.
+    """
+
+    lon: float
+    lat: float
+    heading_deg: float
+    fov_deg: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    distortion: float = 0.0
+    wander: tuple[float, ...] = ()
+    eye_elevation_m: float | None = None
+    eye_height_m: float | None = None
+    doubt: str = ""
+
+    @classmethod
+    def from_dict(cls, record: Any, projection: Projection, source: str = "pose") -> "NotedPose":
+        """Read a record as `Pose.to_dict` returns it, or one with fewer values.
+
+        Parameters
+        ----------
+        record : mapping
+            It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for a value that
+            is not known; names that a `NotedPose` does not have are passed over.
+        projection : Projection
+            The projection of the photo.
+        source : str
+            What the record is from, for errors.
+
+        Raises
+        ------
+        InputError
+            The record is no pose, or has values that no camera of the projection has.
+        """
+        if not isinstance(record, Mapping) or any(record.get(name) is None for name in _NEEDED):
+            raise InputError(f"{source} has no pose; {EXPECTED_RECORD}")
+        given: dict[str, Any] = {
+            name: _number(record[name], name, source)
+            for name in (*_NEEDED, *_OPTIONAL)
+            if record.get(name) is not None
+        }
+        wander = _wander_in(record, source)
+        for name, most in _MOST.items():
+            if abs(given.get(name, 0.0)) > most:
+                raise InputError(
+                    f"{source}: {name} is {given[name]:g}; expected {-most:g} to {most:g}"
+                )
+        lon = given["lon"]
+        lat = given["lat"]
+        if not are_degrees(lon, lat):
+            raise InputError(f"{source}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
+        if {"eye_elevation_m", "eye_height_m"} <= given.keys():
+            raise InputError(f"{source} has both eye_elevation_m and eye_height_m; give one")
+        projection.check_fov_deg(given["fov_deg"])
+        if any(wander) and not projection.is_panorama:
+            raise InputError(
+                f"{source} is of a panorama, and the photo counts as {projection}; give the "
+                "photo's --projection"
+            )
+        return cls(**given, wander=wander)
+
+
+def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
+    """Return how the rows of a panorama wander in a record of a pose; `InputError` for no list."""
+    wander = record.get("wander") or []
+    if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
+        raise InputError(
+            f"{source}: wander is {str(wander)[:40]}; expected a list of {len(WANDER_DEGREES)} "
+            "numbers, or none"
+        )
+    return tuple(_number(value, "wander", source) for value in wander)
+
+
+def _number(value: Any, name: str, source: str) -> float:
+    """Return a value of a record as a number; raises `InputError` for anything else."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= sys.float_info.max:
+        raise InputError(f"{source}: {name} is {str(value)[:40]}; expected a number")
+    return float(value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,10 +351,13 @@ class Ellipse:
         variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
         minor_m, major_m = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)).tolist()
         azimuth = np.arctan2(axes[0, 1], axes[1, 1]) % np.pi
-        sine, cosine = np.sin(azimuth), np.cos(azimuth)
+        sine = np.sin(azimuth)
+        cosine = np.cos(azimuth)
         turn = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS + 1)
-        along, across = major_m * np.cos(turn), minor_m * np.sin(turn)
-        east, north = along * sine - across * cosine, along * cosine + across * sine
+        along = major_m * np.cos(turn)
+        across = minor_m * np.sin(turn)
+        east = along * sine - across * cosine
+        north = along * cosine + across * sine
         outline = np.stack([candidate.easting_m + east, candidate.northing_m + north], axis=1)
         outline[-1] = outline[0]
         return cls(major_m, minor_m, outline)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 
 Float = TypeVar("Float", np.float32, np.float64)
 

@@ -20,10 +20,11 @@ from rasterio.io import MemoryFile
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
-from skyline.geodesy import Curvature, in_turn
+from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.earth import Curvature
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose
+from skyline.pose import NotedPose, Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
@@ -34,6 +35,7 @@ from skyline.terrain.viewpoints import (
     LEAST_EYE_HEIGHT_M,
     Viewpoints,
     at_elevation,
+    check_eye_elevation,
     stand_at_one,
     stand_on,
 )
@@ -48,6 +50,8 @@ _WIDTH = 1024
 _MARGIN_DEG = 20.0
 """A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
 is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
+_ROUNDED_M = 0.01
+"""An eye that is too low by less than this is rounded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,6 +282,41 @@ class Viewer(Releasable):
             eye_elevation_m=float(eye_m[0]),
             convergence_deg=float(convergence_deg),
             cost=math.nan,
+        )
+
+    def pose_of(self, noted: NotedPose) -> tuple[Pose, str]:
+        """Return a noted pose on the terrain, and a sentence if its eye is lifted, or "".
+
+        An eye whose elevation is lower than a camera is held is lifted. Raises `OffMapError` for a
+        pose off the map and for an eye far below the ground, and `InputError` for an eye higher
+        than aeroplanes.
+        """
+        height_m = DEFAULT_EYE_HEIGHT_M if noted.eye_height_m is None else noted.eye_height_m
+        standing = self.pose(
+            lon=noted.lon,
+            lat=noted.lat,
+            heading_deg=noted.heading_deg,
+            pitch_deg=noted.pitch_deg,
+            roll_deg=noted.roll_deg,
+            fov_deg=noted.fov_deg,
+            eye_height_m=height_m,
+        )
+        pose = replace(standing, distortion=noted.distortion, wander=noted.wander)
+        if noted.eye_elevation_m is not None:
+            pose = replace(pose, eye_elevation_m=noted.eye_elevation_m)
+        check_eye_elevation(pose.eye_elevation_m, standing.eye_elevation_m)
+        return (pose, "") if noted.eye_elevation_m is None else self._lifted(pose)
+
+    def _lifted(self, pose: Pose) -> tuple[Pose, str]:
+        """Return a pose as `held` does, and a sentence if its eye was too low, or ""."""
+        held = self.held(pose)
+        height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
+        if height_m >= LEAST_EYE_HEIGHT_M - _ROUNDED_M:
+            return held, ""
+        side = "below" if height_m < -_ROUNDED_M else "above"
+        return held, (
+            f"the pose's eye is {abs(height_m):.1f} m {side} the ground of the DEM, lower than a "
+            f"camera is held; it is lifted to {LEAST_EYE_HEIGHT_M:g} m above it"
         )
 
     def held(self, pose: Pose) -> Pose:

@@ -25,7 +25,7 @@ from typer import Argument, Option
 
 from skyline import cli
 from skyline.errors import SkylineError
-from skyline.geodesy import Bounds
+from skyline.geodesy.degrees import Bounds
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import examine, is_whole
 from skyline.store.header import PLACES

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import SkylineError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, columns_u
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles

@@ -20,7 +20,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizon, horizons_of
 from skyline.render.horizon import PanoramaRenderer
 from skyline.store.places import BINS

@@ -19,11 +19,11 @@ from skyline.cli.options import (
     read_terrain,
 )
 from skyline.cli.terminal import Terminal
-from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.store.read import open_store
 from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.lattices import expected_finds
+from skyline.survey.losses import expected_finds
 from skyline.survey.plans import PlacePlan
 from skyline.tasks.build import advise_to_continue, build_bar
 

@@ -20,7 +20,7 @@ from skyline.cli.options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, suffix_of
 from skyline.files import STANDARD, check_outputs
-from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import KINDS, horizon_csv, write_horizons
 from skyline.tasks.views import stand_with_notes, warn_of_border

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.batch import listed
+from skyline.batch import entries_of
 from skyline.cli.options import AsJson
 from skyline.cli.photo_options import (
     CameraHeight,
@@ -81,7 +81,7 @@ def locate(
         fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks
     )
     task = LocateTask(
-        entries=list(listed(photo, common)),
+        entries=list(entries_of(photo, common)),
         common=common,
         dem=dem or (),
         source=source,

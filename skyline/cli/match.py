@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.batch import listed
+from skyline.batch import entries_of
 from skyline.cli.options import AsJson, StoreDem, StoreFile, SurfaceFiles, Workers, panel
 from skyline.cli.photo_options import (
     CameraHeight,
@@ -106,7 +106,7 @@ def match(
     )
     task = MatchTask(
         stores=stores,
-        entries=list(listed(photos, common)),
+        entries=list(entries_of(photos, common)),
         common=common,
         inputs=photos,
         matcher=matcher,

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from skyline.batch import Query, listed
+from skyline.batch import Entry, entries_of
 from skyline.cli.options import AsJson, Crs, Dem, output_option, parse_position, read_terrain
 from skyline.cli.photo_options import (
     CameraElevation,
@@ -19,7 +19,7 @@ from skyline.errors import SkylineError, check_suffix, printable
 from skyline.files import STANDARD, check_outputs, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Orientation
 from skyline.tables import csv_lines
-from skyline.tasks.locate import usable_of
+from skyline.tasks.locate import usable_entries
 from skyline.tasks.orient import CameraAt, orient_photos
 
 
@@ -56,11 +56,11 @@ def orient(
         elevation_m=elevation,
         within_m=within,
     )
-    entries = list(listed(photo, Query("", fov_deg, None, projection)))
+    entries = list(entries_of(photo, Entry("", fov_deg, None, projection)))
     check_outputs([output], [*photo, *(Path(one.path) for one in entries)])
     if output is not None:
         check_suffix(output, [".csv"])
-    usable_of(entries)  # Refused before the DEM is read, if none is usable
+    usable_entries(entries)  # Refused before the DEM is read, if none is usable
     terrain = read_terrain(terminal, dem, crs)
     rows: list[dict[str, Any]] = []
     exit_code = 0
@@ -78,7 +78,7 @@ def orient(
     raise typer.Exit(exit_code)
 
 
-def _print(terminal: Terminal, entry: Query, found: Orientation, output: Path | None) -> None:
+def _print(terminal: Terminal, entry: Entry, found: Orientation, output: Path | None) -> None:
     """Print an orientation, unless the table goes to standard output."""
     if output is not None and str(output) == STANDARD:
         return
@@ -89,14 +89,14 @@ def _print(terminal: Terminal, entry: Query, found: Orientation, output: Path | 
             raise
 
 
-def _row(entry: Query, found: Orientation | SkylineError) -> dict[str, Any]:
+def _row(entry: Entry, found: Orientation | SkylineError) -> dict[str, Any]:
     if isinstance(found, SkylineError):
         failed = {"photo": printable(entry.path), "trusted": 0, "refusal": str(found)}
         return failed | _label(entry)
     return found.to_row() | _label(entry)
 
 
-def _label(entry: Query) -> dict[str, str]:
+def _label(entry: Entry) -> dict[str, str]:
     return {"id": printable(entry.label)} if entry.label else {}
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from skyline.batch import Query
+from skyline.batch import Entry
 from skyline.camera import Projection
 from skyline.cli.options import panel, parse_bounds
 from skyline.errors import InputError, numbers_of
@@ -111,7 +111,7 @@ def entry_of(
     eye_height_m: float | None,
     use_gps: bool,
     peaks: Path | None,
-) -> Query:
+) -> Entry:
     """Return what the options say of every photo; raises `InputError` for bad text.
 
     ``heading`` is a heading and its greatest error.
@@ -127,7 +127,7 @@ def entry_of(
         eye_height_m=eye_height_m,
         use_gps=use_gps,
     )
-    return Query("", fov_deg, None, projection, narrowing)
+    return Entry("", fov_deg, None, projection, narrowing)
 
 
 def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ from skyline.cli.options import (
     parse_bounds,
 )
 from skyline.cli.terminal import Terminal
-from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import Plan, PlanConfig
 from skyline.paper.strategies import PLANNERS
 from skyline.paper.verify import Verification

@@ -13,7 +13,7 @@ from PIL.Image import Image
 
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior

@@ -38,10 +38,10 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
-from skyline.geodesy import in_turn
+from skyline.geodesy.degrees import in_turn
 from skyline.match.rays import Rays, on_bins
+from skyline.store.place_map import PlaceSource
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
-from skyline.store.read import PlaceSource
 
 ReportProgress = Callable[[str, float], None]
 """Called with the current step of a match, and the share of that step that is done, 0 to 1. An

@@ -26,7 +26,8 @@ from skyline.pose import (
 )
 from skyline.render.horizon import RenderedScene
 from skyline.store.header import PLACES
-from skyline.store.read import PlaceSource, Store
+from skyline.store.place_map import PlaceSource
+from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from skyline.arrays import Progress
 from skyline.errors import StoreMismatchError
-from skyline.geodesy import Bounds
+from skyline.geodesy.degrees import Bounds
 from skyline.paper.plan import Plan, PlanConfig, plan
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig

@@ -14,7 +14,7 @@ from PIL.ExifTags import GPS
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
-from skyline.geodesy import GROUND_M
+from skyline.geodesy.earth import GROUND_M
 from skyline.photo.tags import Tags, leading_number, number_of, positive, text_of
 from skyline.photo.xmp import NO_XMP, Xmp
 

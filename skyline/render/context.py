@@ -1,4 +1,4 @@
-"""The OpenGL context without a display, its programs, and a thread that renders for all others.
+"""The OpenGL context without a display, its programs, and a rendering thread.
 
 OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU,
 EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
@@ -38,10 +38,10 @@ BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """The backends in the order of attempts, and Debian's packages for each."""
 
 _VERSION = (4, 3)
-_VERSION_CODE = 430
-_SOFTWARE = re.compile(
-    r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software", re.IGNORECASE
-)
+"""The version of OpenGL that is required, for its compute shaders."""
+
+_VERSION_CODE = 100 * _VERSION[0] + 10 * _VERSION[1]
+"""That version as glcontext and moderngl write it."""
 
 _PACKAGE = Path(__file__).parents[1]
 _SHADERS = next(
@@ -84,7 +84,8 @@ class GlContext:
     @property
     def software(self) -> bool:
         """True if the CPU does the rendering."""
-        return _SOFTWARE.search(self.renderer) is not None
+        names = r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software"
+        return re.search(names, self.renderer, re.IGNORECASE) is not None
 
     @property
     def reason(self) -> str:
@@ -142,7 +143,8 @@ class SharedContext:
             return self._context
 
     def _refuse_thread(self) -> ContextError:
-        owner, caller = self._thread, threading.current_thread()
+        owner = self._thread
+        caller = threading.current_thread()
         remedy = (
             "render in that thread, or in a process of its own"
             if owner.is_alive()
@@ -220,7 +222,7 @@ def _choose_context(libraries: GlLibraries) -> GlContext:
 def best_device(
     backend: str, devices: Sequence[tuple[str, Callable[[], Any]]], attempts: list[str]
 ) -> GlContext | None:
-    """Return a context on the first device that is a GPU, else on the first that is none.
+    """Return a context on the first GPU, else on the first device.
 
     Devices are names, each with a function that makes a native context there. Every attempt is
     appended to ``attempts``. Contexts on other devices are destroyed.
@@ -248,7 +250,7 @@ def best_device(
 
 
 def _devices(backend: str, libraries: GlLibraries) -> list[tuple[str, Callable[[], Any]]]:
-    """Return the name of each device of a backend, and a function that makes a context on it."""
+    """Return a backend's devices, each with a function that makes a context."""
     if backend == "osmesa":
         return [("Mesa off-screen library", partial(OsMesaContext, libraries.osmesa, _VERSION))]
     count = 1
@@ -302,10 +304,10 @@ def _destroy(context: GlContext) -> None:
 
 
 def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:
-    """Compile a compute shader, or link a vertex and a fragment shader, from their files.
+    """Compile a compute shader, or link a vertex and a fragment shader.
 
-    ``defines`` are macros of all shaders. Raises `ContextError` with the driver's words if the
-    driver refuses a shader.
+    The names are those of their files. ``defines`` are macros of all shaders. Raises `ContextError`
+    with the driver's words if the driver refuses a shader.
     """
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     texts = []
@@ -325,7 +327,7 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
 
 
 class Releasable(ABC):
-    """Base of objects with memory on the GPU; as context managers they release it at the end."""
+    """Base of objects with memory on the GPU, which context managers release."""
 
     @abstractmethod
     def release(self) -> None:
@@ -339,7 +341,7 @@ class Releasable(ABC):
 
 
 class Renderer(Releasable):
-    """Holds objects of the OpenGL context, which are freed when nothing holds them any more."""
+    """Holds objects of the OpenGL context until nothing needs them."""
 
     def __init__(self, name: str) -> None:
         self._context = acquire_context()

@@ -1,4 +1,4 @@
-"""The paper's rasterizer: perspective depth images, and the skyline read from each (section 3).
+"""The paper's rasterizer: depth images, and their skylines (section 3).
 
 For each heading the height field is drawn as a grid of triangles into a W x W image of inverse
 depth. The skyline of a column is its first pixel from the top with a finite depth. It is quantized:
@@ -14,7 +14,7 @@ from pyrr import matrix44
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.skylines import (
     DEFAULT_WIDTH,
@@ -82,7 +82,7 @@ class DepthRenderer(Renderer):
         )
 
     def render(self, viewpoints: Viewpoints) -> Views:
-        """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn.
+        """Render 4 N views of N viewpoints: each one's four headings in turn.
 
         Columns have the flag `FLAG_OUT_OF_IMAGE`, and the one that `raised_to_dip` sets.
         """
@@ -101,26 +101,27 @@ class DepthRenderer(Renderer):
             tan[rows] = np.where(is_seen, ordinate, np.nan)
             depth_m[rows] = np.where(is_seen, depth, np.nan)
             flags[rows] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
-        places = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
-        views = Views(*places, headings, tan, depth_m, flags)
+        position = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
+        views = Views(*position, headings, tan, depth_m, flags)
         lowest_m = self.field.height_range_m[0]
         return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
-        """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky.
+        """Return one viewpoint's forward depths in metres, (4, W, W); inf is sky.
 
-        The eye is subtracted in float64, so that nothing absolute reaches the GPU.
+        The top row comes first. The eye is subtracted in float64, so that nothing absolute reaches
+        the GPU.
         """
         images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
         field = self.field
-        place = {
+        position = {
             "easting_m": viewpoints.easting_m[index],
             "northing_m": viewpoints.northing_m[index],
         }
-        row, col = (float(number) for number in field.to_grid(**place))
+        row, col = (float(number) for number in field.to_grid(**position))
         self._stand(row, col, float(viewpoints.eye_elevation_m[index]))
         near_m = _near_m(field, viewpoints, index)
-        far_m = 1.1 * field.reach_m(**place) + field.spacing_m
+        far_m = 1.1 * field.reach_m(**position) + field.spacing_m
         for heading in HEADINGS:
             self._terrain["camera"] = tuple(_camera_matrix(heading, near_m, far_m).ravel())
             self._draw(_tiles_in_view(self._tiles, (col, row), field, heading))
@@ -160,7 +161,10 @@ class DepthRenderer(Renderer):
 
 
 def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
-    """Return east, up, south -> clip in pyrr's row-vector form, which is GL's memory layout."""
+    """Return the matrix from east, up, south to clip coordinates.
+
+    It has pyrr's row-vector form, which is GL's memory layout.
+    """
     view = np.eye(4)
     mirror = np.diag([1.0, 1.0, -1.0])
     view[:3, :3] = mirror @ rotation(heading).T @ mirror
@@ -169,11 +173,11 @@ def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
 
 
 def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
-    """Return a near plane in front of which no part of the surface can come into view.
+    """Return a near plane in front of all visible parts of the surface.
 
-    Within one cell around the eye the surface is no nearer than the eye's clearance over it
-    times the cosine of its steepest slope; beyond, no nearer than a cell. A point nearer than
-    the plane and inside a 90 degree view lies within sqrt(3) of the plane's distance.
+    Within one cell around the eye, the surface is no nearer than the eye's clearance over it times
+    the cosine of its steepest slope. Beyond, it is no nearer than a cell. A point nearer than the
+    plane and inside a view of 90 degrees lies within sqrt(3) times the plane's distance.
     """
     easting_m = viewpoints.easting_m[index]
     northing_m = viewpoints.northing_m[index]
@@ -211,7 +215,10 @@ def _tile_triangles() -> NDArray[np.uint32]:
 def _tiles_in_view(
     tiles: NDArray[np.int32], eye: tuple[float, float], field: HeightField, heading: int
 ) -> NDArray[np.int32]:
-    """Return the tiles that reach into a heading's view of 90 degrees; ``eye`` is column, row."""
+    """Return the tiles that reach into a heading's view of 90 degrees.
+
+    ``eye`` is its column and row.
+    """
     ends = np.stack([tiles, tiles + TILE_CELLS], axis=1).astype(np.float64)
     east = (ends[..., 0] - eye[0]) * field.spacing_east_m
     north = -(ends[..., 1] - eye[1]) * field.spacing_north_m

@@ -1,4 +1,4 @@
-"""The horizon rasterizer, which draws no image: skylines in views of 90 degrees and all round.
+"""The horizon rasterizer: skylines in views and all round, without an image.
 
 `RenderedScene` renders views of one terrain piece by piece, on the thread that owns the context.
 """
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import RenderThread, acquire_context
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
 from skyline.render.windows import GpuLimits
@@ -31,25 +31,16 @@ from skyline.terrain.data_edge import DataEdge
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
-_PIECE_COLUMNS = 12_000
-"""Columns of the views that a scene renders in one piece: a few milliseconds without a GPU."""
-
 _T = TypeVar("_T")
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
 class RenderConfig:
-    """Settings of views of 90 degrees.
-
-    Attributes
-    ----------
-    width : int
-        Columns W of a view.
-    curvature : Curvature
-    """
+    """Settings of views of 90 degrees."""
 
     width: int = DEFAULT_WIDTH
+    """Columns W of a view."""
     curvature: Curvature = field(default_factory=Curvature)
 
 
@@ -97,7 +88,7 @@ def render_views(
 
 
 class RenderedScene:
-    """Terrain that renders views of its skyline, and of a surface that may stand on it, if any.
+    """Renders skylines of a terrain, and of a surface if one is given.
 
     With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
     makes the scene may render.
@@ -116,24 +107,24 @@ class RenderedScene:
         self._terrain = terrain
         self._curvature = config.curvature
         self._thread = thread
-        self._piece = max(1, _PIECE_COLUMNS // config.width)
+        # Views of 12,000 columns take a few milliseconds without a GPU.
+        self._piece = max(1, 12_000 // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
         self._renderers = self._run(lambda: [HorizonRenderer(one, config) for one in fields])
 
     @cached_property
     def edge(self) -> DataEdge | None:
-        """Edge of the terrain's data; None if no terrain is taken to lie past it."""
+        """Edge of the terrain's data; None if nothing lies past it."""
         return DataEdge.of(self._terrain, self._curvature)
 
     def render(
         self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False
     ) -> list[Views]:
-        """Render one view an eye, each along its heading (N,): of the terrain, then of the surface.
+        """Render each eye's view along its heading (N,).
 
-        Where a thread renders for all, ``urgent`` views are rendered before those that are not, and
-        the pieces leave room for them.
-
-        Raises `InputError` after a release, and `ContextError` in another thread than the maker's.
+        Views of the terrain come first, then those of the surface. Where a thread renders for all,
+        it renders ``urgent`` views first, between the pieces of others. Raises `InputError` after a
+        release, and `ContextError` in another thread than the maker's.
         """
         if not self._renderers:
             raise InputError("the matcher or viewer has been released; make another one")
@@ -162,9 +153,10 @@ class RenderedScene:
 
 
 class PanoramaRenderer(ColumnRenderer):
-    """Renders the horizons of eyes on one height field, in B bins of azimuth, a multiple of 8.
+    """Renders the horizons of eyes on one height field.
 
-    Raises as `HorizonRenderer`, and `InputError` if the bins are out of range.
+    A horizon has B bins of azimuth, a multiple of 8. Raises as `HorizonRenderer`, and `InputError`
+    if the bins are out of range.
     """
 
     def __init__(
@@ -217,7 +209,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
-        """Return (4 N, B/4) values of views in the order of bins (N, B)."""
+        """Return values (4 N, B/4) of views in the order of bins (N, B)."""
         # The first view begins an eighth of a turn before bin 0.
         turned = values.reshape(-1, self.bins)
         return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)

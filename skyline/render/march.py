@@ -1,4 +1,4 @@
-"""Skylines in columns at any abscissas: marches of the compute shader `horizon.comp` on the GPU.
+"""Skylines in columns at any abscissas, by the compute shader `horizon.comp`.
 
 A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU marches
 each column's ray over a tree of upper bounds and evaluates only what can still be the greatest;
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.errors import ContextError, InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
 from skyline.render.windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
@@ -33,15 +33,6 @@ NEAR_ERROR_PX = 0.02
 
 _NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet, as in the shader."""
-
-_ROUNDING = 3.0 * 2.0**-24
-"""Relative rounding error of a crossing's height in float32."""
-
-_MAX_GROUPS = 65_535
-"""Work groups that every OpenGL starts at once."""
-
-_MANY_EYES = 16
-"""Eyes from which on a lane takes a long run of columns; fewer would leave cores without work."""
 
 _EYE_DTYPE = np.dtype(
     [
@@ -129,9 +120,9 @@ class Eyes:
         return sorted(windows, key=lambda window: float(np.hypot(*self._gap_m(window, middle))))
 
     def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
-        """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
+        """Return an upper bound (N,) of v over a window no higher than ``highest_m``.
 
-        -inf where the window lies outside the view.
+        The eyes are in sorted order; -inf where the window lies outside the view.
         """
         corners = np.array(
             [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
@@ -142,7 +133,8 @@ class Eyes:
         turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
         ground = np.stack([east, -south], axis=-1)
         camera = np.einsum("ncg,nkg->nkc", ground, turn[self._heading])
-        right, forward = camera[:, 0], camera[:, 1]
+        right = camera[:, 0]
+        forward = camera[:, 1]
         one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
         aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
         # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
@@ -178,10 +170,11 @@ def _needs_double(
 ) -> BoolArray:
     """Mark the eyes (N,) near whose edges float32 blurs v by more than ``near_error_tan``.
 
-    A crossing at depth z among heights up to H above or below the eye has v to within
-    ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
-    eye's height over ground, G the steepest slope around, s the spacing), so that its error
-    cannot show. The edges between these two depths are computed in float64.
+    A crossing at depth z among heights up to H above or below the eye has v to within r H / z,
+    where r is the relative rounding error of its height. An edge nearer than c / (G + 2 H / s) is
+    below what follows it (c the eye's height over ground, G the steepest slope around, s the
+    spacing), so that its error cannot show. The edges between these two depths are computed in
+    float64.
     """
     steps = np.arange(-1, 3)
     rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
@@ -195,7 +188,8 @@ def _needs_double(
     ground_m = field.height_at(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
-    blurred_to_m = _ROUNDING * relief_m / near_error_tan
+    rounding = 3.0 * 2.0**-24
+    blurred_to_m = rounding * relief_m / near_error_tan
     lines = np.stack([row, col, col - row])
     offset = np.abs(lines - np.rint(lines))
     # An eye exactly on a line does not cross it.
@@ -297,7 +291,7 @@ class ColumnRenderer(Renderer):
         )
 
     def _reserve(self, rows: int) -> None:
-        """Make room for ``rows`` rows of results; the first march of a row writes all of it."""
+        """Make room for rows of results, which the first march writes whole."""
         self._results = ()
         self._ctx.gc()
         # Zero rows need no memory, but OpenGL knows no empty buffer.
@@ -311,7 +305,7 @@ class ColumnRenderer(Renderer):
             ) from error
 
     def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
-        """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""
+        """Return v (0), depth (1) or flags (2), in the views' sorted order."""
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
@@ -339,7 +333,7 @@ class ColumnRenderer(Renderer):
     def _march(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from the eyes of a group, as the shader reads them.
+        """March over a window from a group's eyes, as the shader reads them.
 
         ``is_first`` is whether no march has written these rows of the results before.
         """
@@ -365,7 +359,8 @@ class ColumnRenderer(Renderer):
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
         groups = math.ceil(self.width / (self._lanes * columns_a_lane))
-        at_once = _MAX_GROUPS // groups
+        # Every OpenGL starts 65,535 work groups at once.
+        at_once = 65_535 // groups
         for first_eye in range(0, len(eyes), at_once):
             _set_uniforms(program, {"first_eye": first_eye})
             program.run(min(at_once, len(eyes) - first_eye) * groups)
@@ -394,7 +389,7 @@ class ColumnRenderer(Renderer):
         return uniforms
 
     def _textures(self, window: WindowTextures, heading: int) -> dict[str, moderngl.Texture]:
-        """Return the textures for a window and a heading, by their names in the shader."""
+        """Return a heading's textures of a window, by the shader's names."""
         textures = {
             "heights_m": window.heights,
             "slabs": window.slabs.texture,
@@ -413,7 +408,8 @@ class ColumnRenderer(Renderer):
 
     def _columns_a_lane(self, eyes: int) -> int:
         longest = 80 if self._context.software else 5
-        if eyes < _MANY_EYES:
+        # Few eyes with long runs of columns would leave cores without work.
+        if eyes < 16:
             longest = max(longest // 8, 1)
         groups = math.ceil(self.width / (self._lanes * longest))
         return math.ceil(self.width / (self._lanes * groups))

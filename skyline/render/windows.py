@@ -1,4 +1,4 @@
-"""Windows: the parts of a height field that lie on the GPU, each with its trees of slabs.
+"""Windows: parts of a height field on the GPU, with trees of slabs.
 
 A field up to a limit is one window. A larger one is cut into windows that share their border
 lines of samples, and a skyline over it is the greatest of its skylines over the windows.
@@ -27,15 +27,6 @@ SLOPE_BINS = 16
 
 _COLUMN_APRON = 4
 """Empty columns beside the samples; COLUMN_APRON of the shader."""
-
-_MAX_CODE = 65535
-"""Greatest code of a height, in 16 bits."""
-
-_TEXELS_A_LINE = 16
-"""A texture's width is an odd multiple of this."""
-
-_TREES_A_STACK = 2
-"""Trees that lie one over the other in a texture."""
 
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
@@ -105,32 +96,7 @@ class Trees:
 
 
 class WindowTextures:
-    """The textures of one window that `horizon.comp` reads.
-
-    Attributes
-    ----------
-    window : Window
-    heights : moderngl.Texture
-        float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
-    columns : (2,) moderngl.Texture
-        The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
-    lowest_m : float
-        Lowest sample; 0 where there are none.
-    highest_m : float
-        Highest sample; 0 where there are none.
-    slabs : Trees
-        Upper bounds of the heights in 16 bits: code c stands for ``lowest_m + c * code_step_m``.
-    code_step_m : float
-    rims : Trees or None
-        One bit per slab: whether the surface may begin again there, after a hole. None where there
-        are no holes.
-    slope_max : (2,) float
-        Greatest slope of a ray, cells across per strip, for headings 0, 2 and 1, 3.
-    top_level : int
-        Coarsest level of the trees.
-    dangling : bool
-        Whether there are edges without triangles.
-    """
+    """The textures of one window that `horizon.comp` reads."""
 
     @classmethod
     def shared(cls, context: GlContext, field: HeightField, window: Window) -> "WindowTextures":
@@ -148,12 +114,17 @@ class WindowTextures:
         self.window = window
         ratio = field.spacing_north_m / field.spacing_east_m
         self.slope_max = (ratio, 1.0 / ratio)
+        """Greatest slope of a ray, cells across per strip, for headings 0, 2 and 1, 3."""
         self._levels = level_count(max(window.rows, window.cols) - 1)
         self.top_level = self._levels - 1
+        """Coarsest level of the trees."""
         heights = _with_apron(field, window)
         holes = np.isnan(heights)
         self.rims: Trees | None = None
+        """One bit per slab: whether the surface may begin again there, after a hole. None where
+        there are no holes."""
         self.dangling = False
+        """Whether there are edges without triangles."""
         if holes[1:-1, 1:-1].any() or min(window.rows, window.cols) < 2:
             triangles = Triangles.of(heights)
             holes |= ~triangles.samples
@@ -163,13 +134,20 @@ class WindowTextures:
         inner = heights[1:-1, 1:-1]
         present = ~holes[1:-1, 1:-1]
         self.lowest_m = float(inner.min(where=present, initial=np.float32(np.inf)))
+        """Lowest sample; 0 where there are none."""
         self.highest_m = float(inner.max(where=present, initial=np.float32(-np.inf)))
+        """Highest sample; 0 where there are none."""
         if self.lowest_m > self.highest_m:
             self.lowest_m = self.highest_m = 0.0
-        self.code_step_m = max(self.highest_m - self.lowest_m, 1.0) / (_MAX_CODE - 2)
+        # Two less than the greatest code of 16 bits, since codes are rounded up.
+        self.code_step_m = max(self.highest_m - self.lowest_m, 1.0) / 65533
         self.heights = _upload(ctx, heights[..., np.newaxis], "f4")
+        """float32 metres with an apron of one sample, `EMPTY` for holes and off the map."""
         self.columns = tuple(_columns(ctx, seen) for seen in (inner, inner.T))
+        """The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the
+        axis."""
         self.slabs = self._trees_of_heights(inner)
+        """Upper bounds of the heights: code c stands for ``lowest_m + c * code_step_m``."""
 
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
         """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
@@ -194,7 +172,10 @@ class WindowTextures:
         return words
 
     def _trees_of_rims(self, triangles: Triangles) -> Trees:
-        """Mark where rays may come upon the surface again, for triangles with an apron of one."""
+        """Mark where rays may meet the surface again.
+
+        The triangles have an apron of one.
+        """
 
         def built(heading: int) -> _Tree:
             steepest = self.slope_max[heading % 2]
@@ -217,16 +198,14 @@ class WindowTextures:
 def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
     """Put two or four trees into one texture.
 
-    Of two trees each serves both headings of its axis.
-    The first two are stacked and the next two stand beside them, because a stack of four would be
-    higher than a texture may be. A ray that leaves its own tree may meet the next; a mark or a
-    bound too many costs time and changes nothing.
+    Of two trees each serves both headings of its axis. The first two are stacked and the next two
+    stand beside them, because a stack of four would be higher than a texture may be. A ray that
+    leaves its own tree may meet the next; a mark or a bound too many costs time and changes
+    nothing.
     """
     levels = [texels for tree in trees for texels, _ in tree]
     width = max(texels.shape[2] for texels in levels)
-    stacks = [
-        trees[first : first + _TREES_A_STACK] for first in range(0, len(trees), _TREES_A_STACK)
-    ]
+    stacks = [trees[first : first + 2] for first in range(0, len(trees), 2)]
     height = max(
         sum(len(texels) * texels.shape[1] for tree in stack for texels, _ in tree)
         for stack in stacks
@@ -270,7 +249,10 @@ def _with_apron(field: HeightField, window: Window) -> Float32Array:
 
 
 def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
-    """Upload heights seen along their first axis: texel m of a column has lines 2 m to 2 m + 2."""
+    """Upload heights seen along their first axis.
+
+    Texel m of a column has lines 2 m to 2 m + 2.
+    """
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
     padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
@@ -280,11 +262,13 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
 
 
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
-    """Upload (rows, columns, components), columns padded to a pitch that is no power of two.
+    """Upload texels (rows, columns, components).
 
-    Raises `ContextError` where OpenGL refuses the texture, which would read as zeros.
+    Columns are padded to a pitch that is no power of two. Raises `ContextError` where OpenGL
+    refuses the texture, which would read as zeros.
     """
-    columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
+    # The width is an odd multiple of 16 texels.
+    columns = (-(-values.shape[1] // 16) | 1) * 16
     padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
     padded[:, : values.shape[1]] = values
     texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)

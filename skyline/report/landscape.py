@@ -14,7 +14,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizons_of
 from skyline.peaks import (
     UNDERFOOT_SAMPLES,

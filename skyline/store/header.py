@@ -26,20 +26,11 @@ from numpy.typing import NDArray
 
 from skyline.arrays import UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
-from skyline.geodesy import Bounds, Curvature, Frame
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.earth import Curvature
+from skyline.geodesy.frame import Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views, check_width
-from skyline.store.places import (
-    ALIKE_DEG,
-    BINS,
-    DISTANCE_BINS,
-    DISTANCE_STEP,
-    NEAREST_M,
-    PHASE_BINS,
-    PHASES,
-    RISE_GROWTH,
-    RISE_SIZE,
-    Places,
-)
+from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, PLACE_CODING, Places
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
@@ -48,15 +39,18 @@ SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4
 PACKAGE_VERSION = version("skyline")
 
-RENDERINGS, PLACES = "renderings", "places"
-"""The two kinds of rows; a store holds one of them."""
+RENDERINGS = "renderings"
+"""Kind of rows: views, each with its skyline and keypoints."""
+
+PLACES = "places"
+"""Kind of rows: places."""
 
 BEGUN = "begun"
-"""The rows of a part of an unfinished plan: places, each with the shares of views that spacings
+"""Kind of rows of a part of an unfinished plan: places, each with the shares of views that spacings
 lose round it, from which the plan continues."""
 
 MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
-"""The command that makes a store of each kind."""
+"""The command that makes a store, by kind."""
 
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
@@ -77,7 +71,11 @@ _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
 can be mapped."""
 
-KEYPOINTS, LOST = "features/keypoint_column", "places/lost"
+KEYPOINTS = "features/keypoint_column"
+"""The dataset of keypoints, of a store of renderings."""
+
+LOST = "places/lost"
+"""The dataset of lost shares, of a part of an unfinished plan."""
 
 KeypointColumns = NDArray[np.uint16]
 
@@ -112,19 +110,6 @@ _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
 _SPECS[BEGUN] = {"lost": (LOST, "<f8", None), **_SPECS[PLACES]}
 """By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
 for the width (W,). Keypoints, lost shares and checksums are fields of neither."""
-
-PLACE_CODING = {
-    "bins": BINS,
-    "distance_bins": DISTANCE_BINS,
-    "phase_bins": PHASE_BINS,
-    "rise_size": RISE_SIZE,
-    "rise_growth": RISE_GROWTH,
-    "nearest_m": NEAREST_M,
-    "distance_log_step": DISTANCE_STEP,
-    "phase_steps": PHASES,
-    "phase_alike_deg": ALIKE_DEG,
-}
-"""The constants by which the bytes of places become tangents and distances."""
 
 REBUILD = "copy or build it again"
 
@@ -192,7 +177,7 @@ class StoreHeader:
 
     @property
     def fields(self) -> dict[str, str]:
-        """Field of `Views` or `Places` -> dataset, for the kind of rows that the store holds."""
+        """Datasets of the store's rows, by the field of `Views` or `Places`."""
         return {
             field: name
             for field, (name, *_) in _SPECS[self.holds].items()
@@ -201,19 +186,19 @@ class StoreHeader:
 
     @property
     def sorted_by(self) -> list[str]:
-        """The datasets by which rows are sorted, and which distinguish one row from another."""
+        """Datasets that sort rows, and distinguish one from another."""
         return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
     def specs(self) -> dict[str, np.dtype[Any]]:
-        """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
+        """The type of a row, (W,) float32 for example, by dataset."""
         return {
             name: np.dtype((kind, (self.width,) if shape is None else shape))
             for name, kind, shape in _SPECS[self.holds].values()
         }
 
     def chunk_rows(self, rows: int) -> int:
-        """Return the number of rows in a chunk of every dataset, in a store of ``rows`` rows."""
+        """Return the rows in a chunk, in a store of ``rows`` rows."""
         return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else _PLACES_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
@@ -229,7 +214,7 @@ class StoreHeader:
 
     @property
     def boxes_deg(self) -> list[Bounds] | None:
-        """The boxes for which rows were built, W, S, E, N in degrees; None for all of the DEM."""
+        """The built boxes, W, S, E, N in degrees; None for all of the DEM."""
         bounds: Any = self.config.get("bounds_deg")
         if not bounds:
             return None
@@ -243,7 +228,8 @@ class StoreHeader:
 
     def covers(self, other: "StoreHeader") -> bool:
         """Return whether this store has the boxes of another one."""
-        held, wanted = self.boxes_deg, other.boxes_deg
+        held = self.boxes_deg
+        wanted = other.boxes_deg
         return held is None or (wanted is not None and set(wanted) <= set(held))
 
     @property
@@ -314,7 +300,8 @@ def refuse_mismatch(
             compared["elevation model"] = _model(a), _model(b)
         compared["width"] = a.width, b.width
         for key in sorted({*a.config, *b.config}):
-            one, other = a.config.get(key, "absent"), b.config.get(key, "absent")
+            one = a.config.get(key, "absent")
+            other = b.config.get(key, "absent")
             if isinstance(one, dict) and isinstance(other, dict):
                 pairs = one.items(), other.items()
                 one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
@@ -330,7 +317,7 @@ def refuse_mismatch(
 
 
 def _model(header: StoreHeader) -> str:
-    """Return a file of a store's DEM, its frame and its digest, in one line."""
+    """Return a line with a store's DEM, its frame and its digest."""
     names = [Path(file).name for file in header.dem_files] or ["no file"]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
@@ -340,10 +327,10 @@ def _model(header: StoreHeader) -> str:
 def columns_of(
     header: StoreHeader, rows: Views | Places, keypoint_columns: KeypointColumns | None = None
 ) -> Columns:
-    """Return rows as a store with ``header`` holds them; checksums are made as they are written.
+    """Return rows as a store with ``header`` holds them.
 
-    Renderings have keypoints too: the columns (N, K) of their skylines' polyline vertices, padded
-    with `NO_KEYPOINT`.
+    Checksums are made when the rows are written. Renderings have keypoints too: the columns (N, K)
+    of their skylines' polyline vertices, padded with `NO_KEYPOINT`.
     """
     specs = header.specs
     given = {name: getattr(rows, field) for field, name in header.fields.items()}
@@ -365,7 +352,8 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
 
 def checksums_of_bytes(rows: UInt8Array) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row (N, B) of bytes."""
-    width, flat = rows.shape[1], rows.tobytes()
+    width = rows.shape[1]
+    flat = rows.tobytes()
     sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))
     return np.fromiter(sums, dtype=np.uint32, count=len(rows))
 
@@ -447,7 +435,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> object:
-    """Return an attribute of one value; one of a variable length is not read.
+    """Return an attribute of one value; None for a variable length.
 
     HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
     one.

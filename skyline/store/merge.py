@@ -18,7 +18,7 @@ import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, StoreError
-from skyline.geodesy import Bounds
+from skyline.geodesy.degrees import Bounds
 from skyline.store.check import Damage, StoreReport, whole_rows
 from skyline.store.header import Columns, StoreHeader, explained, refuse_mismatch
 from skyline.store.read import Store, open_store

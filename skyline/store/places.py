@@ -1,4 +1,4 @@
-r"""Places: eyes and their skylines in few bytes, which a search compares a photo with.
+r"""Places: eyes and their skylines in few bytes, for a search.
 
 A place is an eye, its skyline all the way round, the skyline's distance, and the distance around
 the eye within which it represents all other eyes. Places are rendered when a store is built and
@@ -53,8 +53,10 @@ PHASE_BINS = 180
 UNKNOWN_RISE = np.int8(-128)
 """Code of a bin without a skyline; the next rise is taken from the last bin that has one."""
 
-RISE_SIZE, RISE_GROWTH = 0.006, 0.035
-"""a and c of the formula."""
+RISE_SIZE = 0.006
+"""a of the formula."""
+RISE_GROWTH = 0.035
+"""c of the formula."""
 _MOST = 127
 _SIGNED = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
 _RISES = np.sign(_SIGNED) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(_SIGNED))
@@ -73,12 +75,26 @@ ALIKE_DEG = 0.75
 """Difference in elevation at which two rises over 2 degrees of azimuth add nothing to a score."""
 RISE_TO_TURN = float(np.pi / 2.0 / np.radians(ALIKE_DEG))
 """Omega, radians per unit of tangent: `ALIKE_DEG` is a quarter turn."""
+
+PLACE_CODING = {
+    "bins": BINS,
+    "distance_bins": DISTANCE_BINS,
+    "phase_bins": PHASE_BINS,
+    "rise_size": RISE_SIZE,
+    "rise_growth": RISE_GROWTH,
+    "nearest_m": NEAREST_M,
+    "distance_log_step": DISTANCE_STEP,
+    "phase_steps": PHASES,
+    "phase_alike_deg": ALIKE_DEG,
+}
+"""The constants by which the bytes of places become tangents and distances."""
+
 _PHASE = (np.arange(PHASES) + 0.5) * (2.0 * np.pi / PHASES)
 _WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
 
 
 def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
-    """Return the first tangents (N,) float32 and the rises (N, B) int8 of skylines (N, B).
+    """Return the first tangents (N,) and the rises (N, B) of skylines (N, B).
 
     The first bin's byte is 0; where it has no skyline, the rises begin from 0.
     """
@@ -107,9 +123,9 @@ def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
 
 
 def encode_distance(distance_m: Float32Array) -> UInt8Array:
-    """Return codes (N, D) uint8 of distances (N, B): of the nearest within each of D bins.
+    """Return codes (N, D) of the nearest of distances (N, B) in each bin.
 
-    0 stands for no skyline. The nearest moves most as the eye does.
+    0 stands for no skyline. The nearest skyline moves most as the eye does.
     """
     count, bins = distance_m.shape
     runs = distance_m.reshape(count, DISTANCE_BINS, bins // DISTANCE_BINS)
@@ -119,7 +135,7 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
 
 
 def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
-    """Return ``table[codes]`` (N, ...) for a table (256,) of items of 4 or 8 bytes.
+    """Return ``table[codes]`` for a table (256,) of items of 4 or 8 bytes.
 
     OpenCV does this five times as fast as indexing does.
     """
@@ -131,10 +147,11 @@ def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
 
 
 def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
-    """Return the phases' codes (N, 180) of skylines (N, B): 1 + floor(255 phase / 2 pi).
+    """Return the phases' codes (N, 180) of skylines (N, B).
 
-    A rise is from the mean of a run of bins to that of the next, from the last to the first run.
-    It is unknown, and its code 0, where either run has a bin without a skyline.
+    A code is 1 + floor(255 phase / 2 pi). A rise is from the mean of a run of bins to the mean of
+    the next; the first run follows the last. It is unknown, and its code 0, where either run has a
+    bin without a skyline.
     """
     count, bins = elevation_tan.shape
     mean = elevation_tan.reshape(count, PHASE_BINS, bins // PHASE_BINS).mean(axis=2)
@@ -194,8 +211,7 @@ class Places(Rows):
             first,
             rise,
             encode_distance(horizons.distance_m),
-            # The phases are those of the decoded rises, so that they can be made again from a
-            # store.
+            # Phases are made from decoded rises, so that they can be made again from a store.
             encode_phases(decode_rises(first, rise)),
         )
 

@@ -1,4 +1,4 @@
-"""Reading a store: its header, its rows, and a map of its places in the file.
+"""Reading a store: its header and its rows.
 
 A file is a store if its header has the digest that was written with it, and if its datasets have
 the layout that follows from the header and keep no bytes in other files.
@@ -7,9 +7,8 @@ the layout that follows from the header and keep no bytes in other files.
 import hashlib
 import io
 import json
-import mmap
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
@@ -17,12 +16,11 @@ from typing import Any, Self
 
 import h5py
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.skylines import Views
 from skyline.store.header import (
     EYE,
@@ -35,148 +33,19 @@ from skyline.store.header import (
     Columns,
     KeypointColumns,
     StoreHeader,
-    checksums_of_bytes,
     explained,
     read_header,
 )
-from skyline.store.places import Places
+from skyline.store.place_map import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
 
 RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
-Offsets = dict[str, Int64Array]
-"""Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
-
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_FILTERS = {"fletcher32", "shuffle", "compression"}
-"""Settings of a layout that are HDF5 filters."""
-
-_TAKEN_AT_ONCE = 4096
-
-
-class PlaceMap:
-    """The places of a store; see `Store.places`.
-
-    It keeps the file open, so the store may be closed, replaced or removed. Pages that are read
-    belong to the system's cache; the map itself takes 72 bytes for 1024 places.
-
-    The file's length is checked before each block and each batch of rows. A file that is cut short
-    while one of them is being read makes the system end the process (SIGBUS), as with any mapped
-    file. `skyline.store.write` replaces stores and never cuts one short.
-    """
-
-    def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
-        """Map the places of a file, given as a descriptor, whose chunks lie ``at`` offsets."""
-        self._path, self._header, self._places, self._at = path, header, places, at
-        self._size = header.chunk_rows(places)
-        self._types = header.specs
-        # Checksums are computed over the datasets in order of name.
-        self._fields = {name: field for field, name in header.fields.items()}
-        self._record = np.dtype([(name, self._types[name]) for name in sorted(self._fields)])
-        self._end = max(
-            int(offsets.max(initial=0)) + self._size * self._types[name].itemsize
-            for name, offsets in at.items()
-        )
-        # The system maps no empty file, but even an empty store has a superblock.
-        self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
-        self._check_length()
-        data = np.frombuffer(self._map, dtype=np.uint8)
-        # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
-        self._rows = {
-            name: sliding_window_view(data, row.itemsize) for name, row in self._types.items()
-        }
-
-    def __len__(self) -> int:
-        """Return the number of places."""
-        return self._places
-
-    def blocks(self) -> Iterator[Places]:
-        """Yield all places in order, 1024 at a time (the last time fewer).
-
-        The arrays are read-only and lie in the file: it is read when an array is, and no checksum
-        is compared (`take` does that, and `check_store` for the whole store).
-
-        Raises
-        ------
-        StoreError
-            The file was cut short since the store was opened.
-        """
-        size = self._size
-        for chunk in range(-(-self._places // size)):
-            self._check_length()
-            rows = min(size, self._places - chunk * size)
-            fields: Any = {
-                field: np.ndarray((rows,), self._types[name], self._map, self._at[name][chunk])
-                for name, field in self._fields.items()
-            }
-            yield Places(**fields)
-
-    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        """Return copies of the places ``rows`` (M,), in order, each compared with its checksum.
-
-        Raises
-        ------
-        InputError
-            A row does not exist.
-        StoreError
-            A place differs from its checksum, or the file was cut short.
-        """
-        given = np.asarray(rows)
-        wanted: IntArray = given.astype(np.intp)
-        # A mask is no list of rows, though its values are numbers.
-        is_list = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
-        if not is_list or not ((wanted >= 0) & (wanted < self._places)).all():
-            raise InputError(
-                f"rows to take from store {self._path} are not a list of numbers from 0 to "
-                f"{self._places - 1}"
-            )
-        taken: Any = {
-            field: np.empty(len(wanted), self._types[name]) for name, field in self._fields.items()
-        }
-        # Rows are read in the order of the file, so that a disk is read forwards and each page
-        # once.
-        order = np.argsort(wanted, kind="stable")
-        for first in range(0, len(wanted), _TAKEN_AT_ONCE):
-            self._check_length()
-            to = order[first : first + _TAKEN_AT_ONCE]
-            gathered = self._gathered(wanted[to])
-            for name, field in self._fields.items():
-                taken[field][to] = gathered[name]
-        return Places(**taken)
-
-    def _gathered(self, rows: IntArray) -> NDArray[np.void]:
-        """Return some places (M,), each by the names of its datasets; verified."""
-        chunk, row = np.divmod(rows, self._size)
-        bytes_of = [
-            self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
-            for name in (*sorted(self._fields), self._header.checksum)
-        ]
-        together = np.concatenate(bytes_of[:-1], axis=1)
-        wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
-        if wrong.any():
-            raise StoreError(
-                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
-                "checksum; `skyline store check` lists all damage, `skyline store repair` "
-                "saves the whole rows"
-            )
-        return together.view(self._record)[:, 0]
-
-    def _check_length(self) -> None:
-        if (size := self._map.size()) < self._end:
-            raise StoreError(
-                f"store {self._path} is truncated: {size} bytes, of which places need "
-                f"{self._end}; {REBUILD}"
-            )
-
-
-PlaceSource = PlaceMap | Places
-"""Places in a file or in memory."""
-
 
 class Store:
-    """The rows of a finished store; use it as a context manager. Made by `open_store`.
+    """The rows of a finished store, which `open_store` opens; a context manager.
 
     Attributes
     ----------
@@ -262,7 +131,7 @@ class Store:
         return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
-        """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
+        """Read rows as they are stored, by the datasets' names; raises as `views`."""
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
 
@@ -272,15 +141,16 @@ class Store:
         return self._read(KEYPOINTS, self._indexed(index))
 
     def eyes(self) -> Viewpoints:
-        """Read the eyes of all rows, of a store of either kind; raises as `stored`."""
-        rows, names = self._indexed(slice(None)), self.header.fields
+        """Read the eyes of all rows, of either kind; raises as `stored`."""
+        rows = self._indexed(slice(None))
+        names = self.header.fields
         read = {
             field: self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE
         }
         return Viewpoints(**read)
 
     def places(self) -> PlaceMap:
-        """Map the places of a store of places; they can be read when the store is closed.
+        """Map the places of a store, which may be closed afterwards.
 
         Raises
         ------
@@ -303,7 +173,7 @@ class Store:
         Parameters
         ----------
         index : int, slice, integer or boolean array
-            Rows in the order wanted, as of `views`.
+            Rows in the order wanted, as for `views`.
 
         Returns
         -------
@@ -322,7 +192,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        rows = self._indexed(index)
+        frame = Frame(self.header.frame_wkt)
         if self.header.holds == PLACES:
             return dataset_of_places(self.places().take(rows), rows, frame)
         return dataset_of_views(self.views(index), rows, frame)
@@ -333,7 +204,7 @@ class Store:
         Parameters
         ----------
         index : int, slice, integer or boolean array
-            Rows in the order wanted, as of `views`.
+            Rows in the order wanted, as for `views`.
 
         Returns
         -------
@@ -349,7 +220,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        rows = self._indexed(index)
+        frame = Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
     def expect(self, holds: str) -> None:
@@ -382,7 +254,8 @@ class Store:
 
     def _chunk_offsets(self, name: str, size: int) -> Int64Array:
         """Return the offsets in the file of a dataset's chunks of ``size`` rows."""
-        dataset, at = self._datasets[name], np.zeros(-(-len(self) // size), dtype=np.int64)
+        dataset = self._datasets[name]
+        at = np.zeros(-(-len(self) // size), dtype=np.int64)
 
         def visit(info: Any) -> None:
             chunk = info.chunk_offset[0] // size
@@ -418,7 +291,7 @@ class Store:
 
 
 def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
-    """Return an object that lies in this very file, following no other kind of link."""
+    """Return an object of this very file; no other link is followed."""
     node = file
     for part in name.split("/"):
         link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
@@ -433,7 +306,7 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
 
 
 def _checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader) -> h5py.Dataset:
-    """Return a dataset if it has the schema's layout and its bytes lie in this file.
+    """Return a dataset that has the schema's layout, in this file.
 
     Virtual, external, contiguous and compact storage have no chunks, so they are refused.
     """
@@ -447,7 +320,8 @@ def _checked_dataset(path: Path, file: h5py.File, name: str, header: StoreHeader
             raise StoreError(
                 f"store {path}: {name} has {setting} {found}; expected {wanted}; {REBUILD}"
             )
-    if dataset.id.get_create_plist().get_nfilters() != len(layout.keys() & _FILTERS):
+    filters = layout.keys() & {"fletcher32", "shuffle", "compression"}
+    if dataset.id.get_create_plist().get_nfilters() != len(filters):
         raise StoreError(
             f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
         )
@@ -468,7 +342,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is that of a store, even of a damaged or an unfinished one."""
+    """Return whether a path names a store, even a damaged or an unfinished one."""
     path = Path(path)
     if path.name and parts_folder(path).is_dir():  # The current folder has no name.
         return True
@@ -480,7 +354,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 
 
 def parts_folder(path: Path) -> Path:
-    """Return the folder in which the parts of a store lie while it is built, a folder a build.
+    """Return the folder of a store's parts, with a subfolder for each build.
 
     The name of a part begins with what its store holds.
     """
@@ -488,7 +362,10 @@ def parts_folder(path: Path) -> Path:
 
 
 def open_hdf5(path: Path) -> io.FileIO:
-    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError` if there is none."""
+    """Open an HDF5 file to read it.
+
+    Raises `MissingFileError` or `StoreError` if there is none.
+    """
     try:
         raw = io.FileIO(path)
     except FileNotFoundError as error:
@@ -497,19 +374,21 @@ def open_hdf5(path: Path) -> io.FileIO:
         raise StoreError(
             f"store {path} cannot be read: {error.strerror}; name a file that you may read"
         ) from error
-    if raw.read(len(_SIGNATURE)) != _SIGNATURE:
+    signature = b"\x89HDF\r\n\x1a\n"
+    if raw.read(len(signature)) != signature:
         raw.close()
         raise StoreError(f"{path} is not an HDF5 file; name a store that skyline built")
     return raw
 
 
 def _absence(path: Path) -> str:
-    """Return the reason why there is no store at a path, in one line."""
+    """Return why there is no store at a path, in one line."""
     folder = parts_folder(path)
     if not folder.is_dir():
         return f"store {path} does not exist; check the name, or build it"
     parts = list(folder.glob("*/*-of-*.h5"))
-    there, command = "no part of it is there yet", MADE_BY[PLACES]
+    there = "no part of it is there yet"
+    command = MADE_BY[PLACES]
     if parts:
         command = MADE_BY.get(parts[0].name.partition("-")[0], command)
         there = "a part is there" if len(parts) == 1 else f"{len(parts)} parts are there"

@@ -1,4 +1,4 @@
-"""Rows of a store as an `xarray.Dataset`: angles in degrees, places in degrees and metres.
+"""Rows of a store as an `xarray.Dataset` or a table.
 
 Skylines are rendered by grid azimuth, and the angle from true north to grid north differs from
 place to place. So the grid azimuths of places are a dimension, which all places share, and the
@@ -11,11 +11,12 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import library
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.skylines import Views, bin_azimuths_rad, columns_u
 from skyline.store.places import BINS, DISTANCE_BINS, Places
 
-_METRES, _DEGREES = {"units": "m"}, {"units": "degrees"}
+_METRES = {"units": "m"}
+_DEGREES = {"units": "degrees"}
 _ELEVATION = {"long_name": "elevation angle of the skyline", **_DEGREES}
 _TRUE = {"long_name": "azimuth, clockwise from true north", **_DEGREES}
 _GRID = {"long_name": "azimuth, clockwise from grid north", **_DEGREES}
@@ -31,7 +32,8 @@ def dataset_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
     coords["azimuth_deg"] = ("place", angle), _from_true_north(coords, grid_deg), _TRUE
     distance_m = np.repeat(places.distance_m(), BINS // DISTANCE_BINS, axis=1)
     nearest = f"horizontal distance of the skyline, its nearest in {360 // DISTANCE_BINS} degrees"
-    dims, elevation_deg = ("place", angle), np.degrees(np.arctan(places.elevation_tan()))
+    dims = ("place", angle)
+    elevation_deg = np.degrees(np.arctan(places.elevation_tan()))
     held = {
         "elevation_deg": (dims, elevation_deg, _ELEVATION),
         "distance_m": (dims, distance_m, {"long_name": nearest, **_METRES}),
@@ -73,17 +75,17 @@ def dataset_of_views(views: Views, rows: IntArray, frame: Frame) -> Any:
 
 
 def _coordinates(dim: str, eyes: Places | Views, rows: IntArray, frame: Frame) -> dict[str, Any]:
-    """Return the coordinates of eyes: their rows, places, convergence and frame."""
-    place = {"easting_m": eyes.easting_m, "northing_m": eyes.northing_m}
-    lon, lat = frame.to_lonlat(**place)
+    """Return the coordinates of eyes: their rows, positions, convergence and frame."""
+    position = {"easting_m": eyes.easting_m, "northing_m": eyes.northing_m}
+    lon, lat = frame.to_lonlat(**position)
     turn = {"long_name": "grid convergence: true azimuth minus grid azimuth", **_DEGREES}
     return {
         dim: (dim, rows, {"long_name": "row of the store"}),
         "lon": (dim, lon, {"standard_name": "longitude", "units": "degrees_east"}),
         "lat": (dim, lat, {"standard_name": "latitude", "units": "degrees_north"}),
-        **{name: (dim, values, _METRES) for name, values in place.items()},
+        **{name: (dim, values, _METRES) for name, values in position.items()},
         "eye_elevation_m": (dim, eyes.eye_elevation_m, _METRES),
-        "convergence_deg": (dim, frame.convergence_deg(**place), turn),
+        "convergence_deg": (dim, frame.convergence_deg(**position), turn),
         "spatial_ref": ((), 0, {"long_name": "frame of the eastings", **frame.crs.to_cf()}),
     }
 

@@ -1,4 +1,4 @@
-"""Building a store: it is rendered in parts, each a finished file, which are merged.
+"""Building a store, in parts that are merged at the end.
 
 A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds, what was rendered
 is written as a part: a store of its own in the folder ``STORE.parts``, in the subfolder of its
@@ -25,7 +25,8 @@ from uuid import uuid4
 
 from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
-from skyline.geodesy import Bounds, Curvature
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import is_whole
 from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
@@ -140,9 +141,9 @@ def build_store(
     progress: Progress | None = None,
     part_size: PartSize = PartSize(),  # noqa: B008  (it is frozen)
 ) -> BuildResult:
-    """Render the missing rows of a store, here or by a runner, and merge all parts.
+    """Render the missing rows of a store, and merge all parts.
 
-    Otherwise as `build_places`.
+    The rows are rendered in this process, or by a runner. Otherwise as `build_places`.
 
     Raises
     ------
@@ -213,13 +214,13 @@ class _Count:
     """Counts the rows of a build, and reports them."""
 
     def __init__(self, progress: Progress | None, done: int, total: int) -> None:
-        """Begin with the rows that are ``done``; ``total`` is 0 until a plan expects some."""
+        """Begin with ``done`` rows; ``total`` is 0 until a plan expects some."""
         self._progress = progress
         self._done = done
         self._total = total
 
     def add(self, rows: int, expected: int) -> None:
-        """Report rows that were rendered, and about how many jobs are expected to render."""
+        """Report rendered rows, and about how many rows are expected."""
         self._done += rows
         self._total = max(self._total, expected)
         # The end is reported when all parts are written.
@@ -235,9 +236,10 @@ class _Count:
 
 
 def _merge_parts(parts: list[Path], path: Path) -> int:
-    """Merge parts into a store, and return its number of rows; 0 where the parts have none.
+    """Merge parts into a store, and return its number of rows.
 
-    A store of other boxes at ``path`` is one more part of the new store, which replaces it.
+    The number is 0 where the parts have no rows; then no store is written. A store of other boxes
+    at ``path`` is one more part of the new store, which replaces it.
     """
     folder = parts[0].parent
     before = _inode(path)
@@ -262,12 +264,12 @@ def _merge_parts(parts: list[Path], path: Path) -> int:
 
 
 def _inode(path: Path) -> int | None:
-    """Return the number of the file at a path, which changes as the file is replaced."""
+    """Return a file's number, which changes when it is replaced; None without a file."""
     return path.stat().st_ino if path.exists() else None
 
 
 def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
-    """Return the result of a finished build; None where the store has only other boxes.
+    """Return a finished build's result; None where the store has only other boxes.
 
     Raises `StoreMismatchError` where other settings differ.
     """
@@ -282,7 +284,7 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
 
 
 def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], int]:
-    """Return the parts of a build that are whole, and the rows in these and in begun parts.
+    """Return a build's whole parts, and the rows in all its parts.
 
     Raises `StoreMismatchError` where another build of the same store has parts of other settings,
     which could not be joined.
@@ -333,7 +335,7 @@ def _write_jobs(
     jobs: Mapping[int, Any],
     tell: Tell,
 ) -> tuple[list[Path], int]:
-    """Render numbered jobs and write them; return their parts, and the rows rendered for them."""
+    """Render and write numbered jobs; return their parts and rendered rows."""
     writer = JobWriter(renderer, folder, part_size, tell)
     writer.write(jobs)
     return writer.written, writer.rendered
@@ -347,10 +349,9 @@ def _on_workers(
     left: Mapping[int, Any],
     count: _Count,
 ) -> tuple[list[Path], int]:
-    """Write each job by a runner; return their parts, and the rows rendered for them.
+    """Write each job by a runner; return parts and rendered rows.
 
-    Raises at the end the error of the jobs if all of them failed with the same one, and
-    `BuildError` with the numbers of the first few otherwise.
+    Raises at the end, when all other jobs are done, as `_error_of`.
     """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
@@ -373,20 +374,24 @@ def _on_workers(
             written += parts
             rendered += rows
     if failures:
-        if len(failures) == len(names) and len({str(error) for error in failures.values()}) == 1:
-            raise failures[names[0]]
-        named = [f"{name} ({error})" for name, error in failures.items()]
-        more = f" and {len(named) - 5} more" if len(named) > 5 else ""
-        raise BuildError(
-            f"{len(failures)} of {len(names)} jobs failed: {'; '.join(named[:5])}{more}. The "
-            "others are kept: mend the cause and give the same command, which continues with the "
-            "rest"
-        )
+        raise _error_of(failures, len(names))
     return written, rendered
 
 
+def _error_of(failures: Mapping[str, SkylineError], jobs: int) -> SkylineError:
+    """Return the one error of all jobs, or a `BuildError` that names the first few."""
+    if len(failures) == jobs and len({str(error) for error in failures.values()}) == 1:
+        return next(iter(failures.values()))
+    named = [f"{name} ({error})" for name, error in failures.items()]
+    more = f" and {len(named) - 5} more" if len(named) > 5 else ""
+    return BuildError(
+        f"{len(failures)} of {jobs} jobs failed: {'; '.join(named[:5])}{more}. The others are "
+        "kept: mend the cause and give the same command, which continues with the rest"
+    )
+
+
 def _remove(folder: Path) -> None:
-    """Remove the parts of a build, and the folder of all parts if no other build has any."""
+    """Remove a build's parts, and the folder of all parts if empty."""
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
         folder.parent.rmdir()

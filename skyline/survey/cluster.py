@@ -17,8 +17,6 @@ from uuid import uuid4
 
 from skyline.errors import BuildError, InputError, SkylineError, library
 
-_CONNECT_S = 10
-
 # A terminal sends Ctrl-C to workers as well, but only the main process answers it and stops them.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 _LOG = "from skyline.errors import start_logging; start_logging()"
@@ -43,7 +41,7 @@ Tell = Callable[..., object]
 
 @dataclass(frozen=True, slots=True)
 class Opening(Generic[K]):
-    """Describes the tool of a run, for the workers that open it; it can be pickled."""
+    """Describes the tool of a run, for workers; it can be pickled."""
 
     key: Hashable
     """Equal for two openings of the same tool."""
@@ -51,7 +49,7 @@ class Opening(Generic[K]):
 
 
 class Bench:
-    """A worker's place for jobs: the one thread that does them, and the tool they left open.
+    """A worker's thread for jobs, and the tool that they left open.
 
     One thread does all jobs, since an OpenGL context belongs to the thread that made it, and dask
     may run tasks on several.
@@ -83,7 +81,7 @@ class Bench:
 
 @dataclass(frozen=True, slots=True)
 class Runner:
-    """Runs the same function on many items, on the workers of a dask client."""
+    """Runs one function on many items, on a dask client's workers."""
 
     client: Any
     retries: int = 2
@@ -98,12 +96,13 @@ class Runner:
         names: Sequence[str],
         listen: Tell | None = None,
     ) -> Iterator[R | SkylineError]:
-        """Call ``work`` with the opened tool and each item, all of which can be pickled.
+        """Call ``work`` with the opened tool and each item.
 
-        Yields results in the items' order, each as soon as those before it are done. A job that
-        failed at its last attempt yields its error, as a `BuildError` unless it is a
-        `SkylineError`. ``names`` are distinct names of the items. Whatever a job calls its third
-        argument with, ``listen`` is called with here, in this thread.
+        The function, the opening and the items can be pickled. Yields results in the items' order,
+        each as soon as those before it are done. A job that failed at its last attempt yields its
+        error, as a `BuildError` unless it is a `SkylineError`. ``names`` are distinct names of the
+        items. Whatever a job calls its third argument with, ``listen`` is called with here, in this
+        thread.
 
         Raises `BuildError` if the scheduler is lost.
         """
@@ -138,11 +137,10 @@ class Runner:
 
 @contextmanager
 def runner_of(workers: str | None) -> Iterator[Runner | None]:
-    """Yield a `Runner` on the given number of new processes, or on the cluster at an address.
+    """Yield a `Runner` on new processes, or on the cluster at an address.
 
-    The runner is None if ``workers`` is None.
-
-    What dask sends is pickled, both ways: connect only to a scheduler that you trust.
+    The runner is None if ``workers`` is None. What dask sends is pickled, both ways: connect only
+    to a scheduler that you trust.
 
     Raises `InputError` for fewer than one worker, where nothing answers at the address, or where
     dask is not installed.
@@ -154,7 +152,7 @@ def runner_of(workers: str | None) -> Iterator[Runner | None]:
             yield Runner(client)
     else:
         try:
-            client = _distributed().Client(workers, timeout=_CONNECT_S)
+            client = _distributed().Client(workers, timeout=10)
         except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise InputError(
@@ -204,7 +202,7 @@ def _distributed() -> Any:
 def _do_on_bench(
     work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, topic: str | None
 ) -> R:
-    """Do a job in a dask worker; what it tells is an event of the topic, if there is one."""
+    """Do a job in a dask worker; what it tells becomes an event of the topic."""
     worker = _distributed().get_worker()
 
     def tell(*message: float | str) -> None:
@@ -217,7 +215,10 @@ def _do_on_bench(
 
 
 def _outcome(future: Any) -> Any:
-    """Wait for a job; return its result or its error. Raises `BuildError` without a scheduler."""
+    """Wait for a job, and return its result or its error.
+
+    Raises `BuildError` if the scheduler is lost.
+    """
     try:
         error = future.exception()
         if error is None:

@@ -4,100 +4,83 @@ The plan is a tree of nested lattices. Places of the coarsest lattice are render
 skyline shows whether more places there would pay, that is, save more views than the same number in
 other squares. Where they would, the next lattice, twice as dense, is filled in. Every rendered
 place is kept. Each block of the map is planned on its own, and the result depends neither on the
-process that plans a block nor on the order.
-
-Between places a view's skyline differs from theirs by an angle of about the spacing over the
-skyline's distance. The odds that a whole search, refinement included, then fails grow with a power
-of that ratio. The power, and the ratio at which a search fails as often as not, were fitted to
-searches for synthetic views, 60 degrees wide; docs/method.md has the terrain.
+process that plans a block nor on the order. `skyline.survey.losses` has the odds that a view is
+lost.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, Int64Array, IntArray, Rows
+from skyline.arrays import Float64Array, Int64Array, IntArray, Rows
 from skyline.errors import InputError
-from skyline.geodesy import Rectangle
+from skyline.geodesy.frame import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
-from skyline.store.read import PlaceSource
+from skyline.survey.losses import lost_shares
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
-_COARSEST_M = 1280.0
-_FINEST_M = 10.0
-LEVELS = 15
-_SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(LEVELS) / 2.0)
+
+@dataclass(frozen=True, slots=True)
+class Nesting:
+    """The nested lattices of a block; each is twice as dense as the one before."""
+
+    coarsest_m: float = 1280.0
+    """Spacing of the coarsest lattice, a whole multiple of the finest."""
+    finest_m: float = 10.0
+    """Spacing of the finest lattice."""
+    roots: int = 4
+    """Squares of the coarsest lattice along a side of a block."""
+    blind_level: int = 6
+    """Level down to which a square is divided if there is no surface to stand on at its corner."""
+
+
+@dataclass(frozen=True, slots=True)
+class PriceSample:
+    """The viewpoints from which a price is computed."""
+
+    size: int = 512
+    """Number of locations that are tried together."""
+    least: int = 64
+    """Number of viewpoints that must stand on the surface."""
+    most_tries: int = 256
+    """Greatest number of samples that are tried for them: in the elevation model of an island,
+    nearly all locations may be holes."""
+
+
+_NESTING = Nesting()
+_PRICE_SAMPLE = PriceSample()
+
+_UNITS = round(_NESTING.coarsest_m / _NESTING.finest_m)
+"""The coarsest spacing, in finest spacings."""
+
+LEVELS = 2 * _UNITS.bit_length() - 1
+"""Number of lattices."""
+
+_SPACING_M: Float64Array = _NESTING.coarsest_m / 2.0 ** (np.arange(LEVELS) / 2.0)
 """Spacing of each level's lattice: the side of the square that each place has to itself."""
 
 _DENSITY = 1.0 / _SPACING_M**2
 """Places a square metre of each level."""
 
-_ROOTS = 4
-"""Squares of the coarsest lattice to a side of a block."""
+BLOCK_M = _NESTING.roots * _NESTING.coarsest_m
+"""Side of a block."""
 
-BLOCK_M = _ROOTS * _COARSEST_M
-
-NODES_AROUND = (_ROOTS + 2) ** 2 - _ROOTS**2
+NODES_AROUND = (_NESTING.roots + 2) ** 2 - _NESTING.roots**2
 """Nodes around a block that are rendered for the squares at its sides."""
-
-_UNITS = round(_COARSEST_M / _FINEST_M)
-"""The coarsest spacing, in finest spacings."""
-
-_BLIND_LEVEL = 6
-"""Level down to which a square is divided if there is no surface to stand on at its corner."""
-
-_SAMPLE = 512
-"""Number of viewpoints from which a price is computed."""
-
-_LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
-"""At least 64 viewpoints must stand on the surface, and up to 256 samples of 512 are tried until
-they do: in the elevation model of an island, nearly all may be holes."""
-_BISECTIONS = 60
-
-_WINDOWS = 36
-"""Number of directions of views 60 degrees wide, all equally likely."""
-
-_NEAREST_M = 1.0
-_FARTHEST_M = 1e6
-"""Range of a skyline's distance; directions without data count as the farthest."""
-
-_FINDS_SAMPLE = 20_000
-"""Greatest number of places from which a plan's finds are estimated. All 2.7 million of a store
-take 14.5 GB, and change no share by a point."""
-
-_CLASSES_M = (0.0, 150.0, 400.0)
-"""Least distances of the classes of skylines of which a plan's finds are reported."""
-
-_EVEN_ODDS = 0.72
-"""Spacing over distance where half of the views are lost."""
-
-_POWER = 1.55
-"""Power of that ratio in the odds of a loss."""
-
-_TOO_NEAR_M, _TOO_NEAR_POWER = 25.0, 1.75
-"""Distance of the skylines of which half are lost however dense the places are, and the power of
-the odds: wrong slopes fit them as well. Plans leave this out, since no spacing changes it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sights(Rows):
-    """What a plan sees at N viewpoints.
-
-    Attributes
-    ----------
-    places : Places
-        Their tolerances are not set yet.
-    lost : (N, LEVELS) float64
-        The shares of the views round each place that each level's spacing is expected to lose.
-    """
+    """What a plan sees at N viewpoints."""
 
     places: Places
+    """The places, whose tolerances are not set yet."""
     lost: Float64Array
+    """Shares (N, LEVELS) of the views round each place that each spacing is expected to lose."""
 
     @classmethod
     def of(cls, horizons: Horizons) -> "Sights":
@@ -110,7 +93,7 @@ Look = Callable[[Viewpoints], Sights]
 
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
-    """Return the blocks that meet an area, row by row from the north-west.
+    """Return the blocks that meet an area, by rows from the north-west.
 
     A block is a square with sides of `BLOCK_M`. Its western and southern sides lie at its column
     and its row times `BLOCK_M`.
@@ -133,15 +116,15 @@ class Prices:
         self._lost = look(eyes).lost
 
     def of_loss(self, loss: float) -> float:
-        """Return the highest price at which a plan loses at most a given share of the views.
+        """Return the highest price at which at most this share is lost.
 
-        The lowest price is returned if no plan can.
+        The lowest price is returned if every plan loses more.
         """
         rows = np.arange(len(self._lost))
         return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
 
     def of_number(self, number: int) -> float:
-        """Return the price of a plan of about so many places, or of the finest lattice if fewer."""
+        """Return the price of a plan of about so many places."""
         return self._limit(lambda level: self._surface_m2 * _DENSITY[level].mean() < number)
 
     def places(self, price: float) -> int:
@@ -154,10 +137,10 @@ class Prices:
         return levels
 
     def _limit(self, is_too_coarse: Callable[[IntArray], bool]) -> float:
-        """Return the highest price at which the levels of the viewpoints are not too coarse."""
+        """Return the highest price whose levels are not too coarse."""
         # From less than any place can save to more than a whole square of the coarsest lattice.
         low, high = 1e-3, 1e12
-        for _ in range(_BISECTIONS):
+        for _ in range(60):
             price = float(np.sqrt(low * high))
             if is_too_coarse(self._levels(price)):
                 high = price
@@ -167,22 +150,24 @@ class Prices:
 
 
 def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, float]:
-    """Return some 64 to 512 viewpoints spread evenly over an area, and the surface's size in m2.
+    """Return viewpoints spread evenly over an area, and the surface's size in m2.
 
-    The viewpoints are always the same ones. Fewer are returned where less than 0.05 % of the area
-    has a surface. Raises `InputError` where none of 131,072 locations has one.
+    There are some 64 to 512, always the same ones; fewer where less than 0.05 % of the area has a
+    surface. Raises `InputError` where none of 131,072 locations has one.
     """
     # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
     step = np.array([0.7548776662466927, 0.5698402909980532])
     west, south, east, north = area
     found: list[Viewpoints] = []
     tried = 0
-    while tried < _MOST_SAMPLES * _SAMPLE and sum(map(len, found)) < _LEAST_SAMPLE:
-        share = (0.5 + (tried + np.arange(1, _SAMPLE + 1))[:, None] * step) % 1.0
+    size = _PRICE_SAMPLE.size
+    most = _PRICE_SAMPLE.most_tries * size
+    while tried < most and sum(map(len, found)) < _PRICE_SAMPLE.least:
+        share = (0.5 + (tried + np.arange(1, size + 1))[:, None] * step) % 1.0
         easting = west + share[:, 0] * (east - west)
         northing = south + share[:, 1] * (north - south)
         found.append(stand_where_possible(terrain, easting, northing)[0])
-        tried += _SAMPLE
+        tried += size
     eyes = Viewpoints.concatenate(found)
     if not len(eyes):
         raise InputError(
@@ -195,19 +180,21 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
 def planned_places(
     terrain: HeightField, look: Look, area: Rectangle, price: float, block: tuple[int, int]
 ) -> Places:
-    """Lay out and render the places of a block, row by row from the north-west.
+    """Lay out and render a block's places, by rows from the north-west.
 
-    ``price`` is one of `Prices`; places outside the area are not kept.
+    ``price`` is computed by `Prices`; places outside the area are not kept.
     """
     seen = _Seen(terrain, look, block)
     # Nodes around the block are included, for the squares at its sides.
-    seen.fill(_lattice_of_roots(-1, _ROOTS + 2))
-    nodes, rows, tolerances_m = _lattice_of_roots(0, _ROOTS), [], []
+    seen.fill(_lattice_of_roots(-1, _NESTING.roots + 2))
+    nodes = _lattice_of_roots(0, _NESTING.roots)
+    rows = []
+    tolerances_m = []
     west, south, east, north = area
     for level in range(LEVELS):
         # Only squares that meet the area.
         left_m, low_m = seen.position_m(nodes - nodes % _side(level))
-        side_m = _side(level) * _FINEST_M
+        side_m = _side(level) * _NESTING.finest_m
         meets = (left_m <= east) & (left_m + side_m > west)
         nodes = nodes[meets & (low_m <= north) & (low_m + side_m > south)]
         seen.fill(nodes)
@@ -216,7 +203,7 @@ def planned_places(
         if level < LEVELS - 1:
             cost = seen.lost_around(nodes, level) + price * _DENSITY
             pays = cost[:, level + 1 :].min(axis=1) < cost[:, level]
-            halved = np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, pays)
+            halved = np.where(np.isnan(cost[:, 0]), level < _NESTING.blind_level, pays)
         rows.append(seen.rows(nodes[~halved]))
         tolerances_m.append(np.full(len(rows[-1]), _SPACING_M[level] / 2.0, np.float32))
         nodes = _next_lattice(nodes[halved], level)
@@ -228,30 +215,34 @@ def planned_places(
     return places[order]
 
 
-_UNTRIED, _BARE = -2, -1
-"""Rows of nodes that were not tried, and of those without a surface to stand on."""
+_UNTRIED = -2
+"""Row of a node that was not tried."""
+
+_BARE = -1
+"""Row of a node without a surface to stand on."""
 
 
 class _Seen:
-    """The nodes in and around a block, and the places at those that were tried and can be stood on.
+    """The nodes in and around a block, and their places.
 
     Nodes are columns and rows of the finest lattice, from the block's south-western corner.
     """
 
     def __init__(self, terrain: HeightField, look: Look, block: tuple[int, int]) -> None:
-        self._terrain, self._look = terrain, look
+        self._terrain = terrain
+        self._look = look
         self._corner_m = np.array(block) * BLOCK_M
-        self._row: Int64Array = np.full(2 * ((_ROOTS + 2) * _UNITS,), _UNTRIED)
+        self._row: Int64Array = np.full(2 * ((_NESTING.roots + 2) * _UNITS,), _UNTRIED)
         self._lost: Float64Array = np.zeros((0, LEVELS))
         self.places: list[Places] = []
 
     def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
         """Return the eastings and northings of nodes (N, 2)."""
-        position = self._corner_m + nodes * _FINEST_M
+        position = self._corner_m + nodes * _NESTING.finest_m
         return position[:, 0], position[:, 1]
 
     def fill(self, nodes: Int64Array) -> None:
-        """Render those of nodes (N, 2) that were not tried."""
+        """Render the nodes, of (N, 2), that were not tried."""
         nodes = nodes[self._row[_index(nodes)] == _UNTRIED]
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE
@@ -261,15 +252,14 @@ class _Seen:
         self._lost = np.concatenate([self._lost, seen.lost])
 
     def rows(self, nodes: Int64Array) -> Int64Array:
-        """Return the rows, in `places`, of those of nodes (N, 2) that have a place."""
+        """Return the rows, in `places`, of nodes (N, 2) with a place."""
         row = self._row[_index(nodes)]
         return row[row >= 0]
 
     def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
         """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
 
-        The shares are means over the nodes that have places, (N, levels); NaN where none of them
-        has.
+        The shares (N, levels) are means over the nodes that have places; NaN where none has.
         """
         side = _side(level)
         steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * side
@@ -290,7 +280,7 @@ def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
 
 
 def _side(level: int) -> int:
-    """Return the side of the squares that a level's places lie at, in finest spacings.
+    """Return the side of a level's squares, in finest spacings.
 
     Places of an even level lie at the corners; an odd level also has one in the middle of each
     square.
@@ -299,71 +289,17 @@ def _side(level: int) -> int:
 
 
 def _lattice_of_roots(first: int, number: int) -> Int64Array:
-    """Return the nodes of the coarsest lattice, a number of them a side, shape (N, 2)."""
+    """Return a square of nodes (N, 2) of the coarsest lattice."""
     at = np.arange(first, first + number) * _UNITS
     return np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2) of a level, each with the node that the next level adds beside it."""
+    """Return nodes (N, 2) of a level, and those that the next level adds beside them."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:
-        # The new nodes: from a corner to the middle of a side, from a square's middle to another
-        # side's.
+        # A corner adds the middle of one side, a square's middle that of another side.
         step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
         beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
     return np.concatenate([nodes, beside])
-
-
-def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
-    """Return how many views round places are expected to be found, by the skyline's distance.
-
-    Each class has its least skyline distance (harmonic mean, metres), its share of all views, and
-    the share of its views that is expected to be found. Of very many places every n-th is read.
-    """
-    every = len(source) // _FINDS_SAMPLE + 1
-    places = source.take(np.arange(0, len(source), every, dtype=np.intp))
-    spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
-    nearness = _nearness(places.distance_m())
-    weight = np.repeat(np.square(spacing_m)[:, np.newaxis] / len(spacing_m), _WINDOWS, axis=1)
-    kept = 1.0 - _lost(nearness, spacing_m[:, np.newaxis])
-    kept /= 1.0 + (_TOO_NEAR_M * nearness) ** _TOO_NEAR_POWER
-    found = []
-    for least_m, most_m in pairwise((*_CLASSES_M, np.inf)):
-        mine = (nearness <= 1.0 / max(least_m, _NEAREST_M)) & (nearness > 1.0 / most_m)
-        total = weight[mine].sum()
-        if total:
-            share = np.average(kept[mine], weights=weight[mine])
-            found.append((least_m, float(total / weight.sum()), float(share)))
-    return found
-
-
-def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the expected shares (N, S) of lost views round N places, for each of S spacings.
-
-    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
-    the skylines all the way round; NaN where there is no data.
-    """
-    lost = _lost(_nearness(distance_m)[:, np.newaxis], spacing_m[:, np.newaxis])
-    return np.asarray(lost.mean(axis=2))
-
-
-def _nearness(distance_m: Float32Array) -> Float64Array:
-    """Return the mean inverse distances, 1 / m, of the views round N places, shape (N, 36)."""
-    # The nearest stretches of a skyline move most, so the mean is one of nearness.
-    nearness = 1.0 / np.clip(
-        np.nan_to_num(distance_m.astype(np.float64), nan=_FARTHEST_M), _NEAREST_M, _FARTHEST_M
-    )
-    bins = distance_m.shape[1]
-    width = bins // 6
-    ahead = np.concatenate([nearness, nearness[:, :width]], axis=1)
-    total = np.cumsum(np.pad(ahead, ((0, 0), (1, 0))), axis=1)
-    starts = np.arange(_WINDOWS) * bins // _WINDOWS
-    return np.asarray((total[:, starts + width] - total[:, starts]) / width, dtype=np.float64)
-
-
-def _lost(nearness: Float64Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the expected share of lost views, for mean inverse distances and spacings."""
-    odds = (spacing_m * nearness / _EVEN_ODDS) ** _POWER
-    return np.asarray(odds / (1.0 + odds), dtype=np.float64)

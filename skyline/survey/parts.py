@@ -1,4 +1,4 @@
-"""Rendering the jobs of a build, and keeping what was rendered in parts every few seconds.
+"""Rendering the jobs of a build, and writing parts every few seconds.
 
 A part is a store of its own, with the rows of one job or of several in a row. A job that takes
 longer has begun parts: the rows it has rendered so far, in its order. When the job runs again it
@@ -34,7 +34,10 @@ CountRows = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class PartSize:
-    """How much work a part keeps; it is written when the rendering in hand is done."""
+    """How much work a part keeps.
+
+    It is written when the rendering in hand is done.
+    """
 
     seconds: float = 2.5
     """Time of rendering. A part takes twelve milliseconds to write and to merge, half a percent of
@@ -53,43 +56,40 @@ class PartsFolder:
     """Number of the build's jobs, which are numbered from 1."""
 
     def part(self, first: int, last: int) -> Path:
-        """Return the part with some jobs: ``places-00003-00005-of-00037.h5``."""
+        """Return the path of a part with jobs: ``places-00003-00005-of-00037.h5``."""
         return self.path / f"{self.holds}-{first:05d}-{last:05d}-of-{self.jobs:05d}.h5"
 
     def jobs_in(self, part: Path) -> range:
-        """Return the jobs in a part of this build; none in a begun part or in another file."""
+        """Return the finished jobs in a part of this build.
+
+        A begun part and another file have none.
+        """
         found = _FINISHED.fullmatch(part.name)
         if part.parent != self.path or not found or int(found[3]) != self.jobs:
             return range(0)
         return range(int(found[1]), int(found[2]) + 1)
 
     def begun_part(self, job: int, row: int) -> Path:
-        """Return the part with the rows of a job from one on: ``places-00003-from-4096-of-...``."""
+        """Return the path of a begun part: ``places-00003-from-4096-of-00037.h5``."""
         return self.path / f"{self.holds}-{job:05d}-from-{row}-of-{self.jobs:05d}.h5"
 
     def begun_parts(self, job: int) -> list[tuple[int, Path]]:
-        """Return the begun parts of a job in order, each with the number of its first row."""
+        """Return a job's begun parts in order, with their first rows' numbers."""
         parts = self.path.glob(f"{self.holds}-{job:05d}-from-*-of-{self.jobs:05d}.h5")
         found = ((_BEGUN.fullmatch(part.name), part) for part in parts)
         return sorted((int(name[2]), part) for name, part in found if name)
 
 
 class JobWriter:
-    """Renders jobs of a build, and writes their parts.
-
-    Attributes
-    ----------
-    written : list of Path
-        The parts of finished jobs.
-    rendered : int
-        The number of their rows that were rendered here, and not taken from begun parts.
-    """
+    """Renders jobs of a build, and writes their parts."""
 
     def __init__(
         self, renderer: JobRenderer, folder: PartsFolder, size: PartSize, tell: CountRows
     ) -> None:
         self.written: list[Path] = []
+        """The parts of finished jobs."""
         self.rendered = 0
+        """The number of their rows that were rendered here, and not taken from begun parts."""
         self._renderer = renderer
         self._folder = folder
         self._size = size
@@ -187,7 +187,7 @@ class JobWriter:
         return write_store(part, header, _joined(rows))
 
     def _read_begun(self, job: int) -> Columns:
-        """Return the rows of a job in its begun parts, up to the first that is missing."""
+        """Return the rows in a job's begun parts, up to a gap."""
         found: list[Columns] = []
         end = 0
         for row, part in self._folder.begun_parts(job):

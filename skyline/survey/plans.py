@@ -10,7 +10,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy import Bounds, Curvature, Rectangle, are_bounds, check_bounds
+from skyline.geodesy.degrees import Bounds, are_bounds, check_bounds
+from skyline.geodesy.earth import Curvature
+from skyline.geodesy.frame import Rectangle
 from skyline.render.context import Releasable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
@@ -28,16 +30,12 @@ from skyline.survey.lattices import (
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
-DEFAULT_PLACES, DEFAULT_LOSSES = 100_000, (0.05, 0.2)
-"""Default number of places, which two cores without a GPU render in half a minute, and bounds on
-the share of views that a plan loses: a small area gets fewer places, so that it loses the first
-share, and a large area more, so that it loses no more than the second."""
+DEFAULT_PLACES = 100_000
+"""Default number of places, which two cores without a GPU render in half a minute."""
 
-_MOST_VIEWPOINTS = 50_000_000
-"""Viewpoints of the largest uniform grid."""
-_LEAST_COVERED = 0.9
-"""Least share of the bounds that a DEM covers without a warning. Degrees are curved on the map, so
-the box of a DEM's own bounds may be a little larger than the DEM."""
+DEFAULT_LOSSES = (0.05, 0.2)
+"""Bounds on the share of views that a default plan loses: a small area gets fewer places, so that
+it loses the first share, and a large area more, so that it loses no more than the second."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
 """Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
@@ -62,33 +60,22 @@ class JobSize:
 
 @dataclass(frozen=True, slots=True)
 class JobRenderer(Releasable):
-    """Renders jobs of one plan.
-
-    Attributes
-    ----------
-    renderer : ColumnRenderer
-    header : StoreHeader
-        Header of the store, with the renderer's name.
-    look : callable
-        Renders viewpoints, and returns their rows as begun parts hold them.
-    begun : StoreHeader
-        Header of begun parts.
-    at_once : int
-        The number of viewpoints that ``look`` is called with.
-    rows : callable
-        Returns the rows of the store for a job. It is given the job and a function that stands for
-        ``look``, which it calls with the same viewpoints in the same order however often it runs.
-    expected : int
-        About how many rows the jobs of the plan render; 0 where the jobs have their viewpoints.
-    """
+    """Renders jobs of one plan."""
 
     renderer: ColumnRenderer
     header: StoreHeader
+    """Header of the store, with the renderer's name."""
     look: Look
+    """Renders viewpoints, and returns their rows as begun parts hold them."""
     begun: StoreHeader
+    """Header of begun parts."""
     at_once: int
+    """The number of viewpoints that ``look`` is called with."""
     rows: Callable[[Any, Look], Columns]
+    """Returns the rows of the store for a job. It is given the job and a function that stands for
+    ``look``, which it calls with the same viewpoints in the same order however often it runs."""
     expected: int = 0
+    """About how many rows the jobs of the plan render; 0 where the jobs have their viewpoints."""
 
     def release(self) -> None:
         """Free the renderer's memory on the GPU."""
@@ -97,7 +84,7 @@ class JobRenderer(Releasable):
 
 @dataclass(frozen=True, slots=True)
 class PlacePlan:
-    """The plan of a store of places, on a uniform grid or as far apart as the skyline allows.
+    """Plan of a store of places, on a uniform grid or adapted to skylines.
 
     Its settings are the parameters of `skyline.build_places`; ``job_size`` changes no byte of the
     store. Raises `InputError` for both a spacing and a number of places.
@@ -122,15 +109,11 @@ class PlacePlan:
         spread: dict[str, object] = {"planner": "uniform", "spacing_m": self.spacing_m}
         if self.spacing_m is None:
             spread = {"planner": "adaptive", "places": self.places}
-        settings = {
-            **spread,
-            "bounds_deg": self.bounds_deg,
-            "rasterizer": "panorama",
-        }
+        settings = {**spread, "bounds_deg": self.bounds_deg, "rasterizer": "panorama"}
         return header_of(terrain, settings, self.curvature, holds=PLACES)
 
     def jobs(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
-        """Return the jobs of the build: viewpoints to render, or blocks of the map to plan.
+        """Return the jobs: viewpoints to render, or blocks to plan.
 
         Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
         """
@@ -145,17 +128,24 @@ class PlacePlan:
         """Return a renderer of the jobs; raises as `Prices`."""
         renderer = PanoramaRenderer(terrain, BINS, self.curvature)
         header = replace(self.header(terrain), renderer=renderer.description)
-        at_once = self.job_size.at_once if renderer.is_resident else self.job_size.whole
-        if self.spacing_m is not None:
-            half_m = self.spacing_m / 2.0
-            return JobRenderer(
-                renderer,
-                header,
-                lambda eyes: columns_of(header, Places.of(renderer.render(eyes), half_m)),
-                header,
-                at_once,
-                lambda eyes, look: look(eyes),
-            )
+        at_once = _at_once(renderer, self.job_size)
+        if self.spacing_m is None:
+            return self._opened_adaptive(terrain, renderer, header, at_once)
+        half_m = self.spacing_m / 2.0
+
+        def look(eyes: Viewpoints) -> Columns:
+            return columns_of(header, Places.of(renderer.render(eyes), half_m))
+
+        return JobRenderer(renderer, header, look, header, at_once, _looked_at)
+
+    def _opened_adaptive(
+        self,
+        terrain: HeightField,
+        renderer: PanoramaRenderer,
+        header: StoreHeader,
+        at_once: int,
+    ) -> JobRenderer:
+        """Return a renderer of blocks, whose price is computed first."""
         area = map_bounds(terrain, self.bounds_deg)
         prices = Prices(terrain, area, lambda eyes: Sights.of(renderer.render(eyes)))
         price = prices.of_number(self.places or DEFAULT_PLACES)
@@ -164,42 +154,33 @@ class PlacePlan:
             price = min(max(price, densest), sparsest)
         begun = replace(header, holds=BEGUN, width=LEVELS)
 
-        def rows(block: tuple[int, int], look: Look) -> Columns:
-            planned = planned_places(
-                terrain, lambda eyes: _sights(begun, look(eyes)), area, price, block
-            )
-            return columns_of(header, planned)
+        def look(eyes: Viewpoints) -> Columns:
+            sights = Sights.of(renderer.render(eyes))
+            return {**columns_of(begun, sights.places), LOST: sights.lost}
 
-        return JobRenderer(
-            renderer,
-            header,
-            lambda eyes: _begun_columns(begun, Sights.of(renderer.render(eyes))),
-            begun,
-            at_once,
-            rows,
-            prices.places(price) + NODES_AROUND * len(blocks_of(area)),
-        )
+        def rows(block: tuple[int, int], look: Look) -> Columns:
+            def sights(eyes: Viewpoints) -> Sights:
+                columns = look(eyes)
+                fields: Any = {field: columns[name] for field, name in begun.fields.items()}
+                return Sights(Places(**fields), columns[LOST])
+
+            return columns_of(header, planned_places(terrain, sights, area, price, block))
+
+        expected = prices.places(price) + NODES_AROUND * len(blocks_of(area))
+        return JobRenderer(renderer, header, look, begun, at_once, rows, expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderingPlan:
-    """The plan of a store of renderings along the four grid headings, for the paper's matcher.
-
-    Attributes
-    ----------
-    viewpoints : Viewpoints
-        The eyes of the renderings.
-    settings : dict
-        Description of the viewpoints, for the header.
-    config : RenderConfig
-    job_size : JobSize
-        Changes no byte of the store.
-    """
+    """Plan of a store of renderings, which the paper's matcher searches."""
 
     viewpoints: Viewpoints
+    """The eyes of the renderings."""
     settings: dict[str, object]
+    """Description of the viewpoints, for the header."""
     config: RenderConfig = field(default_factory=RenderConfig)
     job_size: JobSize = JobSize(1024, 64)
+    """Changes no byte of the store."""
 
     @classmethod
     def given(cls, viewpoints: Viewpoints, config: RenderConfig) -> Self:
@@ -234,34 +215,34 @@ class RenderingPlan:
         """Return a renderer of the jobs."""
         renderer = HorizonRenderer(terrain, self.config)
         header = replace(self.header(terrain), renderer=renderer.description)
-        return JobRenderer(
-            renderer,
-            header,
-            lambda eyes: rendering_columns(header, renderer.render(eyes)),
-            header,
-            self.job_size.at_once if renderer.is_resident else self.job_size.whole,
-            lambda eyes, look: look(eyes),
-        )
+
+        def look(eyes: Viewpoints) -> Columns:
+            return rendering_columns(header, renderer.render(eyes))
+
+        at_once = _at_once(renderer, self.job_size)
+        return JobRenderer(renderer, header, look, header, at_once, _looked_at)
 
 
 Plan = PlacePlan | RenderingPlan
 
 
-def _begun_columns(header: StoreHeader, sights: Sights) -> Columns:
-    """Return sights as a part of an unfinished plan holds them."""
-    return {**columns_of(header, sights.places), LOST: sights.lost}
+def _at_once(renderer: ColumnRenderer, size: JobSize) -> int:
+    """Return how many viewpoints are rendered at once.
+
+    These are a whole job's where each rendering loads the terrain anew.
+    """
+    return size.at_once if renderer.is_resident else size.whole
 
 
-def _sights(header: StoreHeader, columns: Columns) -> Sights:
-    """Return the sights in the rows of a part of an unfinished plan."""
-    fields: Any = {field: columns[name] for field, name in header.fields.items()}
-    return Sights(Places(**fields), columns[LOST])
+def _looked_at(eyes: Viewpoints, look: Look) -> Columns:
+    """Return the rows of a job that is given as viewpoints."""
+    return look(eyes)
 
 
 def header_of(
     terrain: HeightField, settings: dict[str, object], curvature: Curvature, **rows: Any
 ) -> StoreHeader:
-    """Return the header of a store of a terrain, without the renderer's name."""
+    """Return the header of a terrain's store, without the renderer's name."""
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
@@ -304,28 +285,29 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
     """
     if bounds_deg is None:
         return field.bounds_m
-    clipped, swapped = _clipped(field, bounds_deg), ""
-    if clipped is None:
-        west, south, east, north = bounds_deg
-        other = south, west, north, east
-        if are_bounds(*other) and _clipped(field, other) is not None:
-            swapped = f"; {swapped_in_words(*bounds_deg)}"
-        data = field.bounds_m
-        covered = field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
-        raise InputError(
-            f"bounds {west:.6g},{south:.6g},{east:.6g},{north:.6g} do not meet the DEM, which "
-            f"covers {','.join(f'{side:.4f}' for side in covered)}"
-            f"{swapped or '; name an area inside it, or a DEM of the area'}"
-        )
-    return clipped
+    clipped = _clipped(field, bounds_deg)
+    if clipped is not None:
+        return clipped
+    west, south, east, north = bounds_deg
+    advice = "name an area inside it, or a DEM of the area"
+    other = south, west, north, east
+    if are_bounds(*other) and _clipped(field, other) is not None:
+        advice = swapped_in_words(*bounds_deg)
+    covered = ",".join(f"{side:.4f}" for side in field.box_deg)
+    raise InputError(
+        f"bounds {west:.6g},{south:.6g},{east:.6g},{north:.6g} do not meet the DEM, which covers "
+        f"{covered}; {advice}"
+    )
 
 
 def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
-    """Return the area as `map_bounds`; warn where the field covers a part of the bounds only."""
+    """Return `map_bounds`; warn where a tenth of the bounds lies outside the field."""
     area = map_bounds(field, bounds_deg)
     if bounds_deg is not None:
         share = _area_m2(area) / _area_m2(field.frame.rectangle_m(bounds_deg))
-        if share < _LEAST_COVERED:
+        # Degrees are curved on the map, so the box of a DEM's own bounds may be a little larger
+        # than the DEM.
+        if share < 0.9:
             _log.warning(
                 "the DEM covers %.0f %% of the bounds, and the store will have that part alone; "
                 "give a DEM of all of them",
@@ -340,26 +322,26 @@ def _area_m2(rectangle: Rectangle) -> float:
 
 
 def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
-    """Return the rectangle around bounds, clipped to a field; None where they do not meet."""
-    box, data = field.frame.rectangle_m(bounds_deg), field.bounds_m
-    west, south = max(box[0], data[0]), max(box[1], data[1])
-    east, north = min(box[2], data[2]), min(box[3], data[3])
-    return (west, south, east, north) if west < east and south < north else None
+    """Return the part of a field in bounds; None where there is none."""
+    west, south, east, north = field.frame.rectangle_m(bounds_deg)
+    left, low, right, high = field.bounds_m
+    clipped = (max(west, left), max(south, low), min(east, right), min(north, high))
+    return clipped if clipped[0] < clipped[2] and clipped[1] < clipped[3] else None
 
 
 def uniform_grid(
     field: HeightField, spacing_m: float, bounds_m: Rectangle | None = None
 ) -> Viewpoints:
-    """Place viewpoints at whole multiples of a spacing in the field's frame.
+    """Return viewpoints at whole multiples of a spacing in the field's frame.
 
-    Locations on holes or off the surface are left out, so that areas that overlap share their
-    viewpoints. The order is row by row from the north-west. Raises `InputError` for a spacing that
+    Areas that overlap share their viewpoints. Locations on holes or off the surface are left out.
+    The order is row by row from the north-west. Raises `InputError` for a spacing that
     is not positive, or so large that no viewpoint falls on the surface.
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
     west, south, east, north = bounds_m or field.bounds_m
-    easting_m, northing_m = lattice_m((west, south, east, north), spacing_m, _MOST_VIEWPOINTS)
+    easting_m, northing_m = lattice_m((west, south, east, north), spacing_m, most=50_000_000)
     easting, northing = (grid.ravel() for grid in np.meshgrid(easting_m, northing_m))
     eyes, _ = stand_where_possible(field, easting, northing)
     if not len(eyes):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from skyline.errors import printable
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.store.read import open_store
 from skyline.terrain.heightfield import HeightField

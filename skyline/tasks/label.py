@@ -14,8 +14,8 @@ from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose
-from skyline.pose_file import NotedPose, read_pose
+from skyline.pose import NotedPose, Pose
+from skyline.pose_file import read_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
 from skyline.terrain.dem import read_dem
@@ -112,8 +112,8 @@ def _pose_of(
 
 def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
     """Return a noted pose on a viewer's terrain; show why it is doubted, or its eye lifted."""
-    pose, lifted = noted.held(viewer)
-    for note in filter(None, (noted.verdict, lifted)):
+    pose, lifted = viewer.pose_of(noted)
+    for note in filter(None, (noted.doubt, lifted)):
         listener.note(note)
     return pose
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from skyline.batch import Query
+from skyline.batch import Entry
 from skyline.cache import cached_files, prepare_area
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.location import area_of
@@ -18,9 +18,9 @@ from skyline.tasks.match import MatchTask, match_photos
 class LocateTask:
     """Photos of one area, and where its elevation comes from."""
 
-    entries: Sequence[Query]
+    entries: Sequence[Entry]
     """The photos."""
-    common: Query
+    common: Entry
     """What is known of every photo."""
     dem: Sequence[str] = ()
     """Elevation files, or folders of them; by default tiles are fetched."""
@@ -43,7 +43,7 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
     if task.dem and task.source:
         raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
     # These checks come before minutes of work.
-    usable = usable_of(task.entries)
+    usable = usable_entries(task.entries)
     if task.peaks is not None and not task.peaks.is_file():
         raise MissingFileError(f"{task.peaks} does not exist; expected peaks to name")
     check_report_folder(task.report)
@@ -67,16 +67,16 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
     return match_photos(found_in, listener)
 
 
-def _within(entry: Query, given: Narrowing, area: Narrowing) -> Query:
+def _within(entry: Entry, given: Narrowing, area: Narrowing) -> Entry:
     """Return a photo whose search is narrowed to the area, unless a list narrows it to a circle."""
     own = entry.narrowing
     near = area.near if own.near == given.near else own.near
     return replace(entry, narrowing=replace(own, near=near, bounds_deg=area.bounds_deg))
 
 
-def usable_of(entries: Sequence[Query]) -> list[Query]:
+def usable_entries(entries: Sequence[Entry]) -> list[Entry]:
     """Return the photos that can be read; raises the error of the first if there are none."""
-    usable: list[Query] = []
+    usable: list[Entry] = []
     errors: list[SkylineError] = []
     for one in entries:
         try:

@@ -12,7 +12,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from skyline.batch import Query, match_here, match_many
+from skyline.batch import Entry, match_here, match_many
 from skyline.errors import (
     InputError,
     SkylineError,
@@ -49,9 +49,9 @@ class MatchTask:
 
     stores: tuple[Path, ...]
     """Stores of one DEM, which are searched as one."""
-    entries: Sequence[Query]
+    entries: Sequence[Entry]
     """The photos."""
-    common: Query = Query("")  # noqa: RUF009  (it is frozen)
+    common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
     """What is known of every photo."""
     inputs: Sequence[Path] = ()
     """Files that the user has named as photos: no output replaces them."""
@@ -191,10 +191,10 @@ class _Run:
         known = self._matched_before()
         # These checks come before the store is opened, which may take a minute.
         checked, refused = self._attempted(
-            [one for one in task.entries if one not in known], Query.check
+            [one for one in task.entries if one not in known], Entry.check
         )
         usable = [one for one, _ in checked]
-        skylines: list[tuple[Query, PhotoSkyline]] = []
+        skylines: list[tuple[Entry, PhotoSkyline]] = []
         if task.same_place:
             skylines, unread = self._read_together(usable)
             refused = refused | unread
@@ -217,7 +217,7 @@ class _Run:
         if found:
             self._write(found, matcher, gazetteer, done)
 
-    def _matched_before(self) -> dict[Query, str | None]:
+    def _matched_before(self) -> dict[Entry, str | None]:
         """Return the photos that need not be matched, with their errors; note how many.
 
         These are the photos of which the file of results has rows. There are none if other files
@@ -243,11 +243,11 @@ class _Run:
         return {} if others else known
 
     def _attempted(
-        self, entries: Iterable[Query], attempt: Callable[[Query], T]
-    ) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
+        self, entries: Iterable[Entry], attempt: Callable[[Entry], T]
+    ) -> tuple[list[tuple[Entry, T]], dict[Entry, SkylineError]]:
         """Attempt something with photos; return results, and errors, which are shown at once."""
-        usable: list[tuple[Query, T]] = []
-        refused: dict[Query, SkylineError] = {}
+        usable: list[tuple[Entry, T]] = []
+        refused: dict[Entry, SkylineError] = {}
         for one in entries:
             try:
                 usable.append((one, attempt(one)))
@@ -257,10 +257,10 @@ class _Run:
         return usable, refused
 
     def _read_together(
-        self, entries: Iterable[Query]
-    ) -> tuple[list[tuple[Query, PhotoSkyline]], dict[Query, SkylineError]]:
+        self, entries: Iterable[Entry]
+    ) -> tuple[list[tuple[Entry, PhotoSkyline]], dict[Entry, SkylineError]]:
         """Read photos of one place, as `_attempted`; raises `InputError` for fewer than two."""
-        skylines, unread = self._attempted(entries, Query.read)
+        skylines, unread = self._attempted(entries, Entry.read)
         if len(skylines) < 2:
             raise InputError(
                 "--same-place needs two photos or more that can be read, and has "
@@ -289,8 +289,8 @@ class _Run:
 
     def _show_each(
         self,
-        known: Mapping[Query, str | None],
-        refused: Mapping[Query, SkylineError],
+        known: Mapping[Entry, str | None],
+        refused: Mapping[Entry, SkylineError],
         results: Iterator[MatchResult | SkylineError],
     ) -> list[MatchResult]:
         """Show the results of all photos in order, as they come; return those without an error."""
@@ -311,7 +311,7 @@ class _Run:
         return found
 
     def _match_together(
-        self, matcher: Matcher, photos: Sequence[tuple[Query, PhotoSkyline]]
+        self, matcher: Matcher, photos: Sequence[tuple[Entry, PhotoSkyline]]
     ) -> list[MatchResult]:
         """Match photos of one place and show the result; return it photo by photo."""
         with self._listener.slow(f"matching {len(photos)} photos together"):
@@ -327,13 +327,13 @@ class _Run:
     def _show_result(self, result: MatchResult | JointResult) -> None:
         self._show(result.to_dict() | {"loading_seconds": self._loading_s}, result.to_text())
 
-    def _show_known(self, entry: Query, error: str | None) -> None:
+    def _show_known(self, entry: Entry, error: str | None) -> None:
         """Show the error, if it had one, of a photo whose row an earlier run has written."""
         if error is not None:
             self.exit_code = InputError.exit_code
             self._listener.error(_of_photo(entry, InputError(error)))
 
-    def _show_error(self, entry: Query, error: SkylineError, is_tried: bool) -> None:
+    def _show_error(self, entry: Entry, error: SkylineError, is_tried: bool) -> None:
         """Show that a photo failed.
 
         A photo that was tried and cannot be used gets a row; others are tried again next time.
@@ -377,13 +377,13 @@ class _Run:
             self._listener.remark(f"report: {page}")
 
 
-def _of_photo(entry: Query, error: SkylineError) -> str:
+def _of_photo(entry: Entry, error: SkylineError) -> str:
     """Return an error with the name of its photo."""
     text, name = str(error), printable(entry.path)
     return text if name in text else f"{name}: {text}"
 
 
-def _photo_of(entry: Query) -> str:
+def _photo_of(entry: Entry) -> str:
     """Return a digest of a photo and its own settings, which a list may change."""
     return _digest(entry, _written(entry.path))
 

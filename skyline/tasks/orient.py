@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from skyline.batch import Query
+from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
 from skyline.orientation import DEFAULT_WITHIN_M, Orientation, Place, noted_place, orienters
 from skyline.photo.skyline import PhotoSkyline
@@ -37,7 +37,7 @@ class CameraAt:
 
 
 def orient_photos(
-    terrain: HeightField, entries: Iterable[Query], at: CameraAt
+    terrain: HeightField, entries: Iterable[Entry], at: CameraAt
 ) -> Iterator[Orientation | SkylineError]:
     """Yield how the camera of each photo was held, or the error of a photo that cannot be used."""
     with orienters(terrain) as orienter_at:

@@ -21,11 +21,11 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
-    true here (`skyline.geodesy.Frame.untrue_deg`) keeps that grid. Any other, and one in degrees or
-    feet, or whose axes point south or west, is warped once to the transverse Mercator frame centred
-    on it, with every summit as high as it was (`skyline.terrain.resampling.warp`); samples of the
-    box around it that lie outside the DEM are NaN and counted nowhere. Heights are converted from
-    the unit of the band, or of the CRS's vertical axis.
+    true here (`skyline.geodesy.frame.Frame.untrue_deg`) keeps that grid. Any other, and one in
+    degrees or feet, or whose axes point south or west, is warped once to the transverse Mercator
+    frame centred on it, with every summit as high as it was (`skyline.terrain.resampling.warp`);
+    samples of the box around it that lie outside the DEM are NaN and counted nowhere. Heights are
+    converted from the unit of the band, or of the CRS's vertical axis.
 
     Parameters
     ----------

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.errors import InputError, printable
-from skyline.geodesy import Bounds, Frame
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.frame import Frame
 from skyline.terrain.metric_dem import MetricDem, metric_dem
 from skyline.terrain.mosaic import read_mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
@@ -50,7 +51,7 @@ class HeightField:
     spacing_north_m : float
         Distance between neighbouring samples of a column.
     frame : Frame
-        The map, which is true here (`skyline.geodesy.Frame.untrue_deg`).
+        The map, which is true here (`skyline.geodesy.frame.Frame.untrue_deg`).
     provenance : Provenance
         The files, and the treatment of their samples.
     """

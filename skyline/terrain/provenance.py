@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from pyproj import CRS
 
 from skyline.errors import InputError
-from skyline.geodesy import parse_crs
+from skyline.geodesy.crs import parse_crs
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ over its horizontal distance; the terrain drops with the square of the distance 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Progress
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import GROUND_M
+from skyline.geodesy.earth import GROUND_M
 from skyline.terrain.grid import STRIP_SAMPLES, row_strips
 
 ABSURD_M = 30_000.0

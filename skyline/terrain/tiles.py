@@ -26,7 +26,7 @@ from rasterio.windows import Window
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError, library
 from skyline.files import archive_of, is_file, on_disk
-from skyline.geodesy import without_vertical
+from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
 from skyline.terrain.grid import Grid, row_strips
 from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster

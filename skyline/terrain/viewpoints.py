@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
-from skyline.geodesy import GROUND_M
+from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
 from skyline.tables import read_table
 from skyline.terrain.heightfield import HeightField

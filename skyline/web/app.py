@@ -18,19 +18,18 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from skyline import InputError, SkylineError, read_trace
-from skyline.web.answers import outcome_json
 from skyline.web.engine import Engine, shown_name
 from skyline.web.live import LiveChannel
-from skyline.web.photos import Match, PagePhoto, version_of
-from skyline.web.requests import (
-    chosen_of,
+from skyline.web.messages import (
     known_of,
     narrowing_of,
+    outcome_json,
     pose_of,
     skyline_of,
     strokes_of,
 )
-from skyline.web.saving import KINDS, saved, trace_of
+from skyline.web.photos import Match, PagePhoto, version_of
+from skyline.web.saving import KINDS, chosen_of, saved, trace_of
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, GoneError, Session, Sessions
 
 _PAGE = Path(__file__).parent / "page"
@@ -221,7 +220,7 @@ class PageApp:
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
         skyline = photo.skyline
-        start = pose_of(asked.get("pose"), self._engine.viewer)
+        start = pose_of(asked.get("pose"), skyline, self._engine.viewer)
         known = known_of(asked)
         searched = photo.result_of(known)
         if searched is None:

@@ -13,7 +13,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from skyline import SkylineError
 from skyline.web.engine import Engine
-from skyline.web.requests import number, pose_of
+from skyline.web.messages import number, pose_of
 from skyline.web.sessions import Session
 
 _log = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ class LiveChannel:
         try:
             if asked["type"] == "height":
                 height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
-                return {**same, "height": height_m}
+                return {**same, "height_m": height_m}
             return {**same, **self._looked(asked)}
         except SkylineError as error:
             return {**same, "error": str(error)}
@@ -108,19 +108,18 @@ class LiveChannel:
         """
         viewer = self._engine.viewer
         photo = self._session.photo(str(asked.get("photo")))
-        pose = pose_of(asked.get("pose"), viewer)
+        pose = pose_of(asked.get("pose"), photo.skyline, viewer)
         sight = viewer.look(pose, photo.skyline)
         seen: dict[str, Any] = {
-            "column": _rounded(sight.column_px),
-            "row": _rounded(sight.row_px),
-            "sure": sight.is_sure.astype(int).tolist(),
-            "gap": sight.median_gap_deg,
-            "elevation": pose.eye_elevation_m,
+            "column_px": _rounded(sight.column_px),
+            "row_px": _rounded(sight.row_px),
+            "is_sure": sight.is_sure.astype(int).tolist(),
+            "median_gap_deg": sight.median_gap_deg,
             **_gaps(sight.gap_deg),
         }
         if asked.get("summits"):
             seen["summits"] = [
-                {"label": one.label, "column": one.column_px, "row": one.row_px}
+                {"label": one.label, "column_px": one.column_px, "row_px": one.row_px}
                 for one in viewer.summits(pose, photo.skyline)
             ]
         return seen
@@ -136,4 +135,4 @@ def _gaps(gap_deg: NDArray[np.float64]) -> dict[str, Any]:
     step = max(1, len(gap_deg) // _GAPS)
     columns = np.arange(step // 2, len(gap_deg), step)
     known = columns[np.isfinite(gap_deg[columns])]
-    return {"gapColumn": known.tolist(), "gapDeg": np.round(gap_deg[known], 3).tolist()}
+    return {"gap_column_px": known.tolist(), "gap_deg": np.round(gap_deg[known], 3).tolist()}

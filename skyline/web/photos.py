@@ -23,8 +23,8 @@ from skyline import (
     Stroke,
     read_photo,
 )
-from skyline.web.answers import outcome_json
 from skyline.web.engine import Engine, shown_name
+from skyline.web.messages import outcome_json
 
 _SHOWN_PX = 6000
 """Longest side of the picture sent to the page."""
@@ -60,6 +60,8 @@ class PagePhoto:
     def record(self) -> dict[str, Any]:
         """Return the photo as JSON for the page's list."""
         skyline = self.skyline
+        # A field of view that is a guess from a cropped photo is not shown.
+        is_guess = skyline.lens is not None and skyline.lens.most_fov_deg is not None
         result = self.current_result
         state = "ready" if result is None else "answered" if result.answer else "no answer"
         return {
@@ -67,15 +69,12 @@ class PagePhoto:
             "name": self.name,
             "content": self.content,
             "state": "matching" if self.match and not self.match.done else state,
-            "width": skyline.width_px,
-            "height": skyline.height_px,
-            # A field of view that is a guess from a cropped photo is not shown.
-            "fov": None
-            if skyline.lens and skyline.lens.most_fov_deg is not None
-            else skyline.fov_deg,
-            "lonlat": skyline.noted.lonlat_deg,
-            "accuracy": skyline.noted.accuracy_m,
-            "heading": skyline.noted.heading_deg,
+            "width_px": skyline.width_px,
+            "height_px": skyline.height_px,
+            "fov_deg": None if is_guess else skyline.fov_deg,
+            "lonlat_deg": skyline.noted.lonlat_deg,
+            "accuracy_m": skyline.noted.accuracy_m,
+            "heading_deg": skyline.noted.heading_deg,
             "strokes": [
                 {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
                 for one in self.strokes

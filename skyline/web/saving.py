@@ -2,7 +2,10 @@
 
 import secrets
 import shutil
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from skyline import (
     InputError,
@@ -15,6 +18,7 @@ from skyline import (
     write_trace,
 )
 from skyline.web.engine import Engine
+from skyline.web.messages import pose_of
 from skyline.web.photos import PagePhoto, opened
 
 KINDS = {
@@ -34,6 +38,30 @@ def trace_of(photo: PagePhoto, path: Path) -> bytes:
         return path.read_bytes()
     finally:
         path.unlink(missing_ok=True)
+
+
+def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> MatchResult:
+    """Return the result that begins with the pose that a request chooses.
+
+    It is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate with
+    the index ``rank``, 0 by default.
+    """
+    if asked.get("pose") is not None:
+        pose = pose_of(asked["pose"], photo.skyline, engine.viewer)
+        return MatchResult(photo.skyline, (pose,), 0.0, "chosen by a person", name=photo.name)
+    if asked.get("fitted"):
+        if photo.fitted is None:
+            raise InputError("the skyline has changed since this fit; fit again")
+        return replace(photo.fitted, name=photo.name)
+    if photo.result is not None and photo.current_result is None:
+        raise InputError("the skyline has changed since this search; find the place again")
+    if photo.result is None or not photo.result.candidates:
+        raise InputError("there is no place to save yet; find one, or place the camera by hand")
+    count = len(photo.result.candidates)
+    rank = asked.get("rank") or 0
+    if not isinstance(rank, int) or not 0 <= rank < count:
+        raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {count - 1}")
+    return replace(photo.result.chosen(rank + 1), name=photo.name)
 
 
 def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, folder: Path) -> bytes:

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import FRAME
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.skylines import columns_u, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on

@@ -22,7 +22,7 @@ from scenes import field_of, fractal, write_dem
 
 from skyline import RenderConfig, read_dem, render_to_store, stand_on
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer
 from skyline.store.check import check_store
 from skyline.store.merge import merge_stores

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import field_from, field_of, fractal, scattered
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE
 from skyline.terrain.viewpoints import stand_on

@@ -1,15 +1,15 @@
 """The horizon rasterizer against the oracle, on every path through its code."""
 
 import math
-from unittest.mock import MagicMock
+from unittest.mock import Mock
 
+import moderngl
 import numpy as np
 import pytest
 from scenes import at_m, field_of
 
 from skyline.errors import ContextError, InputError
-from skyline.geodesy import Curvature
-from skyline.render import march
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views, columns_u
 from skyline.terrain.viewpoints import Viewpoints
@@ -88,9 +88,9 @@ def test_samples_much_longer_than_wide_are_refused():
 
 def test_a_gpu_without_memory_is_one_line(rough, monkeypatch):
     field, eyes = rough
-    full = MagicMock(buffer=MagicMock(side_effect=march.moderngl.Error("cannot create buffer")))
+    full = Mock(side_effect=moderngl.Error("cannot create buffer"))
     config = RenderConfig(320)
     with HorizonRenderer(field, config) as renderer, monkeypatch.context() as patched:
-        patched.setattr(renderer, "_ctx", full)
+        patched.setattr(moderngl.Context, "buffer", full)
         with pytest.raises(ContextError, match=r"no room for skylines .* choose a smaller width"):
             renderer.render(eyes)

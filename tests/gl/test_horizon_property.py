@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes import at_m, field_of
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth.agreement import HORIZON, SkylineScene, oracle_truth
 

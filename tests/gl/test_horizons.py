@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import at_m, field_of
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.render.windows import GpuLimits, Window
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad

@@ -13,10 +13,9 @@ from skyline.survey.lattices import (
     BLOCK_M,
     Sights,
     blocks_of,
-    expected_finds,
-    lost_shares,
     planned_places,
 )
+from skyline.survey.losses import expected_finds, lost_shares
 
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
 SPACINGS_M = 1280.0 / 2.0 ** (np.arange(15) / 2.0)

@@ -11,7 +11,8 @@ from query_scenes import poses
 from scenes import candidate_at
 from shapely import MultiPolygon, Polygon
 
-from skyline.geodesy import Frame, lonlat_rings
+from skyline.geodesy.frame import Frame
+from skyline.geodesy.rings import lonlat_rings
 from skyline.pose import Ellipse, view_wedge_m
 
 MIDDLES = {

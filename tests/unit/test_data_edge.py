@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import field_of
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.terrain.data_edge import DataEdge
 
 BOUNDS_M = (-3000.0, -1000.0, 5000.0, 2000.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import at_m, field_of, fractal
 
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.skylines import pixel_size
 from skyline.tasks.explain import curvature_bound_px
 from skyline.terrain.sight_range import sight_range_m

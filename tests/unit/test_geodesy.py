@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy import TRUE_DEG, Frame, check_bounds, width_deg
+from skyline.geodesy.degrees import check_bounds, width_deg
+from skyline.geodesy.frame import TRUE_DEG, Frame
 
 WGS84 = Geod(ellps="WGS84")
 

@@ -177,5 +177,5 @@ def test_a_trace_notes_its_camera(tmp_path):
     given = read_skyline(path, 50.0)
     assert (given.fov_deg, given.lens) == (50.0, None)
     for fov_deg, sd_deg in ((None, 12.0), (50.0, 10.0)):
-        listed = batch.Query(str(path), fov_deg, fov_sd_share=0.2).read()
-        assert listed.lens.fov_sd_deg == pytest.approx(sd_deg)
+        entry = batch.Entry(str(path), fov_deg, fov_sd_share=0.2).read()
+        assert entry.lens.fov_sd_deg == pytest.approx(sd_deg)

@@ -11,7 +11,7 @@ from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.camera import Projection
 from skyline.errors import InputError, OffMapError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.viewpoints import at_elevation
 from skyline.view import Viewer, sight_of

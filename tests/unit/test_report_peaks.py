@@ -9,7 +9,7 @@ import pytest
 from scenes import FRAME, candidate_at, field_from
 
 from skyline.errors import InputError, OffMapError
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.viewpoints import stand_on

@@ -7,7 +7,7 @@ import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.camera import Projection, distorted, wander_of
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.rays import Rays
 from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode

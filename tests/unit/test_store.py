@@ -29,7 +29,7 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.geodesy import Frame
+from skyline.geodesy.frame import Frame
 from skyline.store.check import check_store, examine
 from skyline.store.header import columns_of, refuse_mismatch
 from skyline.store.merge import merge_stores, repair_store

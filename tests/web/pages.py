@@ -59,7 +59,7 @@ def serving(*arguments, port=0):
         yield Served(urlsplit(page.address_in(said)).netloc, process, said)
 
 
-TINY = b'{"fov": 60}'
+TINY = b'{"fov_deg": 60}'
 
 
 def ready(served, photo):
@@ -83,8 +83,7 @@ def received(socket, kind):
             return message
 
 
-POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "pitch": 0, "roll": 0, "fov": 60}
-POSE["eyeHeight"] = 2
+POSE = {"lon": 10.3327, "lat": 46.7478, "heading_deg": 141, "fov_deg": 60, "eye_height_m": 2}
 
 
 def look(path, pose=POSE, seq=1):
@@ -224,7 +223,7 @@ class Page:
 
     def settled(self):
         """Wait until the skyline of the last pose is shown."""
-        return self.until(lambda: self.state("state.sight && state.sight.gap"))
+        return self.until(lambda: self.state("state.sight && state.sight.median_gap_deg"))
 
     def messages(self):
         """Return the errors that are shown."""

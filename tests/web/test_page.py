@@ -71,6 +71,7 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, d
     page.match()
     assert "Found" in page.find("#answer").text
     assert off_m(dem, page.state("state.pose")) < 60.0
+    assert len(page.all("#map path[stroke='#fff']")) == 2  # the store's frame and the ellipse
     page.settled()
     candidates = page.all("#candidates button")
     candidates[-1].click()
@@ -83,11 +84,11 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(page, photo, d
     page.until(lambda: page.measured("look") > before + 1)
     moved = page.state("state.pose")
     assert off_m(dem, moved) > 60.0
-    page.until(lambda: page.state("state.sight.gap") > best)
-    apart = page.state("state.sight.gap")
+    page.until(lambda: page.state("state.sight.median_gap_deg") > best)
+    apart = page.state("state.sight.median_gap_deg")
     page.click("#fit")
     page.until(lambda: page.find("#status").text == "Fitted")
-    page.until(lambda: page.state("state.sight.gap") < apart / 2)
+    page.until(lambda: page.state("state.sight.median_gap_deg") < apart / 2)
     fitted = page.state("state.pose")
     assert off_m(dem, fitted) < 60.0
 
@@ -115,8 +116,8 @@ def type_into(page, selector, text):
 LEAVING = {
     "drag": lambda page: page.drag(".camera", 30, 10),
     "turn": lambda page: page.drag(".turn", 20, 20),
-    "heading": lambda page: type_into(page, "#hand-heading-number", "151.3"),
-    "field of view": lambda page: type_into(page, "#hand-fov-number", "66"),
+    "heading": lambda page: type_into(page, "#hand-heading_deg-number", "151.3"),
+    "field of view": lambda page: type_into(page, "#hand-fov_deg-number", "66"),
     "place": lambda page: type_into(page, "#hand-lat", "46.75"),
 }
 
@@ -141,7 +142,7 @@ def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
         assert "sure" not in answer + said
     check_origin(page, downloads, "set by hand", "Set by hand: latitude")
 
-    type_into(page, "#hand-heading-number", "320")
+    type_into(page, "#hand-heading_deg-number", "320")
     page.click("#fit")
     page.until(lambda: page.find("#status").text == "The fit has failed")
     answer, said = verdict(page)
@@ -159,10 +160,10 @@ def test_a_fit_at_a_candidate_has_its_verdict(page, photo, downloads, moved):
     page.open(photo)
     page.match()
     found, _ = verdict(page)
-    best = page.state("state.photo.result.candidates[0]")
+    best = page.state("state.photo.result.candidates[0].pose")
     if moved:
         page.drag(".camera", 3, 2, steps=2)
-        type_into(page, "#hand-heading-number", f"{best['heading'] + 1.0:.1f}")
+        type_into(page, "#hand-heading_deg-number", f"{best['heading_deg'] + 1.0:.1f}")
         assert "Found" not in verdict(page)[0]
     page.settled()
     page.click("#fit")
@@ -239,13 +240,13 @@ def test_the_page_asks_what_the_photo_says_without_rounding(page, photo, dem, tm
     for name in ("heading", "near"):
         page.click(f"#{name}-known")
     known = page.of("known", "it.known()")
-    assert "fov" not in known
-    assert known["heading"] == [said.noted.heading_deg, 30]
+    assert "fov_deg" not in known
+    assert known["heading_deg"] == [said.noted.heading_deg, 30]
     assert tuple(known["near"][:2]) == said.noted.lonlat_deg
     page.match()
     # A slider that a person moves counts as it is shown.
     page.script("const it = document.getElementById('heading'); it.value = 150; it.oninput()")
-    assert page.of("known", "it.known()")["heading"][0] == 150
+    assert page.of("known", "it.known()")["heading_deg"][0] == 150
     page.browser.refresh()
     page.until(lambda: "Found" in page.find("#answer").text)
     assert page.of("known", "it.known()") == known
@@ -283,7 +284,7 @@ def check_files(page, downloads, pose, width):
         gps = picture.getexif().get_ifd(IFD.GPSInfo)
     degrees, minutes, seconds = (float(part) for part in gps[GPS.GPSLatitude])
     assert degrees + minutes / 60.0 + seconds / 3600.0 == place[1]
-    assert float(gps[GPS.GPSImgDirection]) == pytest.approx(pose["heading"], abs=0.01)
+    assert float(gps[GPS.GPSImgDirection]) == pytest.approx(pose["heading_deg"], abs=0.01)
     load_trace(page, downloads, page.rows())
 
 
@@ -325,10 +326,10 @@ def test_everything_is_reached_by_keyboard(page, photo):
     page.until(lambda: page.state("state.pose.lon") < before["lon"])
     page.script("document.querySelector('.turn').focus()")
     page.press(Keys.ARROW_RIGHT, times=3)
-    page.until(lambda: page.state("state.pose.heading") != before["heading"])
-    page.script("document.getElementById('hand-pitch').focus()")
+    page.until(lambda: page.state("state.pose.heading_deg") != before["heading_deg"])
+    page.script("document.getElementById('hand-pitch_deg').focus()")
     page.press(Keys.ARROW_RIGHT, times=3)
-    page.until(lambda: page.state("state.pose.pitch") > before["pitch"])
+    page.until(lambda: page.state("state.pose.pitch_deg") > before["pitch_deg"])
 
     page.script("document.getElementById('known').open = true; document.body.focus()")
     page.script("document.activeElement.blur()")
@@ -486,7 +487,7 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     assert len(page.all(".noted")) == 1
     page.match()
     page.settled()
-    best = page.state("state.photo.result.candidates[0]")
+    best = page.state("state.photo.result.candidates[0].pose")
     assert within(page, "#map", page.find(".spot.best"))
 
     def middle(rect):
@@ -509,7 +510,7 @@ _WRITTEN = """(() => {
     written.push([text, middle - half, middle + half, foot]);
   };
   const summits = [2, 358, 180, 181, 182, 183, 184, -50, 900].map(
-    (column) => ({ label: `Piz ${column}`, column, row: 90 }));
+    (column_px) => ({ label: `Piz ${column_px}`, column_px, row_px: 90 }));
   it.drawSummits(ctx, { scale: 1, left: 0, top: 0, width: 360, height: 200 }, summits, 24);
   return written;
 })()"""

@@ -61,9 +61,12 @@ def test_what_is_drawn_without_a_server_is_there_when_it_is_back(
     assert len(said) == 1
     assert said[0].startswith("The server does not answer; is `skyline serve` still running?")
     # The trace holds what the server has seen, and the page knows what it has not.
+    before = set(downloads.iterdir())
     page.click("#save-trace")
-    trace = page.until(lambda: [one for one in downloads.glob("photo*.csv") if one.stat().st_size])
-    row_px = read_trace(max(trace, key=lambda one: one.stat().st_mtime)).row_px
+    new = page.until(
+        lambda: [one for one in set(downloads.glob("*.csv")) - before if one.stat().st_size]
+    )
+    row_px = read_trace(new[0]).row_px
     assert row_px[middle_of(LINES[50])] == pytest.approx(50.0, abs=1.0)
     assert row_px[middle_of(LINES[80])] == pytest.approx(untouched[middle_of(LINES[80])], abs=1.0)
     assert "without the last strokes" in page.find("#status").text

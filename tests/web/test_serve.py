@@ -129,7 +129,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
             assert "DEM is not at hand" in received(socket_, "look")["error"]
             status, found = server.ask("POST", f"{of_photo}/match", TINY)
         assert status == 200
-        assert found["candidates"][0]["refined"] is False
+        assert found["candidates"][0]["pose"]["refined"] is False
         pose = json.dumps({"pose": POSE})
         status, said = server.ask("POST", f"{of_photo}/fit", pose)
         assert (status, "DEM is not at hand" in said["error"]) == (400, True)
@@ -137,12 +137,12 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
             status, content = server.ask("POST", f"{of_photo}/save/{kind}", b"{}")
             assert status == 200, kind
             if kind == "photo":  # It is the photo that was opened, whatever its file is now.
-                assert Image.open(io.BytesIO(content)).width == record["width"]
+                assert Image.open(io.BytesIO(content)).width == record["width_px"]
 
 
 KNOWN = {
-    "fov": 58.37, "near": [10.3301234, 46.7491234, 1.7], "heading": [141.37, 25], "eyeHeight": 2,
-    "elevation": [-50, 900],
+    "fov_deg": 58.37, "near": [10.3301234, 46.7491234, 1.7], "heading_deg": [141.37, 25],
+    "eye_height_m": 2, "elevation_m": [-50, 900],
 }  # fmt: skip
 LIST = (
     "path,fov_deg,lon,lat,radius_km,heading_deg,heading_slack_deg,eye_height_m,lowest_m,highest_m\n"
@@ -177,10 +177,6 @@ class Question:
 
 
 ALL_KNOWN = Question(KNOWN, (), LIST, 58.37, NARROWED)
-NUMBERS = {
-    "lon": "lon", "lat": "lat", "heading": "heading_deg", "pitch": "pitch_deg", "fov": "fov_deg",
-    "roll": "roll_deg", "elevation": "eye_elevation_m", "confidence": "confidence",
-}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -190,7 +186,7 @@ NUMBERS = {
         (lambda *to: noting(*to, FILM), Question({})),
         (lambda *to: noting(*to, FILM | FRAME, size=(800, 640)), Question({})),
         (lambda *to: noting(*to, FILM), ALL_KNOWN),
-        (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), fov_deg=60.25)),
+        (masked, Question({"fov_deg": 60.25}, ("--fov-deg", "60.25"), fov_deg=60.25)),
     ],
     ids=["nothing", "lens", "cropped", "all", "mask"],
 )
@@ -207,15 +203,15 @@ def test_one_question_has_one_answer_wherever_it_is_asked(
         python = matcher.match(path, question.fov_deg, narrowing=question.narrowing)
     session = served.begin()
     _, uploaded = served.upload(session, path.name, path.read_bytes())
-    asked = dict.fromkeys(("heading", "near", "elevation", "eyeHeight")) | question.page
+    asked = dict.fromkeys(("heading_deg", "near", "elevation_m", "eye_height_m")) | question.page
     of_photo = f"{session}/photos/{uploaded['id']}"
     with live(served, session):
         status, page = served.ask("POST", f"{of_photo}/match", json.dumps(asked))
     assert status == 200, page
-    found = [[one[name] for name in NUMBERS] for one in page["candidates"]]
+    found = [one["pose"] for one in page["candidates"]]
     assert found
-    assert found == [[one[name] for name in NUMBERS.values()] for one in command["candidates"]]
-    assert found == [[getattr(one, name) for name in NUMBERS.values()] for one in python.candidates]
+    assert found == command["candidates"]
+    assert found == json.loads(json.dumps([one.to_dict() for one in python.candidates]))
     assert page["answered"] == (python.answer is not None) == (command["answer"] is not None)
-    assert page["within"] == python.within_m == command["answer_within_m"]
+    assert page["within_m"] == python.within_m == command["answer_within_m"]
     assert page["refusal"] == python.refusal == command.get("refusal")

@@ -150,12 +150,14 @@ def test_500_megabytes_are_refused_before_they_are_sent(served):
         ("skyline", b'{"strokes": [{"kind": "fire", "points": [[1, 2]], "radius": 3}]}', "none of"),
         ("skyline", b'{"strokes": [{"kind": "sky", "points": [[1, NaN]], "radius": 3}]}', "number"),
         ("skyline", b'{"strokes": [{"kind": ["sky"]}]}', "none of"),
-        ("match", b'{"fov": 1' + b"0" * 400 + b"}", "fov is 1"),
+        ("match", b'{"fov_deg": 1' + b"0" * 400 + b"}", "fov_deg is 1"),
         ("match", b'{"near": [900, 0, 1]}', "near is 900,0,1"),
         ("match", b'{"near": {"lon": 9}}', "expected the numbers longitude, latitude, km"),
-        ("match", b'{"elevation": [900, 100]}', "two that increase"),
-        ("match", b'{"fov": "wide"}', "fov is wide"),
-        ("fit", b"{}", "there is no pose"),
+        ("match", b'{"elevation_m": [900, 100]}', "two that increase"),
+        ("match", b'{"fov_deg": "wide"}', "fov_deg is wide"),
+        ("fit", b"{}", "the request has no pose"),
+        ("fit", json.dumps({"pose": POSE | {"fov_deg": 181}}).encode(), "expected 1 to 179"),
+        ("fit", json.dumps({"pose": POSE | {"distortion": -2}}).encode(), "expected -0.3 to 0.3"),
         ("fit", json.dumps({"pose": {**POSE, "lat": 10}}).encode(), "off the map"),
         ("save/kml", b"{}", "no place to save yet"),
         ("trace", b"no trace", "the trace starts with"),
@@ -184,13 +186,13 @@ def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
     session, of_photo = ready(served, photo)
     with live(served, session) as socket:
         for seq in range(200):
-            socket.send(look(of_photo, {**POSE, "heading": 100 + 0.2 * seq}, seq))
+            socket.send(look(of_photo, {**POSE, "heading_deg": 100 + 0.2 * seq}, seq))
         seen = []
         while not seen or seen[-1]["seq"] != 199:
             seen.append(received(socket, "look"))
         assert len(seen) < 200
         assert [one["seq"] for one in seen] == sorted(one["seq"] for one in seen)
-        assert len(seen[-1]["column"]) == len(seen[-1]["row"]) > 300
+        assert len(seen[-1]["column_px"]) == len(seen[-1]["row_px"]) > 300
         socket.send(look(of_photo, {**POSE, "lat": 40.0}))
         assert "off the map" in received(socket, "look")["error"]
         for unread in ("no JSON", "[" * 100_000, '{"type": ["look"]}'):

@@ -16,7 +16,8 @@ from skyline.arrays import Progress
 from skyline.cli.options import parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, entry_named
-from skyline.geodesy import Bounds, Rectangle
+from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.frame import Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.strategies import PLANNERS

@@ -15,7 +15,7 @@ from scipy.stats import binomtest
 
 from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
-from skyline.geodesy import in_turn
+from skyline.geodesy.degrees import in_turn
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import (

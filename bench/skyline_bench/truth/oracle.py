@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.skylines import (
     DEFAULT_WIDTH,
     FLAG_HOLE,

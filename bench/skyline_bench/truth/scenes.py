@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.geodesy import Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.skylines import HEADINGS, columns_u
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.truth import closed_forms as forms

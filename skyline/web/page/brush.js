@@ -68,7 +68,9 @@ async function send() {
   if (solving) return;
   solving = true;
   while (unsent.size) {
-    const [photo] = unsent, strokes = [...photo.strokes], began = performance.now();
+    const [photo] = unsent;
+    const strokes = [...photo.strokes];
+    const began = performance.now();
     if (!state.photos.includes(photo)) {
       unsent.delete(photo);
       continue;
@@ -125,69 +127,107 @@ export function forget() {
   undone.length = 0;
 }
 
+// What a drag over the photo does, step by step and at its end.
+const DRAGS = {
+  pan: { move: (event, by) => pan(...by), end: () => {} },
+  turn: { move: (event, [across, down]) => turnBy(across / view.scale, down / view.scale, true), end: release },
+  paint: { move: paint, end: finish },
+};
+
+function dragOf(event) {
+  if (event.button !== 0) return DRAGS.pan;
+  if (marks.brush) return DRAGS.paint;
+  return tool() === "turn" ? DRAGS.turn : DRAGS.pan;
+}
+
 function dragging(event) {
   canvas.setPointerCapture(event.pointerId);
+  const drag = dragOf(event);
+  if (drag === DRAGS.paint) begin(inPhoto(event));
   let last = [event.clientX, event.clientY];
-  const paints = marks.brush && event.button === 0;
-  if (paints) begin(inPhoto(event));
   const move = (next) => {
     const by = [next.clientX - last[0], next.clientY - last[1]];
     last = [next.clientX, next.clientY];
-    if (paints) {
-      const all = next.getCoalescedEvents?.() ?? [next];
-      marks.stroke.points.push(...(all.length ? all : [next]).map((one) => rounded(inPhoto(one))));
-      draw();
-    } else if (tool() === "turn" && event.button === 0) turnBy(by[0] / view.scale, by[1] / view.scale, true);
-    else pan(...by);
+    drag.move(next, by);
   };
   const end = () => {
     canvas.removeEventListener("pointermove", move);
-    if (paints) finish();
-    else if (tool() === "turn") release();
+    drag.end();
   };
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("lostpointercapture", end, { once: true });
 }
 
-function moveCross([across, down], event) {
-  const step = (event.shiftKey ? 40 : 6) / view.scale;
-  if (tool() === "turn") return turnBy(across * step, down * step, false);
-  if (!marks.brush) return pan(-across * step * view.scale * 5, -down * step * view.scale * 5);
-  const { width, height } = state.photo;
-  const at = marks.cross || [width / 2, height / 2];
+function paint(event) {
+  const all = event.getCoalescedEvents?.() ?? [];
+  marks.stroke.points.push(...(all.length ? all : [event]).map((one) => rounded(inPhoto(one))));
+  draw();
+}
+
+function step([across, down], isLong) {
+  const px = isLong ? 40 : 6;
+  if (tool() === "turn") turnBy((across * px) / view.scale, (down * px) / view.scale, false);
+  else if (marks.brush) moveCross((across * px) / view.scale, (down * px) / view.scale);
+  else pan(-across * px * 5, -down * px * 5);
+}
+
+const inMiddle = () => [state.photo.width_px / 2, state.photo.height_px / 2];
+
+function moveCross(columns, rows) {
+  const { width_px, height_px } = state.photo;
+  const [column, row] = marks.cross || inMiddle();
   marks.cross = [
-    Math.min(width - 1, Math.max(0, at[0] + across * step)),
-    Math.min(height - 1, Math.max(0, at[1] + down * step)),
+    Math.min(width_px - 1, Math.max(0, column + columns)),
+    Math.min(height_px - 1, Math.max(0, row + rows)),
   ];
   marks.stroke?.points.push(rounded(marks.cross));
   keepInView(marks.cross);
 }
 
+// Begins a stroke at the cross, or ends it there.
+function strokeAtCross() {
+  if (marks.stroke) return finish();
+  marks.cross ||= inMiddle();
+  begin(marks.cross);
+  draw();
+}
+
+function resizeBrush(times) {
+  $("brush").value = Number($("brush").value) * times;
+  chosen();
+}
+
+function forgetMarks() {
+  marks.stroke = null;
+  marks.cross = null;
+  draw();
+}
+
+const ACTIONS = {
+  "+": () => zoom(1.5),
+  "=": () => zoom(1.5),
+  "-": () => zoom(1 / 1.5),
+  0: fit,
+  1: () => zoom(1 / view.scale),
+  "[": () => resizeBrush(0.8),
+  "]": () => resizeBrush(1.25),
+  Escape: forgetMarks,
+};
+
+// What a key does on the photo, if it does anything.
+function actionOf({ key, ctrlKey, metaKey, shiftKey }) {
+  const letter = key.toLowerCase();
+  if (ctrlKey || metaKey) return letter === "z" ? (shiftKey ? redo : undo) : undefined;
+  if (ARROWS[key]) return () => step(ARROWS[key], shiftKey);
+  if (KEYS[letter]) return () => choose(KEYS[letter]);
+  if (key === "Enter" || key === " ") return marks.brush ? strokeAtCross : undefined;
+  return ACTIONS[key];
+}
+
 function pressed(event) {
-  if (event.altKey || !state.photo) return;
-  const control = event.ctrlKey || event.metaKey;
-  if (control && event.key.toLowerCase() === "z") event.shiftKey ? redo() : undo();
-  else if (control) return;
-  else if (ARROWS[event.key]) moveCross(ARROWS[event.key], event);
-  else if (KEYS[event.key.toLowerCase()]) choose(KEYS[event.key.toLowerCase()]);
-  else if (event.key === "+" || event.key === "=") zoom(1.5);
-  else if (event.key === "-") zoom(1 / 1.5);
-  else if (event.key === "0") fit();
-  else if (event.key === "1") zoom(1 / view.scale);
-  else if (event.key === "[" || event.key === "]") {
-    $("brush").value = Number($("brush").value) * (event.key === "]" ? 1.25 : 0.8);
-    chosen();
-  } else if ((event.key === "Enter" || event.key === " ") && marks.brush) {
-    if (marks.stroke) finish();
-    else {
-      marks.cross ||= [state.photo.width / 2, state.photo.height / 2];
-      begin(marks.cross);
-      draw();
-    }
-  } else if (event.key === "Escape") {
-    marks.stroke = marks.cross = null;
-    draw();
-  } else return;
+  const act = event.altKey || !state.photo ? undefined : actionOf(event);
+  if (!act) return;
+  act();
   event.preventDefault();
 }
 

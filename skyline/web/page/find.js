@@ -1,6 +1,6 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, degrees, element, emit, mapLink, on, report, settle, showStatus, state } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, percent, report, settle, showStatus, state } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -71,48 +71,59 @@ async function findAll() {
 }
 
 export function choose(index) {
-  const one = standing()?.candidates[index];
-  if (!one) return;
-  toCandidate(one, index);
+  const candidate = standing()?.candidates[index];
+  if (!candidate) return;
+  toCandidate(candidate, index);
   emit("chosen");
   show();
 }
 
 function show() {
-  const photo = state.photo, result = standing(), searched = Boolean(photo?.result);
+  const { photo } = state;
   const busy = photo?.state === "matching";
   $("find").disabled = !photo || busy;
   $("progress").hidden = !busy;
-  $("answer").replaceChildren(...(searched && !busy ? verdict(result) : []));
+  $("answer").replaceChildren(...(photo?.result && !busy ? verdict(standing()) : []));
+  list(busy ? [] : standing()?.candidates ?? []);
+}
+
+// Lists the candidates; the one that has the keyboard's focus keeps it.
+function list(candidates) {
   const focused = document.activeElement?.dataset?.rank;
-  $("candidates").replaceChildren(...(result && !busy ? result.candidates.map(row) : []));
+  $("candidates").replaceChildren(...candidates.map(row));
   if (focused !== undefined) $("candidates").querySelector(`[data-rank="${focused}"]`)?.focus();
 }
 
 // A verdict holds for a candidate that the search has judged, and for a fit that led to it.
 function verdict(result) {
   if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
-  const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   if (result.candidates.length && state.chosen === null) return ["The camera has left the candidates of the search. Choose one to return to it."];
-  if (state.chosen > 0) {
-    const one = result.candidates[state.chosen];
-    const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} % sure within 200 m. `;
-    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(state.pose)];
-  }
-  if (result.answered) {
-    const near = result.within === null ? "" : ` within ${result.within} m`;
-    const sure = result.confidence === null ? "" : `, ${Math.round(100 * result.confidence)} % sure`;
-    return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(state.pose), ...notes];
-  }
-  return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
-    "Check the yellow skyline and mend it, fill in what you know, or fit by hand.", ...notes];
+  if (state.chosen > 0) return ofOther(result.candidates[state.chosen].pose);
+  const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
+  return [...(result.answered ? found(result) : missed(result)), ...notes];
 }
 
-function row(one, index) {
-  const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} %`;
+function ofOther({ confidence }) {
+  const sure = confidence === null ? "" : `${percent(confidence)} sure within 200 m. `;
+  return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(state.pose)];
+}
+
+function found({ within_m, confidence }) {
+  const near = within_m === null ? "" : ` within ${within_m} m`;
+  const sure = confidence === null ? "" : `, ${percent(confidence)} sure`;
+  return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(state.pose)];
+}
+
+function missed({ refusal }) {
+  return [element("span", { class: "no" }, "No answer: "), `${refusal}. `,
+    "Check the yellow skyline and mend it, fill in what you know, or fit by hand."];
+}
+
+function row({ pose }, index) {
+  const sure = pose.confidence === null ? "" : percent(pose.confidence);
   return element("li", {}, element("button", { "aria-current": String(index === state.chosen), "data-rank": index, onclick: () => choose(index) },
     element("span", {}, String(index + 1)), element("span", {}, sure),
-    element("span", {}, degrees(one.lon, one.lat, 4)), element("span", { class: "way", title: "Direction" }, `${one.heading.toFixed(0)}°`)));
+    element("span", {}, degrees(pose.lon, pose.lat, 4)), element("span", { class: "way", title: "Direction" }, `${pose.heading_deg.toFixed(0)}°`)));
 }
 
 function progressed(match) {

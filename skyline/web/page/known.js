@@ -1,14 +1,18 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
 import { $, on, state, emit, widest } from "./state.js";
 
-const LEAST_KM = 0.5, MOST_KM = 100, NOTHING = { heading: null, near: null, elevation: null, eyeHeight: null };
+const LEAST_KM = 0.5;
+const MOST_KM = 100;
+const NOTHING = { heading_deg: null, near: null, elevation_m: null, eye_height_m: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
 
 const value = (id) => exact[id] ?? $(id).valueAsNumber;
 const isKnown = (name) => $(`${name}-known`).checked;
+const isHeightKnown = () => $("eye").value !== "";
 // The radius of the circle, rounded as it is shown.
-const km = () => Number((LEAST_KM * (MOST_KM / LEAST_KM) ** value("radius")).toPrecision(2));
+const radiusKm = () => Number((LEAST_KM * (MOST_KM / LEAST_KM) ** value("radius")).toPrecision(2));
+const shareOf = (km) => Math.log(km / LEAST_KM) / Math.log(MOST_KM / LEAST_KM);
 
 function set(id, number) {
   exact[id] = number;
@@ -17,13 +21,13 @@ function set(id, number) {
 
 // The request that a search would send now; without a field of view the photo's own holds.
 export function known() {
-  const fov = isKnown("fov") ? value("fov") : null;
+  const fov_deg = isKnown("fov") ? value("fov") : null;
   return {
-    ...(fov === (state.photo?.fov ?? null) ? {} : { fov }),
-    heading: isKnown("heading") ? [value("heading"), value("slack")] : null,
-    near: isKnown("near") ? [state.circle.lon, state.circle.lat, km()] : null,
-    elevation: isKnown("elevation") ? [value("low"), value("high")] : null,
-    eyeHeight: $("eye").value === "" ? null : value("eye"),
+    ...(fov_deg === (state.photo?.fov_deg ?? null) ? {} : { fov_deg }),
+    heading_deg: isKnown("heading") ? [value("heading"), value("slack")] : null,
+    near: isKnown("near") ? [state.circle.lon, state.circle.lat, radiusKm()] : null,
+    elevation_m: isKnown("elevation") ? [value("low"), value("high")] : null,
+    eye_height_m: isHeightKnown() ? value("eye") : null,
   };
 }
 
@@ -34,34 +38,36 @@ export function standing() {
   return stands ? result : null;
 }
 
+const degrees = (id) => `${Number(value(id).toFixed(2))}°`;
+
 function show() {
-  const angle = (id) => `${Number(value(id).toFixed(2))}°`;
-  $("fov-out").textContent = isKnown("fov") ? angle("fov") : "unknown";
-  $("fov").disabled = !isKnown("fov");
-  $("heading-out").textContent = isKnown("heading") ? angle("heading") : "unknown";
-  $("heading").disabled = $("slack").disabled = !isKnown("heading");
+  $("fov-out").textContent = isKnown("fov") ? degrees("fov") : "unknown";
+  $("heading-out").textContent = isKnown("heading") ? degrees("heading") : "unknown";
   $("slack-out").textContent = `± ${value("slack")}°`;
-  $("radius-out").textContent = `${km()} km`;
-  $("radius").disabled = $("near-here").disabled = !isKnown("near");
-  $("low").disabled = $("high").disabled = !isKnown("elevation");
-  const parts = [
-    isKnown("fov") && `${angle("fov")} wide`,
-    isKnown("heading") && `towards ${angle("heading")}`,
-    isKnown("near") && `within ${km()} km`,
-    isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
-    $("eye").value !== "" && `${$("eye").value} m above the ground`,
-  ].filter(Boolean);
-  $("known-summary").textContent = parts.length ? `(${parts.join(", ")})` : "(nothing yet)";
-  if (state.photo?.lonlat && !isKnown("near")) {
-    $("known-summary").textContent += " The photo notes its place: tick “In the circle” to search near it.";
-  }
+  $("radius-out").textContent = `${radiusKm()} km`;
+  const inputs = { fov: ["fov"], heading: ["heading", "slack"], near: ["radius", "near-here"], elevation: ["low", "high"] };
+  for (const [name, ids] of Object.entries(inputs)) for (const id of ids) $(id).disabled = !isKnown(name);
+  $("known-summary").textContent = summary();
   emit("known");
+}
+
+function summary() {
+  const parts = [
+    isKnown("fov") && `${degrees("fov")} wide`,
+    isKnown("heading") && `towards ${degrees("heading")}`,
+    isKnown("near") && `within ${radiusKm()} km`,
+    isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
+    isHeightKnown() && `${$("eye").value} m above the ground`,
+  ].filter(Boolean);
+  const offered = state.photo?.lonlat_deg && !isKnown("near")
+    ? " The photo notes its place: tick “In the circle” to search near it." : "";
+  return (parts.length ? `(${parts.join(", ")})` : "(nothing yet)") + offered;
 }
 
 // Shows the circle on the map, if it limits the search; its middle moves to a place that is given.
 export function showCircle(middle = null) {
   if (middle) state.circle = middle;
-  emit("circle", isKnown("near") ? km() : null);
+  emit("circle", isKnown("near") ? radiusKm() : null);
   show();
 }
 
@@ -70,20 +76,29 @@ export function showCircle(middle = null) {
 function fromPhoto(photo) {
   if (!photo) return;
   const asked = photo.result?.asked ?? NOTHING;
-  const fov = "fov" in asked ? asked.fov : photo.fov;
+  const fov_deg = "fov_deg" in asked ? asked.fov_deg : photo.fov_deg;
   $("fov").max = widest(photo);
-  $("fov-known").checked = fov !== null;
-  for (const name of ["heading", "near", "elevation"]) $(`${name}-known`).checked = asked[name] !== null;
-  if (fov ?? photo.fov) set("fov", fov ?? photo.fov);
-  const heading = asked.heading?.[0] ?? photo.heading ?? null;
-  if (heading !== null) set("heading", heading);
-  if (asked.heading) set("slack", asked.heading[1]);
-  if (asked.near) set("radius", Math.log(asked.near[2] / LEAST_KM) / Math.log(MOST_KM / LEAST_KM));
-  asked.elevation?.forEach((at, k) => set(["low", "high"][k], at));
-  $("eye").value = "";
-  if (asked.eyeHeight !== null) set("eye", asked.eyeHeight);
-  const [lon, lat] = asked.near ?? photo.lonlat ?? [];
+  $("fov-known").checked = fov_deg !== null;
+  $("heading-known").checked = asked.heading_deg !== null;
+  $("near-known").checked = asked.near !== null;
+  $("elevation-known").checked = asked.elevation_m !== null;
+  fillNumbers(photo, asked, fov_deg ?? photo.fov_deg);
+  const [lon, lat] = asked.near ?? photo.lonlat_deg ?? [];
   showCircle(lon === undefined ? null : { lon, lat });
+}
+
+function fillNumbers(photo, asked, fov_deg) {
+  const heading_deg = asked.heading_deg?.[0] ?? photo.heading_deg ?? null;
+  if (fov_deg) set("fov", fov_deg);
+  if (heading_deg !== null) set("heading", heading_deg);
+  if (asked.heading_deg) set("slack", asked.heading_deg[1]);
+  if (asked.near) set("radius", shareOf(asked.near[2]));
+  if (asked.elevation_m) {
+    set("low", asked.elevation_m[0]);
+    set("high", asked.elevation_m[1]);
+  }
+  $("eye").value = "";
+  if (asked.eye_height_m !== null) set("eye", asked.eye_height_m);
 }
 
 export function start() {

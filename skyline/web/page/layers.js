@@ -1,6 +1,9 @@
 // Drawing over a photo: found and rendered skyline, the gap between them, summits, strokes.
 const SURE = 0.85; // Trusted columns of a lower probability are dashed.
-const FOUND = "#ffd23f", OTHER = "#ff8a3d", RENDERED = "#35d0ff", DARK = "rgba(8, 14, 20, 0.75)";
+const FOUND = "#ffd23f";
+const OTHER = "#ff8a3d";
+const RENDERED = "#35d0ff";
+const DARK = "rgba(8, 14, 20, 0.75)";
 const MOST_GAP_DEG = 1;
 
 // A view maps photo pixels to the canvas: x = column * scale + left.
@@ -74,15 +77,16 @@ function hatch(ctx) {
 }
 
 export function drawRendered(ctx, view, sight) {
-  const sure = new Path2D(), unsure = new Path2D();
+  const sure = new Path2D();
+  const unsure = new Path2D();
   let pen = null;
-  for (let k = 0; k < sight.column.length; k++) {
-    if (sight.row[k] === null || sight.column[k] === null) {
+  for (let k = 0; k < sight.column_px.length; k++) {
+    if (sight.row_px[k] === null || sight.column_px[k] === null) {
       pen = null;
       continue;
     }
-    const path = sight.sure[k] ? sure : unsure;
-    const at = [x(view, sight.column[k]), y(view, sight.row[k])];
+    const path = sight.is_sure[k] ? sure : unsure;
+    const at = [x(view, sight.column_px[k]), y(view, sight.row_px[k])];
     if (pen === path) path.lineTo(...at);
     else path.moveTo(...at);
     pen = path;
@@ -92,29 +96,30 @@ export function drawRendered(ctx, view, sight) {
 }
 
 // Light blue through violet to vermilion, which also differ in lightness.
-function gapColour(gap) {
-  const share = Math.min(1, Math.abs(gap) / MOST_GAP_DEG);
+function gapColour(gap_deg) {
+  const share = Math.min(1, Math.abs(gap_deg) / MOST_GAP_DEG);
   const [from, to, part] =
     share < 0.5 ? [[155, 231, 255], [217, 140, 255], share * 2] : [[217, 140, 255], [255, 77, 0], share * 2 - 1];
   return `rgb(${from.map((value, k) => Math.round(value + (to[k] - value) * part)).join(" ")})`;
 }
 
 function rowAt(sight, column) {
-  let low = 0, high = sight.column.length - 1;
+  let low = 0;
+  let high = sight.column_px.length - 1;
   while (high - low > 1) {
     const middle = (low + high) >> 1;
-    if (sight.column[middle] <= column) low = middle;
+    if (sight.column_px[middle] <= column) low = middle;
     else high = middle;
   }
-  return sight.row[low];
+  return sight.row_px[low];
 }
 
 export function drawGaps(ctx, view, sight, rows) {
   ctx.lineWidth = 2;
-  sight.gapColumn.forEach((column, k) => {
+  sight.gap_column_px.forEach((column, k) => {
     const rendered = rowAt(sight, column);
     if (rendered === null || Number.isNaN(rows[column])) return;
-    ctx.strokeStyle = gapColour(sight.gapDeg[k]);
+    ctx.strokeStyle = gapColour(sight.gap_deg[k]);
     ctx.beginPath();
     ctx.moveTo(x(view, column), y(view, rows[column]));
     ctx.lineTo(x(view, column), y(view, rendered));
@@ -134,9 +139,9 @@ export function drawSummits(ctx, view, summits, badge) {
     ctx.fillStyle = "white";
     ctx.fillText(text, across, down);
   };
-  const inside = summits.filter((one) => x(view, one.column) >= 0 && x(view, one.column) <= view.width);
+  const inside = summits.filter((one) => x(view, one.column_px) >= 0 && x(view, one.column_px) <= view.width);
   for (const summit of inside) {
-    const at = [x(view, summit.column), y(view, summit.row)];
+    const at = [x(view, summit.column_px), y(view, summit.row_px)];
     const half = ctx.measureText(summit.label).width / 2 + 4;
     const middle = Math.max(half, Math.min(at[0], view.width - half));
     const level = [0, 1, 2, 3].find(
@@ -171,7 +176,8 @@ export function drawStroke(ctx, view, one) {
 }
 
 export function drawCross(ctx, view, [column, row], radius) {
-  const [across, down] = [x(view, column), y(view, row)];
+  const across = x(view, column);
+  const down = y(view, row);
   for (const [colour, width] of [[DARK, 4], ["white", 1.5]]) {
     ctx.strokeStyle = colour;
     ctx.lineWidth = width;

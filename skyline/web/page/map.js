@@ -1,12 +1,23 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, ARROWS, alertUser, degrees, element, on, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, degrees, element, on, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
 import { showCircle, standing } from "./known.js";
 
 const L = window.L;
-const REACH_M = 2000, HANDLE_PX = [74, 102, 130], APART_PX = 26, EARTH_M = 6371008.8;
-let map, camera, handle, cone, noted, spots, circle, centre, where, middleLon = 0;
+const REACH_M = 2000; // how far a view is drawn
+const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
+const APART_PX = 26;
+const EARTH_M = 6371008.8;
+let map;
+let camera;
+let handle; // of the direction
+let cone; // the view of the camera
+let noted; // the place noted in the photo
+let spots; // the candidates
+let circle; // limits the search
+let centre; // of the circle
+let middleLon = 0;
 
 // The map runs half a turn either way from the store, so that it may cross the antimeridian.
 const onMap = (lat, lon) => [lat, lon + 360 * Math.round((middleLon - lon) / 360)];
@@ -16,53 +27,57 @@ const icon = (name, size, text = "") =>
   L.divIcon({ className: name, iconSize: [size, size], html: text });
 
 // A step along a great circle, accurate enough for a map.
-function away([lat, lon], headingDeg, metres) {
-  const turn = (headingDeg * Math.PI) / 180, step = (metres / EARTH_M) * (180 / Math.PI);
+function away([lat, lon], heading_deg, metres) {
+  const turn = (heading_deg * Math.PI) / 180;
+  const step = (metres / EARTH_M) * (180 / Math.PI);
   return [lat + step * Math.cos(turn), lon + (step * Math.sin(turn)) / Math.cos((lat * Math.PI) / 180)];
 }
 
-function view(pose, reach) {
-  const from = onMap(pose.lat, pose.lon), points = [from];
-  for (let k = 0; k <= 16; k++) points.push(away(from, pose.heading + pose.fov * (k / 16 - 0.5), reach));
-  return points;
-}
-
-function ellipse(candidate) {
-  const [[a, b], [, d]] = candidate.covariance, middle = (a + d) / 2;
-  const apart = Math.hypot((a - d) / 2, b), turn = Math.atan2(2 * b, a - d) / 2;
-  const [long, short] = [middle + apart, middle - apart].map((one) => Math.sqrt(5.991 * Math.max(one, 0)));
-  const points = [];
-  for (let k = 0; k < 48; k++) {
-    const [p, q] = [long * Math.cos((k * Math.PI) / 24), short * Math.sin((k * Math.PI) / 24)];
-    const [east, north] = [p * Math.cos(turn) - q * Math.sin(turn), p * Math.sin(turn) + q * Math.cos(turn)];
-    const heading = (Math.atan2(east, north) * 180) / Math.PI + candidate.convergence;
-    points.push(away(onMap(candidate.lat, candidate.lon), heading, Math.hypot(east, north)));
-  }
+function view(pose) {
+  const from = onMap(pose.lat, pose.lon);
+  const points = [from];
+  for (let k = 0; k <= 16; k++) points.push(away(from, pose.heading_deg + pose.fov_deg * (k / 16 - 0.5), REACH_M));
   return points;
 }
 
 function showCandidates() {
   spots.clearLayers();
   const result = standing();
-  (result?.candidates ?? []).forEach((one, index) => {
-    const best = index === 0 && result.answered, chosen = index === state.chosen;
-    const sure = one.confidence === null ? "" : `: ${Math.round(100 * one.confidence)} %`;
-    const share = one.confidence ?? 0.3;
-    L.polygon(view(one, REACH_M), { color: best ? "#ffd23f" : "#cfe8f5", weight: 1.5, opacity: 0.4 + 0.6 * share,
-      fillOpacity: 0.06 + 0.22 * share, interactive: false }).addTo(spots);
-    if (one.covariance && chosen) L.polygon(ellipse(one), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
-    L.marker(onMap(one.lat, one.lon), { icon: icon(`spot${best ? " best" : ""}${chosen ? " chosen" : ""}`, 26, String(index + 1)),
-      title: `Candidate ${index + 1}${sure}`, alt: `Candidate ${index + 1}${sure}`, zIndexOffset: 1000 - 10 * index })
-      .on("click keypress", () => emit("choose", index)).addTo(spots);
+  result?.candidates.forEach((candidate, index) => {
+    const isBest = index === 0 && result.answered;
+    drawView(candidate.pose, isBest);
+    if (candidate.ellipse && index === state.chosen) drawEllipse(candidate.ellipse);
+    drawSpot(candidate.pose, index, isBest);
   });
+}
+
+function drawView(pose, isBest) {
+  const share = pose.confidence ?? 0.3;
+  const color = isBest ? "#ffd23f" : "#cfe8f5";
+  const opacities = { opacity: 0.4 + 0.6 * share, fillOpacity: 0.06 + 0.22 * share };
+  L.polygon(view(pose), { color, weight: 1.5, ...opacities, interactive: false }).addTo(spots);
+}
+
+// The ellipse holds the true place with 95 % probability.
+function drawEllipse(outline) {
+  L.polygon(outline.map(([lon, lat]) => onMap(lat, lon)), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
+}
+
+function drawSpot({ lat, lon, confidence }, index, isBest) {
+  const title = `Candidate ${index + 1}${confidence === null ? "" : `: ${percent(confidence)}`}`;
+  const kinds = `spot${isBest ? " best" : ""}${index === state.chosen ? " chosen" : ""}`;
+  L.marker(onMap(lat, lon), { icon: icon(kinds, 26, String(index + 1)), title, alt: title, zIndexOffset: 1000 - 10 * index })
+    .on("click keypress", () => emit("choose", index)).addTo(spots);
 }
 
 // The place noted in the photo, with the accuracy that it claims.
 function showNoted(photo) {
   noted.clearLayers();
-  if (!photo?.lonlat) return;
-  const at = onMap(photo.lonlat[1], photo.lonlat[0]), about = "Place noted in the photo";
-  if (photo.accuracy) L.circle(at, { radius: photo.accuracy, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
+  if (!photo?.lonlat_deg) return;
+  const [lon, lat] = photo.lonlat_deg;
+  const at = onMap(lat, lon);
+  const about = "Place noted in the photo";
+  if (photo.accuracy_m) L.circle(at, { radius: photo.accuracy_m, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
   L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
 }
 
@@ -70,29 +85,32 @@ function showNoted(photo) {
 function goToResult() {
   const result = standing();
   const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
-  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap((one) => view(one, REACH_M))).pad(0.1), { maxZoom: 15, animate: false });
+  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap(({ pose }) => view(pose))).pad(0.1), { maxZoom: 15, animate: false });
 }
 
 function showCamera() {
-  const pose = state.pose;
+  const { pose } = state;
   for (const layer of [camera, handle, cone]) pose ? layer.addTo(map) : layer.remove();
   if (!pose) return;
-  const at = L.latLng(onMap(pose.lat, pose.lon));
-  camera.setLatLng(at);
-  const turn = (pose.heading * Math.PI) / 180;
-  const spot = (place) => map.latLngToContainerPoint(place);
-  const numbers = spots.getLayers().filter((one) => one.getLatLng).map((one) => spot(one.getLatLng()));
-  const ends = HANDLE_PX.map((px) => spot(at).add([px * Math.sin(turn), -px * Math.cos(turn)]));
-  // The handle must cover no candidate's number.
-  const end = ends.find((end) => numbers.every((one) => one.distanceTo(end) > APART_PX)) ?? ends[0];
-  handle.setLatLng(map.containerPointToLatLng(end));
-  cone.setLatLngs(view(pose, REACH_M));
+  camera.setLatLng(onMap(pose.lat, pose.lon));
+  handle.setLatLng(map.containerPointToLatLng(handlePoint(pose)));
+  cone.setLatLngs(view(pose));
+}
+
+// Where the handle stands on the screen: where it covers no candidate's number.
+function handlePoint(pose) {
+  const point = (layer) => map.latLngToContainerPoint(layer.getLatLng());
+  const turn = (pose.heading_deg * Math.PI) / 180;
+  const ends = HANDLE_PX.map((px) => point(camera).add([px * Math.sin(turn), -px * Math.cos(turn)]));
+  const numbers = spots.getLayers().filter((one) => one.getLatLng).map(point);
+  return ends.find((end) => numbers.every((one) => one.distanceTo(end) > APART_PX)) ?? ends[0];
 }
 
 function turning() {
-  const from = map.latLngToContainerPoint(camera.getLatLng()), to = map.latLngToContainerPoint(handle.getLatLng());
-  const heading = (Math.atan2(to.x - from.x, from.y - to.y) * 180) / Math.PI;
-  moveTo({ heading: (heading + 360) % 360 }, true);
+  const from = map.latLngToContainerPoint(camera.getLatLng());
+  const to = map.latLngToContainerPoint(handle.getLatLng());
+  const heading_deg = (Math.atan2(to.x - from.x, from.y - to.y) * 180) / Math.PI;
+  moveTo({ heading_deg: (heading_deg + 360) % 360 }, true);
 }
 
 function keys(marker, moved) {
@@ -124,7 +142,7 @@ function makeCamera() {
   handle.on("drag", turning);
   for (const marker of [camera, handle]) marker.on("dragend", release);
   keys(camera, (by) => moveTo(nudged(camera, by)));
-  keys(handle, ([across]) => moveTo({ heading: (state.pose.heading + across / 2 + 360) % 360 }));
+  keys(handle, ([across]) => moveTo({ heading_deg: (state.pose.heading_deg + across / 2 + 360) % 360 }));
 }
 
 // Draws the circle that limits the search, unless its radius is null.
@@ -158,8 +176,9 @@ function makeCircle() {
 
 function showWhere() {
   let asked = 0;
+  const where = element("div", { class: "where" });
   const control = L.control({ position: "bottomright" });
-  control.onAdd = () => (where = element("div", { class: "where" }));
+  control.onAdd = () => where;
   control.addTo(map);
   const at = (shown) => {
     const place = offMap(shown);
@@ -170,28 +189,36 @@ function showWhere() {
   map.on("moveend", () => at(map.getCenter()));
   at(map.getCenter());
   on("connected", () => at(map.getCenter()));
-  on("height", ({ height, seq }) => {
-    if (seq === asked && height !== null && height !== undefined) where.textContent += `  ${Math.round(height)} m`;
+  on("height", ({ height_m, seq }) => {
+    if (seq === asked && Number.isFinite(height_m)) where.textContent += `  ${Math.round(height_m)} m`;
   });
 }
 
 const eastOf = (west, east) => (east < west ? east + 360 : east);
 const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, eastOf(west, east)]);
 
-export function start() {
-  const { area, terrain } = state.store;
+function makeMap({ area, terrain }) {
   const [west, , east] = area;
   middleLon = (west + eastOf(west, east)) / 2;
   map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
-  // Leaflet compares tiles with bounds within one turn only.
-  const noWrap = Boolean(terrain && terrain[0] < terrain[2]), bounds = noWrap ? box(terrain) : undefined;
-  if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
+  if (terrain) addRelief(terrain);
   else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
   map.fitBounds(box(area), { padding: [8, 8] });
   noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
+}
+
+function addRelief(terrain) {
+  // Leaflet compares tiles with bounds within one turn only.
+  const noWrap = terrain[0] < terrain[2];
+  const bounds = noWrap ? box(terrain) : undefined;
+  L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
+}
+
+export function start() {
+  makeMap(state.store);
   makeCamera();
   makeCircle();
   showWhere();

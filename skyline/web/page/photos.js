@@ -1,6 +1,6 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, emit, on, report, settle, showStatus, state } from "./state.js";
+import { $, alertUser, element, emit, on, report, setPhoto, settle, showStatus, state } from "./state.js";
 import { buttons, forget, resume, showShare, showSkyline, traceFrom } from "./brush.js";
 import { leave } from "./hand.js";
 import { keptFor, workOn } from "./kept.js";
@@ -13,16 +13,7 @@ const LOST = ["unusable", "missing"];
 let loading = false;
 
 function list() {
-  $("photos").replaceChildren(...state.photos.map((photo) => {
-    const remove = element("button", { "aria-label": `Remove ${photo.name}`, title: "Remove", onclick: () => drop(photo) }, "×");
-    if (LOST.includes(photo.state)) {
-      return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), WORDS[photo.state]), remove);
-    }
-    const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
-      element("span", { class: "name", title: photo.name }, photo.name),
-      element("span", { class: "state" }, WORDS[photo.state]));
-    return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
-  }));
+  $("photos").replaceChildren(...state.photos.map(row));
   const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
   $("busy").hidden = !loading && !opening;
   $("welcome").hidden = Boolean(state.photo) || opening;
@@ -32,11 +23,21 @@ function list() {
   $("find-all").hidden = state.photos.filter((photo) => photo.state === "ready").length < 2;
 }
 
+function row(photo) {
+  const remove = element("button", { "aria-label": `Remove ${photo.name}`, title: "Remove", onclick: () => drop(photo) }, "×");
+  if (LOST.includes(photo.state)) {
+    return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), WORDS[photo.state]), remove);
+  }
+  const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
+    element("span", { class: "name", title: photo.name }, photo.name),
+    element("span", { class: "state" }, WORDS[photo.state]));
+  return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
+}
+
 export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
-  state.photo = photo;
-  state.rows = state.trace = state.sight = state.pose = state.chosen = state.origin = state.fit = null;
+  setPhoto(photo);
   forget();
   loading = true;
   show(null);
@@ -134,7 +135,7 @@ async function drop(photo) {
   settle("photo");
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
-    state.photo = state.rows = state.trace = state.sight = state.pose = state.origin = state.fit = null;
+    setPhoto(null);
     loading = false;
     show(null);
     showStatus("");
@@ -163,6 +164,15 @@ function dropping() {
   });
 }
 
+// Takes up a photo that the server has; the index is not negative if the command names the photo.
+async function takeUp(photo, given) {
+  const work = workOn(photo);
+  Object.assign(photo, { solved: photo.strokes.length, unsaved: Boolean(work) });
+  if (given >= 0) photo.given = given;
+  // Strokes that were drawn while the server did not answer.
+  if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
+}
+
 export async function start(opened) {
   for (const id of ["choose", "add"]) $(id).onclick = () => $("files").click();
   $("files").onchange = () => {
@@ -176,13 +186,7 @@ export async function start(opened) {
     await openWaiting();
   });
   const { given } = state.store;
-  for (const photo of opened) {
-    const index = given.indexOf(photo.name), work = workOn(photo);
-    Object.assign(photo, { solved: photo.strokes.length, unsaved: Boolean(work) });
-    if (index >= 0) photo.given = index;
-    // Strokes that were drawn while the server did not answer.
-    if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
-  }
+  for (const photo of opened) await takeUp(photo, given.indexOf(photo.name));
   const others = given.map((name, index) => ({ name, given: index, state: "ready" }));
   const names = opened.map((photo) => photo.name);
   state.photos = [...opened, ...others.filter((photo) => !names.includes(photo.name))];

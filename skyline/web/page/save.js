@@ -21,17 +21,21 @@ async function save(kind, ending, button) {
   settle("save");
   showStatus("Writing…");
   try {
-    // A candidate's verdict is saved as long as it stands.
-    const isCurrent = state.chosen === null || standing();
-    const chosen = state.origin === "fitted" && isCurrent ? { fitted: true }
-      : state.origin === "found" && isCurrent ? { rank: state.chosen } : { pose: state.pose };
-    download(photo, await server.save(photo, kind, chosen), ending);
+    download(photo, await server.save(photo, kind, toSave()), ending);
     showStatus("Saved");
   } catch (error) {
     showStatus("");
     report(error, "save");
   }
   show();
+}
+
+// The request for the pose to save: a candidate has its verdict as long as that stands.
+function toSave() {
+  const isCurrent = state.chosen === null || standing();
+  if (isCurrent && state.origin === "fitted") return { fitted: true };
+  if (isCurrent && state.origin === "found") return { rank: state.chosen };
+  return { pose: state.pose };
 }
 
 // The page has the skyline's file, so it is saved without the server.

@@ -1,20 +1,29 @@
 // The state that the parts of the page share, and the events by which they learn of changes.
-export const state = {
-  store: null, // the server's description of the store
-  photos: [], // records in the list's order
-  photo: null, // the record that is shown
+// What belongs to the photo that is shown:
+const OF_PHOTO = {
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
   others: null, // Float32Array, rows of other crests that may be the skyline
   version: null, // distinguishes the skyline from others of the same photo
   trace: null, // text of the skyline's file
   chosen: null, // index of the candidate that was chosen, or that the fit led to
-  pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, wander, eyeHeight}
+  pose: null, // a record as `NotedPose` reads it, with eye_height_m
   origin: null, // of the pose: "found" (the chosen candidate), "fitted" or "hand"
-  circle: null, // {lon, lat}, the middle of the circle that limits the search
   fit: null, // result of the last fit, as long as the pose is the fitted one
   sight: null, // the skyline rendered at the pose
 };
+
+export const state = {
+  store: null, // the server's description of the store
+  photos: [], // records in the list's order
+  circle: null, // {lon, lat}, the middle of the circle that limits the search
+  typing: false, // whether a number of the pose is being typed
+  photo: null, // the record that is shown
+  ...OF_PHOTO,
+};
+
+// Another photo is shown, or none: nothing is known of it yet.
+export const setPhoto = (photo) => Object.assign(state, OF_PHOTO, { photo });
 
 const events = new EventTarget();
 
@@ -38,7 +47,7 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 // The widest field of view that a photo may have: above 120 degrees it is a panorama.
-export const widest = (photo) => (photo?.fov > 120 ? 360 : 120);
+export const widest = (photo) => (photo?.fov_deg > 120 ? 360 : 120);
 
 export function showStatus(text) {
   $("status").textContent = text;
@@ -61,10 +70,13 @@ export function settle(...kinds) {
 
 // A link for the user to follow: the page itself loads nothing from other machines.
 export function mapLink({ lon, lat }) {
-  const [north, east] = [lat.toFixed(5), lon.toFixed(5)];
+  const north = lat.toFixed(5);
+  const east = lon.toFixed(5);
   const href = `https://www.openstreetmap.org/?mlat=${north}&mlon=${east}#map=14/${north}/${east}`;
   return element("a", { href, target: "_blank", rel: "noreferrer", title: "See it on OpenStreetMap" }, degrees(lon, lat));
 }
+
+export const percent = (confidence) => `${Math.round(100 * confidence)} %`;
 
 export const degrees = (lon, lat, decimals = 5) =>
   `${Math.abs(lat).toFixed(decimals)}° ${lat < 0 ? "S" : "N"}  ${Math.abs(lon).toFixed(decimals)}° ${lon < 0 ? "W" : "E"}`;

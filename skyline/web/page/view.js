@@ -2,8 +2,11 @@
 import * as layers from "./layers.js";
 import { $, on, state } from "./state.js";
 
-const canvas = $("photo"), loupe = $("loupe");
-const LOUPE_PX = 180, LOUPE_TIMES = 6, MARGIN = 0.98;
+const canvas = $("photo");
+const loupe = $("loupe");
+const LOUPE_PX = 180;
+const LOUPE_TIMES = 6;
+const MARGIN = 0.98;
 export const view = { scale: 1, left: 0, top: 0, width: 1, height: 1 };
 export const marks = { stroke: null, cross: null, pointer: null, brush: 0 };
 let image = null;
@@ -13,7 +16,8 @@ let due = false;
 export function show(bitmap) {
   image?.close();
   image = bitmap;
-  marks.stroke = marks.cross = null;
+  marks.stroke = null;
+  marks.cross = null;
   fit();
 }
 
@@ -25,10 +29,11 @@ export const inPhoto = (event) => {
 
 export function fit() {
   fitted = true;
-  if (!state.photo?.width) return draw();
-  view.scale = MARGIN * Math.min(view.width / state.photo.width, view.height / state.photo.height);
-  view.left = (view.width - state.photo.width * view.scale) / 2;
-  view.top = (view.height - state.photo.height * view.scale) / 2;
+  if (!state.photo?.width_px) return draw();
+  const { width_px, height_px } = state.photo;
+  view.scale = MARGIN * Math.min(view.width / width_px, view.height / height_px);
+  view.left = (view.width - width_px * view.scale) / 2;
+  view.top = (view.height - height_px * view.scale) / 2;
   draw();
 }
 
@@ -72,11 +77,11 @@ function paint(target, at, ratio) {
   const ctx = target.getContext("2d");
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, at.width, at.height);
-  if (!image || !state.photo?.width) return;
-  const { width, height } = state.photo;
+  if (!image || !state.photo?.width_px) return;
+  const { width_px, height_px } = state.photo;
   ctx.imageSmoothingEnabled = at.scale < 2;
-  ctx.drawImage(image, at.left, at.top, width * at.scale, height * at.scale);
-  if (state.rows) layers.drawLeftOut(ctx, at, state.rows, height);
+  ctx.drawImage(image, at.left, at.top, width_px * at.scale, height_px * at.scale);
+  if (state.rows) layers.drawLeftOut(ctx, at, state.rows, height_px);
   if (state.sight) {
     if (state.rows) layers.drawGaps(ctx, at, state.sight, state.rows);
     layers.drawRendered(ctx, at, state.sight);

@@ -1,0 +1,88 @@
+"""Coordinate reference systems (CRS), and transformations between them."""
+
+import math
+from contextlib import suppress
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from skyline.errors import InputError
+
+
+def is_upright(crs: CRS) -> bool:
+    """Return whether a CRS's map is neither mirrored nor upside down.
+
+    Both axes of a polar projection point north, or both south.
+    """
+    directions = {axis.direction for axis in crs.axis_info[:2]}
+    return directions in ({"east", "north"}, {"north"}, {"south"})
+
+
+def is_metric(crs: CRS) -> bool:
+    """Return whether a CRS can be a frame: projected, in metres and upright."""
+    units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
+    metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
+    return bool(crs.is_projected and metres and is_upright(crs))
+
+
+def without_vertical(crs: CRS) -> CRS:
+    """Return a CRS without its vertical axis, if it has one."""
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
+
+
+def parse_crs(crs: object) -> CRS:
+    """Return the CRS of anything that pyproj understands; raises `InputError` otherwise."""
+    try:
+        return CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(
+            f"coordinate reference system {crs!r} is not understood "
+            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
+        ) from error
+
+
+def transformer(source: CRS, target: CRS) -> Transformer:
+    """Return the transformation between two CRS.
+
+    Coordinates are x and y, in the order of raster files. Raises `InputError` where PROJ knows
+    none, as for the CRS of another planet.
+    """
+    try:
+        return Transformer.from_crs(source, target, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
+            f"({' '.join(str(error).split())}); give a DEM in another CRS of the Earth"
+        ) from error
+
+
+def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
+    """Return a point's longitude and latitude (WGS 84), and their accuracy in words."""
+    transformation = transformer(crs, CRS.from_epsg(4326))
+    lon, lat = transformation.transform(x, y)
+    with suppress(ProjError):  # There may be only one operation.
+        transformation = transformation.get_last_used_operation()
+    steps = transformation.description.split(" + ")
+    how = " + ".join(step for step in steps if not step.startswith("axis order change"))
+    if "Ballpark" in how:
+        how += "; PROJ knows no better one here, and places may be off by some 100 m"
+    elif transformation.accuracy >= 0.0:
+        how += f"; good to {transformation.accuracy:g} m"
+    return float(lon), float(lat), how
+
+
+def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
+    """Return how far a position lies outside a CRS's area, in degrees.
+
+    The result is 0 where the area is not known.
+    """
+    authority = crs.to_authority()
+    area = CRS.from_authority(*authority).area_of_use if authority else None
+    if area is None:
+        return 0.0
+    width = (area.east - area.west) % 360.0 or 360.0
+    past_west = (lon_deg - area.west) % 360.0
+    aside = max(0.0, min(past_west - width, 360.0 - past_west))
+    aside *= math.cos(math.radians(lat_deg))
+    return max(area.south - lat_deg, lat_deg - area.north, aside, 0.0)

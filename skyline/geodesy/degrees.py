@@ -1,0 +1,72 @@
+"""Degrees: boxes of longitudes and latitudes, turns, and distances in words for people.
+
+Azimuths inside the program are from grid north; people read azimuths from true north, and degrees
+of WGS 84.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError, numbers_of, swapped_in_words
+
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north in degrees; west above east means a box across the antimeridian."""
+
+
+def check_bounds(bounds_deg: Bounds) -> Bounds:
+    """Return bounds as floats; raises `InputError` unless they are W,S,E,N with S < N."""
+    error = f"bounds are {bounds_deg!r}; expected four numbers W,S,E,N in degrees"
+    west, south, east, north = bounds_deg = numbers_of(bounds_deg, 4, error)  # type: ignore[assignment]
+    if not are_bounds(*bounds_deg):
+        is_swapped = are_bounds(south, west, north, east)
+        hint = f"; {swapped_in_words(*bounds_deg)}" if is_swapped else ""
+        raise InputError(
+            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees, longitudes "
+            f"from -180 to 180, S < N, and W > E only across the antimeridian{hint}"
+        )
+    return bounds_deg
+
+
+def are_bounds(west: float, south: float, east: float, north: float) -> bool:
+    """Return whether numbers can be the bounds of a box in degrees.
+
+    A box with W > E crosses the antimeridian, and is at most half a turn wide: W and E of a wider
+    one were swapped.
+    """
+    return (
+        -90.0 <= south < north <= 90.0
+        and -180.0 <= west <= 180.0
+        and -180.0 <= east <= 180.0
+        and 0.0 < width_deg((west, south, east, north)) <= (360.0 if west < east else 180.0)
+    )
+
+
+def are_degrees(lon: float, lat: float) -> bool:
+    """Return whether two numbers can be a longitude and a latitude."""
+    return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
+
+
+def width_deg(bounds_deg: Bounds) -> float:
+    """Return the width of a box in degrees of longitude; 360 all the way round."""
+    west, _, east, _ = bounds_deg
+    return east - west if west <= east else east - west + 360.0
+
+
+def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
+    """Return angles within half a turn of another angle, by default in [-180, 180)."""
+    least_deg = about_deg - 180.0
+    return (np.asarray(angle_deg, dtype=np.float64) - least_deg) % 360.0 + least_deg
+
+
+def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
+    """Return a longitude (``names`` EW) or latitude (NS) in words, without a sign."""
+    value = float(in_turn(value))
+    return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
+
+
+def distance_in_words(distance_m: float) -> str:
+    """Return a distance in metres, or in kilometres from 10 km on."""
+    if distance_m < 10_000.0:
+        return f"{distance_m:.0f} m"
+    return f"{distance_m / 1000.0:,.0f} km"

@@ -1,0 +1,49 @@
+"""The Earth: its radius, its curvature less refraction, and the range of its ground."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError
+
+EARTH_RADIUS_M = 6371008.8
+"""The mean radius of the Earth."""
+
+DEFAULT_REFRACTION_K = 0.13
+"""The share of the Earth's curvature that refraction usually compensates by day."""
+
+GROUND_M = (-500.0, 9000.0)
+"""Lowest and highest ground on Earth, with a margin: Dead Sea -430 m, Everest 8849 m."""
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """Drop of the surface below the eye's tangent plane, refraction included."""
+
+    radius_m: float = EARTH_RADIUS_M
+    """Radius of the planet."""
+    refraction_k: float = DEFAULT_REFRACTION_K
+    """Share of the curvature that refraction compensates."""
+    enabled: bool = True
+    """False leaves the plane flat."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius_m) and self.radius_m > 0.0):
+            raise InputError(
+                f"planet radius is {self.radius_m} m; expected a positive number of metres"
+            )
+        if not (np.isfinite(self.refraction_k) and -1.0 <= self.refraction_k < 1.0):
+            raise InputError(
+                f"refraction k is {self.refraction_k}; expected -1 <= k < 1 (0.13 is usual)"
+            )
+
+    @property
+    def drop_per_m2(self) -> float:
+        """The drop over the square of the distance, (1 - k) / (2 R)."""
+        return (1.0 - self.refraction_k) / (2.0 * self.radius_m) if self.enabled else 0.0
+
+    def drop_m(self, distance_m: ArrayLike) -> Float64Array:
+        """Return the drop in metres at horizontal distances in metres."""
+        return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))

@@ -1,0 +1,210 @@
+"""Map frames: positions in metres and degrees, north, and true angles.
+
+Inside the program a position is (easting, northing) in one metric frame.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pyproj import CRS, Geod, Transformer
+
+from skyline.arrays import Complex128Array, Float64Array
+from skyline.errors import InputError
+from skyline.geodesy.crs import is_metric, parse_crs, transformer, without_vertical
+from skyline.geodesy.degrees import Bounds, check_bounds, width_deg
+
+Rectangle = tuple[float, float, float, float]
+"""West, south, east, north in metres of a frame."""
+
+TRUE_DEG = 0.05
+"""Greatest error of an angle on a map that is used as a frame, in degrees. The best answers claim
+0.1 degrees, as does the noise of a photo's skyline; errors add as squares, so half as much widens
+that by an eighth. UTM is off by 0.03 degrees on its zone's border at the equator. Warping a map
+that is nearer the truth would move its summits by more than it gains."""
+
+_EDGE_POINTS = 63
+"""Points along each side of a box that is transformed to other coordinates, where it is curved."""
+
+_LOCAL = "local transverse Mercator"
+"""The beginning of the names of local frames."""
+
+_WGS84 = Geod(ellps="WGS84")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A metric map frame: the DEM's own CRS, or a local conformal one."""
+
+    wkt: str
+    """The CRS as well-known text."""
+
+    @classmethod
+    def from_crs(cls, crs: object) -> "Frame":
+        """Return the frame of anything that pyproj understands as a metric CRS.
+
+        The vertical axis of a compound or three-dimensional CRS is left out. Raises `InputError`
+        for anything else.
+        """
+        parsed = without_vertical(parse_crs(crs))
+        if not is_metric(parsed):
+            raise InputError(
+                f"frame {parsed.name!r} is not metric; expected a projected CRS in metres whose "
+                "axes point east and north"
+            )
+        return cls(parsed.to_wkt())
+
+    @classmethod
+    def local(cls, *, lon: float, lat: float) -> "Frame":
+        """Return the transverse Mercator frame on WGS 84 through a point; it is conformal."""
+        definition = CRS.from_proj4(
+            f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
+            "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+        ).to_json_dict()
+        definition["name"] = f"{_LOCAL} at {lat:.4f}, {lon:.4f}"
+        return cls(CRS.from_json_dict(definition).to_wkt())
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the frame is one of `Frame.local`, the best there is for an area."""
+        return str(self.crs.name).startswith(_LOCAL)
+
+    @cached_property
+    def crs(self) -> CRS:
+        """The frame as a pyproj CRS."""
+        return without_vertical(CRS.from_wkt(self.wkt))
+
+    @property
+    def name(self) -> str:
+        """The frame's code, such as EPSG:32632, or its name."""
+        authority = self.crs.to_authority()
+        return ":".join(authority) if authority else str(self.crs.name)
+
+    @cached_property
+    def _to_lonlat(self) -> Transformer:
+        return transformer(self.crs, CRS.from_epsg(4326))
+
+    def to_lonlat(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return longitude and latitude (WGS 84, degrees) of map coordinates."""
+        lon, lat = self._to_lonlat.transform(easting_m, northing_m)
+        return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
+
+    def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
+        """Return the box in degrees around the map rectangle of positions.
+
+        Around a rectangle that holds a pole, the box has all longitudes, -180 to 180.
+        """
+        west, south, east, north = self._to_lonlat.transform_bounds(
+            np.min(easting_m),
+            np.min(northing_m),
+            np.max(easting_m),
+            np.max(northing_m),
+            densify_pts=_EDGE_POINTS,
+        )
+        # The antimeridian is -180 as a west side and 180 as an east side.
+        return -180.0 if west == 180.0 else west, south, 180.0 if east == -180.0 else east, north
+
+    def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
+        easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
+        return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
+
+    def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
+        """Return the map rectangle around a box in degrees; raises as `check_bounds`."""
+        west, south, _, north = check_bounds(bounds_deg)
+        rectangle: Rectangle = self._to_lonlat.transform_bounds(
+            west,
+            south,
+            west + width_deg(bounds_deg),
+            north,
+            densify_pts=_EDGE_POINTS,
+            direction="INVERSE",
+        )
+        return rectangle
+
+    def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
+        _, to_north = self._steps(easting_m, northing_m)
+        return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
+
+    def angle_error_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return the greatest error of an angle on the map, by position.
+
+        The angle is level or upright. A scale k in some direction divides the tangents of elevation
+        angles there by k, which changes an angle of 45 degrees most.
+        """
+        to_east, to_north = self._steps(easting_m, northing_m)
+        # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
+        sums = np.abs(to_east - 1j * to_north)
+        differences = np.abs(to_east + 1j * to_north)
+        scales = np.stack([sums + differences, sums - differences]) / 2.0
+        with np.errstate(invalid="ignore"):  # off the map
+            level = 2.0 * np.arcsin(differences / sums)
+            upright = np.arcsin(np.abs(scales - 1.0) / (scales + 1.0)).max(axis=0)
+        return np.asarray(np.degrees(np.maximum(level, upright)))
+
+    def untrue_deg(self, rectangle_m: Rectangle) -> float:
+        """Return the greatest error of an angle in a rectangle, or 0.
+
+        The result is 0 where the frame may be used. A frame may be used where its error is at most
+        `TRUE_DEG`, or no greater than the error of a local frame, as over areas that are too wide
+        for any map.
+        """
+        if self.is_local:
+            return 0.0
+        west, south, east, north = rectangle_m
+        easting, northing = np.meshgrid(np.linspace(west, east, 9), np.linspace(south, north, 9))
+        error_deg = self._greatest_error_deg(easting, northing)
+        if error_deg <= TRUE_DEG:
+            return 0.0
+        lon, lat = self.to_lonlat(easting, northing)
+        middle = lon.size // 2
+        local = Frame.local(lon=lon.flat[middle], lat=lat.flat[middle])
+        is_truer = local._greatest_error_deg(*local.from_lonlat(lon, lat)) < error_deg
+        return error_deg if is_truer else 0.0
+
+    def _greatest_error_deg(self, easting_m: Float64Array, northing_m: Float64Array) -> float:
+        error_deg = self.angle_error_deg(easting_m=easting_m, northing_m=northing_m)
+        return float(np.nanmax(np.append(error_deg, 0.0)))
+
+    def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return map metres per metre of ground, by position.
+
+        The scale is a mean over directions.
+        """
+        to_east, to_north = self._steps(easting_m, northing_m)
+        return np.sqrt(np.abs((to_east.conj() * to_north).imag))
+
+    def _steps(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Complex128Array, Complex128Array]:
+        """Return the map steps, easting + i northing, of a metre of ground east and north.
+
+        They are differences of positions on WGS 84, and hold for any datum, prime meridian and
+        axes.
+        """
+        lon, lat = self.to_lonlat(easting_m, northing_m)
+        # Half of the differences from which a projection's derivatives are computed, 11 m.
+        step_deg = 1e-4
+        # A pole has no north, and takes the north of a position a kilometre away.
+        lat = np.clip(lat, -89.99, 89.99)
+        lat_rad = np.radians(lat)
+        lon_step = step_deg / np.cos(lat_rad)
+
+        def step(lon_deg: Float64Array | float, lat_deg: float) -> Complex128Array:
+            start = self.from_lonlat(lon - lon_deg, lat - lat_deg)
+            east, north = np.subtract(self.from_lonlat(lon + lon_deg, lat + lat_deg), start)
+            return np.asarray((east + 1j * north) / math.radians(2.0 * step_deg))
+
+        with np.errstate(invalid="ignore"):  # off the map
+            eastward = step(lon_step, 0.0)
+            northward = step(0.0, step_deg)
+        # The radii of curvature across the meridian and along it.
+        root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
+        across_m = _WGS84.a / np.sqrt(root)
+        along_m = across_m * (1.0 - _WGS84.es) / root
+        return eastward / across_m, northward / along_m

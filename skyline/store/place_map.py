@@ -1,0 +1,140 @@
+"""A map of a store's places in its file."""
+
+import mmap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from skyline.arrays import Int64Array, IntArray
+from skyline.errors import InputError, StoreError
+from skyline.store.header import REBUILD, StoreHeader, checksums_of_bytes
+from skyline.store.places import Places
+
+Offsets = dict[str, Int64Array]
+"""Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
+
+
+class PlaceMap:
+    """The places of a store; see `Store.places`.
+
+    It keeps the file open, so the store may be closed, replaced or removed. Pages that are read
+    belong to the system's cache; the map itself takes 72 bytes for 1024 places.
+
+    The file's length is checked before each block and each batch of rows. A file that is cut short
+    while one of them is being read makes the system end the process (SIGBUS), as with any mapped
+    file. `skyline.store.write` replaces stores and never cuts one short.
+    """
+
+    def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
+        """Map the places of a file descriptor, whose chunks lie ``at`` offsets."""
+        self._path = path
+        self._header = header
+        self._places = places
+        self._at = at
+        self._size = header.chunk_rows(places)
+        self._types = header.specs
+        # Checksums are computed over the datasets in order of name.
+        self._fields = {name: field for field, name in header.fields.items()}
+        self._record = np.dtype([(name, self._types[name]) for name in sorted(self._fields)])
+        self._end = max(
+            int(offsets.max(initial=0)) + self._size * self._types[name].itemsize
+            for name, offsets in at.items()
+        )
+        # The system maps no empty file, but even an empty store has a superblock.
+        self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
+        self._check_length()
+        data = np.frombuffer(self._map, dtype=np.uint8)
+        # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
+        self._rows = {
+            name: sliding_window_view(data, row.itemsize) for name, row in self._types.items()
+        }
+
+    def __len__(self) -> int:
+        """Return the number of places."""
+        return self._places
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield all places in order, 1024 at a time (the last time fewer).
+
+        The arrays are read-only and lie in the file: it is read when an array is, and no checksum
+        is compared (`take` does that, and `check_store` for the whole store).
+
+        Raises
+        ------
+        StoreError
+            The file was cut short since the store was opened.
+        """
+        size = self._size
+        for chunk in range(-(-self._places // size)):
+            self._check_length()
+            rows = min(size, self._places - chunk * size)
+            fields: Any = {
+                field: np.ndarray((rows,), self._types[name], self._map, self._at[name][chunk])
+                for name, field in self._fields.items()
+            }
+            yield Places(**fields)
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        """Return copies of places ``rows`` (M,) in order, compared with their checksums.
+
+        Raises
+        ------
+        InputError
+            A row does not exist.
+        StoreError
+            A place differs from its checksum, or the file was cut short.
+        """
+        given = np.asarray(rows)
+        wanted: IntArray = given.astype(np.intp)
+        # A mask is no list of rows, though its values are numbers.
+        is_list = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
+        if not is_list or not ((wanted >= 0) & (wanted < self._places)).all():
+            raise InputError(
+                f"rows to take from store {self._path} are not a list of numbers from 0 to "
+                f"{self._places - 1}"
+            )
+        taken: Any = {
+            field: np.empty(len(wanted), self._types[name]) for name, field in self._fields.items()
+        }
+        # Rows are read in the order of the file: a disk is read forwards, and each page once.
+        at_once = 4096
+        order = np.argsort(wanted, kind="stable")
+        for first in range(0, len(wanted), at_once):
+            self._check_length()
+            to = order[first : first + at_once]
+            gathered = self._gathered(wanted[to])
+            for name, field in self._fields.items():
+                taken[field][to] = gathered[name]
+        return Places(**taken)
+
+    def _gathered(self, rows: IntArray) -> NDArray[np.void]:
+        """Return some places (M,), each by the names of its datasets; verified."""
+        chunk, row = np.divmod(rows, self._size)
+        bytes_of = [
+            self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
+            for name in (*sorted(self._fields), self._header.checksum)
+        ]
+        together = np.concatenate(bytes_of[:-1], axis=1)
+        wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
+        if wrong.any():
+            raise StoreError(
+                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
+                "checksum; `skyline store check` lists all damage, `skyline store repair` "
+                "saves the whole rows"
+            )
+        return together.view(self._record)[:, 0]
+
+    def _check_length(self) -> None:
+        if (size := self._map.size()) < self._end:
+            raise StoreError(
+                f"store {self._path} is truncated: {size} bytes, of which places need "
+                f"{self._end}; {REBUILD}"
+            )
+
+
+PlaceSource = PlaceMap | Places
+"""Places in a file or in memory."""

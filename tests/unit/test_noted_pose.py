@@ -1,0 +1,64 @@
+"""A pose is written as a record by `Pose.to_dict` and read by `NotedPose.from_dict`."""
+
+import json
+
+import pytest
+from scenes import candidate_at, fractal, write_dem
+
+from skyline import InputError, NotedPose, OffMapError, Projection, Viewer, read_dem
+
+LENS = Projection.PERSPECTIVE
+LEAST = {"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60}
+
+
+def test_a_pose_is_read_as_it_was_written():
+    pose = candidate_at(602_000.0, 5_177_900.0, 141.4)
+    noted = NotedPose.from_dict(json.loads(json.dumps(pose.to_dict())), LENS)
+    for name in ("lon", "lat", "heading_deg", "pitch_deg", "fov_deg", "eye_elevation_m", "wander"):
+        assert getattr(noted, name) == getattr(pose, name)
+    assert noted.eye_height_m is None
+
+
+def test_what_a_record_does_not_have_is_level_and_undistorted():
+    assert NotedPose.from_dict(LEAST, LENS) == NotedPose(
+        lon=9.0, lat=46.0, heading_deg=1.0, fov_deg=60.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        (None, "the request has no pose; expected JSON"),
+        ([LEAST], "the request has no pose"),
+        (LEAST | {"lat": None}, "the request has no pose"),
+        (LEAST | {"lat": True}, "the request: lat is True; expected a number"),
+        (LEAST | {"lat": float("nan")}, "lat is nan; expected a number"),
+        (LEAST | {"lat": 10**400}, "expected a number"),
+        (LEAST | {"lat": 91}, r"the place is 9,91; expected degrees \(WGS 84\)"),
+        (LEAST | {"pitch_deg": 91}, "pitch_deg is 91; expected -90 to 90"),
+        (LEAST | {"roll_deg": -181}, "roll_deg is -181; expected -180 to 180"),
+        (LEAST | {"eye_height_m": 2, "eye_elevation_m": 900}, "both eye_elevation_m and eye_heig"),
+    ],
+)
+def test_what_is_no_pose_is_refused(record, message):
+    with pytest.raises(InputError, match=message):
+        NotedPose.from_dict(record, LENS, "the request")
+
+
+def test_a_height_counts_from_the_ground_and_an_elevation_from_the_datum(tmp_path):
+    terrain = read_dem([write_dem(tmp_path / "dem.tif", fractal(60, 60) + 2000.0)])
+    west, south, east, north = terrain.box_deg
+    place = {"lon": (west + east) / 2, "lat": (south + north) / 2}
+    viewer = Viewer(terrain)
+
+    def eye_m(**eye):
+        return viewer.pose_of(NotedPose(**LEAST | place | eye))[0].eye_elevation_m
+
+    ground_m = eye_m(eye_height_m=0.0)
+    assert eye_m() == ground_m + 2.0
+    assert eye_m(eye_height_m=30.0) == ground_m + 30.0
+    assert eye_m(eye_elevation_m=ground_m + 30.0) == ground_m + 30.0
+    with pytest.raises(OffMapError, match=r"1\.00 m below the ground"):
+        eye_m(eye_height_m=-1.0)
+    with pytest.raises(InputError, match="-500 to 20000"):
+        eye_m(eye_height_m=1e6)
