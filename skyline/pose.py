@@ -1,4 +1,4 @@
-"""Poses of a camera: one on the map, its record, or columns of many."""
+"""Poses of a camera: on the map, in records, and in columns."""
 
 import math
 import sys
@@ -215,7 +215,7 @@ class Pose:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the record of the pose: JSON on the page and of ``skyline match --json``.
+        """Return the pose's record, as ``skyline match --json`` prints it.
 
         `NotedPose.from_dict` reads it.
         """
@@ -235,7 +235,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotedPose:
-    """A pose as a program or a person has written it down, not yet on a terrain.
+    """A pose as it was written down, not yet on a terrain.
 
     Attributes
     ----------
@@ -312,7 +312,7 @@ class NotedPose:
 
 
 def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
-    """Return how the rows of a panorama wander in a record of a pose; `InputError` for no list."""
+    """Return a record's wander of a panorama's rows; raises `InputError` for no list."""
     wander = record.get("wander") or []
     if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
         raise InputError(
@@ -323,7 +323,7 @@ def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
 
 
 def _number(value: Any, name: str, source: str) -> float:
-    """Return a value of a record as a number; raises `InputError` for anything else."""
+    """Return a record's value as a number, or raise `InputError`."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= sys.float_info.max:
         raise InputError(f"{source}: {name} is {str(value)[:40]}; expected a number")

@@ -420,10 +420,7 @@ class Viewer(Releasable):
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Pose) -> Viewpoints:
-        """Return a pose's eye, at least as high as a camera.
-
-        Raises `OffMapError`.
-        """
+        """Return a pose's eye, raised to the least height of a camera."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)

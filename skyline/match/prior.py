@@ -221,10 +221,7 @@ class EyeHeightPrior:
         return np.asarray(np.log1p(self._deviations(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
-        """Return the precision (M,) of an equally strong normal pull.
-
-        A normal distribution of that precision pulls heights as strongly as this prior does.
-        """
+        """Return the precision (M,) of the normal distribution that pulls heights equally."""
         sd_m = max(self.sd_m, _LEAST_SD_M)
         return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
 
@@ -296,9 +293,9 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class _NotedHeight:
-    """A height above the ground that a photo notes.
+    """A height above the known ground that a photo notes.
 
-    The photo's place is known. Its error is distributed as in `PlacePrior`.
+    Its error is distributed as in `PlacePrior`.
     """
 
     height_m: float
@@ -449,10 +446,7 @@ class Prior:
         return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
-        """Return which positions (N,) the narrowing contains.
-
-        They lie within its circles, its bounds and its elevations.
-        """
+        """Return which positions (N,) lie within the circles, bounds and elevations."""
         inside = np.ones(len(positions), dtype=bool)
         easting_m, northing_m = positions.easting_m, positions.northing_m
         if self.narrowing.elevation_m is not None:

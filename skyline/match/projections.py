@@ -91,10 +91,7 @@ class OtherProjection:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is too likely for the pose to be trusted.
-
-        The pose is the one that was fitted as a perspective photo's.
-        """
+        """Whether the pose of a perspective photo cannot be trusted."""
         return self.probability > _BENT.trusted_below
 
     @property
@@ -148,10 +145,7 @@ def other_projection(
 
 
 def _columns(rays: Rays, fov_deg: float) -> Rays:
-    """Return a photo's rays averaged over columns of equal width.
-
-    ``fov_deg`` is the field of view that they are given.
-    """
+    """Return rays for a field of view, averaged over equal columns."""
     step_rad = 2.0 * np.pi / ROUGH.bins
     count = int(_BENT.columns_per_bin * math.sin(math.radians(fov_deg)) / step_rad)
     return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)

@@ -22,21 +22,28 @@ FOV_RANGE_DEG = (25.0, 100.0)
 USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
-_DISTORTION_SD = 0.01
-"""Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's database
-are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With a larger
-deviation, near slopes bend to fit."""
-_WIDE_DISTORTION_SD = 0.05
-"""The same for a wide lens."""
-_WIDE_DEG = 75.0
-"""Lenses of a greater field of view are wide."""
-_WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
-"""Standard deviations of a panorama's row shifts, one for each polynomial degree: as in a random
-walk, they fall with the inverse of the degree."""
-_WANDER_FOV_DEG = 240.0
-"""Field of view of these deviations, which grow with its square root."""
-_FOV_DEVIATIONS = 4.0
-"""Standard deviations to either side of a given field of view that are searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """What is expected of the lenses and the panoramas of photos."""
+
+    distortion_sd: float = 0.01
+    """Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's
+    database are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With
+    a larger deviation, near slopes bend to fit."""
+    wide_distortion_sd: float = 0.05
+    """Standard deviation of a wide lens's distortion."""
+    wide_deg: float = 75.0
+    """Lenses of a greater field of view are wide."""
+    wander_fov_deg: float = 240.0
+    """Field of view of a panorama whose rows wander by 1 degree, divided by the polynomial's degree
+    minus 1. The deviations grow with the square root of the field of view."""
+    searched_sds: float = 4.0
+    """Standard deviations to either side of a given field of view that are searched."""
+
+
+_CAMERAS = CameraModel()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,7 +78,11 @@ class Rays(ImagePoints):
         if photo.fov_deg is not None:
             fov_deg = photo.fov_deg
             lens = photo.lens or Lens(photo.fov_deg)
-            distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
+            distortion_sd = (
+                _CAMERAS.wide_distortion_sd
+                if fov_deg > _CAMERAS.wide_deg
+                else _CAMERAS.distortion_sd
+            )
             u, v = photo.image_plane()
             rays = cls(
                 u=u,
@@ -94,7 +105,7 @@ class Rays(ImagePoints):
                 fov_deg=fov_deg,
                 fov_range_deg=FOV_RANGE_DEG,
                 fov_sd_deg=fov_sd_deg,
-                distortion_sd=_DISTORTION_SD,
+                distortion_sd=_CAMERAS.distortion_sd,
             )
         raise InputError(
             "the photo's field of view is not known: it is not in the image; give --fov-deg"
@@ -134,8 +145,9 @@ class Rays(ImagePoints):
         `wander`.
         """
         if self.is_panorama:
-            grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)
-            return np.radians(_WANDER_SD_DEG) * grown
+            grown = math.sqrt(self.fov_deg / _CAMERAS.wander_fov_deg)
+            # As in a random walk, the shifts of rows fall with the inverse of the degree.
+            return np.radians(1.0 / (np.array(WANDER_DEGREES) - 1.0)) * grown
         return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
 
     def with_fov(self, fov_deg: float) -> "Rays":
@@ -156,8 +168,8 @@ class Rays(ImagePoints):
             return self
         fov_deg = self.fov_deg
         possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
-        widest_deg = min(fov_deg + _FOV_DEVIATIONS * fov_sd_deg, possible_deg, most_deg)
-        narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * fov_sd_deg, 0.5 * fov_deg)
+        widest_deg = min(fov_deg + _CAMERAS.searched_sds * fov_sd_deg, possible_deg, most_deg)
+        narrowest_deg = max(fov_deg - _CAMERAS.searched_sds * fov_sd_deg, 0.5 * fov_deg)
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=fov_sd_deg)
 
 
@@ -194,10 +206,7 @@ def in_runs(rays: Rays, count: int) -> Rays:
 
 
 def _averaged(rays: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
-    """Return the rays' weighted means in the kept steps.
-
-    ``weight`` is their new weight.
-    """
+    """Return the rays' weighted means in the kept steps, with new weights."""
     total = np.bincount(step, rays.weight)[kept]
     u, v = (np.bincount(step, rays.weight * ray)[kept] / total for ray in (rays.u, rays.v))
     return replace(rays, u=u, v=v, weight=weight)

@@ -54,8 +54,6 @@ VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""
 GREATEST_LOG_ODDS = 50.0
 """Log odds beyond this count as this, so that their exponential exists."""
-_LEAST_NEARNESS = 1e-6
-"""Least mean inverse distance of a skyline, 1 / m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,10 +233,7 @@ class Refinement:
         return replace(particles, fit=fit, step_m=np.full(len(particles), MOVES.first_step_m))
 
     def moved(self, solver: Solver, particles: Particles) -> Particles:
-        """Return particles after one step, where it improves the fit.
-
-        The fit is to the rendering from the new place.
-        """
+        """Return particles after one step, where the new rendering fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         new = self.stepped(solver, particles, solved.state, solved)
         return particles.kept(new, new.fit.cost < particles.fit.cost)
@@ -292,10 +287,7 @@ class Refinement:
         return Particles(curves, fit, np.full(len(state), MOVES.first_step_m))
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
-        """Render the directions of the photo from M eyes.
-
-        The eyes are at the heights of their states.
-        """
+        """Render the photo's directions from M eyes at their states' heights."""
         self._report("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
@@ -322,10 +314,7 @@ class Refinement:
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the particles of the next round.
-
-        They are the best, and the very best one's rivals.
-        """
+        """Return the best particles, and the rivals of the very best."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
         place = ordered.curves.place_m
@@ -362,7 +351,7 @@ class Refinement:
             covariance_m2=spread_m2(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             residual_deg=np.degrees(np.sqrt(squares / shown)),
             terrain_share=shown / trust.sum(),
-            skyline_m=1.0 / np.maximum(nearness, _LEAST_NEARNESS),
+            skyline_m=1.0 / np.maximum(nearness, 1e-6),
             effective_columns=found.effective_columns,
             height_sd_m=solver.heights_m[particles.fit.height],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
@@ -398,9 +387,9 @@ def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
 
 
 def best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
-    """Return the indices of the best distinct poses and rivals.
+    """Return the indices of the best distinct poses, best first.
 
-    The rivals are the best pose's; all are sorted, best first.
+    The rivals of the very best pose are among them.
     """
     chosen = standing.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]

@@ -112,7 +112,7 @@ class MatchResult:
 
     @property
     def summary(self) -> str:
-        """Where the photo was taken, or why not answered, in a sentence."""
+        """Where the photo was taken, or why unknown, in one sentence."""
         refusal = self.refusal or "no place fits"
         best = self.best
         if best is None:
@@ -141,7 +141,7 @@ class MatchResult:
     def beyond(self) -> str | None:
         """A warning that the skyline may lie beyond the elevation model.
 
-        It is given if that is so for a tenth of the skyline or more.
+        It is given from a tenth of the skyline on.
         """
         share = None if self.best is None else self.best.beyond_share
         if share is None or share < 0.1:
@@ -239,10 +239,7 @@ class MatchResult:
         }
 
     def to_row(self) -> dict[str, Any]:
-        """Return a row of ``skyline match --results``.
-
-        It has the best candidate and its verdict.
-        """
+        """Return the best candidate and its verdict, as for ``--results``."""
         best = self.best
         exif = self.exif
         row = {} if best is None else best.to_dict()
@@ -321,10 +318,7 @@ class JointResult:
 
     @property
     def agrees(self) -> tuple[bool, ...]:
-        """Whether each photo was taken at the best place.
-
-        If not, it was more likely taken at any other.
-        """
+        """Whether each photo was likely taken at the best place."""
         return tuple(bool(one.candidates) for one in self.results)
 
     @property

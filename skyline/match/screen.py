@@ -81,10 +81,7 @@ class Alike(Rows):
     score: Float32Array
 
     def best(self, count: int) -> "Alike":
-        """Return the best ``count`` places.
-
-        Of equal ones, those that come first in the source are returned.
-        """
+        """Return the best ``count`` places; equal ones in the source's order."""
         return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod

@@ -31,14 +31,10 @@ from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
-_SHORTLIST_SHARE = 1 / 1500
-"""Poses that retrieval returns for each place of the store: the more places there are, the more are
-alike."""
 _SHORTLIST_LEAST = 400
+"""Least number of poses that retrieval returns."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
-_SHOWN_EYES = 20_000
-"""Most eyes that are shown on a map."""
 
 
 @contextmanager
@@ -77,7 +73,8 @@ class FullMatcher(SearchMethod):
         self._scene = scene
         self.retriever = Retriever(places, ground)
         self.models = confidence.models()
-        share = round(_SHORTLIST_SHARE * len(places))
+        # The more places there are, the more are alike.
+        share = round(1 / 1500 * len(places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
@@ -89,7 +86,7 @@ class FullMatcher(SearchMethod):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
-        some = self.retriever.sample(_SHOWN_EYES)
+        some = self.retriever.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)

@@ -1,7 +1,7 @@
 """Refinement of several photos of one eye, together."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,20 +17,27 @@ from skyline.match.refine import (
 from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
 from skyline.pose import DISTANCES_M, Poses
 
-_STRANGER = 10.0
-"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
-about 10."""
-_KEPT_SHARE = 0.5
-"""Share of places kept from one round to the next: several photos separate right places from wrong
-ones at once."""
-_KEPT_LEAST = 8
-"""Least number of places kept."""
-_HEADING_STEP_DEG = 6.0
-"""Step of the headings that are tried for a photo of unknown heading."""
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all photos of one eye share."""
-_LEAST_SHARE = 1e-6
-"""Least weight of a photo, so that the mean of the steps exists where no photo fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSearch:
+    """What a joint refinement assumes, and which places it follows."""
+
+    stranger: float = 10.0
+    """L, the log odds that a photo was taken at the place where it fits best: one photo in twenty
+    was taken somewhere else, at one of a thousand places, and log(20 * 1000) is about 10."""
+    kept_share: float = 0.5
+    """Share of places kept from one round to the next: several photos separate right places from
+    wrong ones at once."""
+    kept_least: int = 8
+    """Least number of places kept."""
+    heading_step_deg: float = 6.0
+    """Step of the headings that are tried for a photo of unknown heading."""
+
+
+_SEARCH = JointSearch()
 
 
 class JointRefinement:
@@ -75,7 +82,7 @@ class JointRefinement:
             for solo, places in zip(self._solos, found, strict=True)
         ]
         for _ in range(effort.rounds - 1):
-            kept = max(_KEPT_LEAST, int(_KEPT_SHARE * len(particles[0])))
+            kept = max(_SEARCH.kept_least, int(_SEARCH.kept_share * len(particles[0])))
             particles = self._moved(self._kept(particles, kept))
         around = self._kept(particles, effort.restarts)
         around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
@@ -93,10 +100,7 @@ class JointRefinement:
         return self._poses(self._kept(particles, effort.finalists))
 
     def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
-        """Return particles after one common step, where it improves fits.
-
-        The fits are to the renderings from the new places.
-        """
+        """Return particles after one common step, where new renderings fit better."""
         solved = [
             replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
             for solver, own in zip(self._solvers, particles, strict=True)
@@ -138,7 +142,8 @@ class JointRefinement:
                 for solver, own in zip(self._solvers, particles, strict=True)
             ]
         )
-        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
+        # The mean of the steps exists even where no photo fits.
+        share = np.maximum(share, 1e-6)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
     def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
@@ -170,7 +175,7 @@ class JointRefinement:
 
 def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
     """Return a photo's best particle of all headings, by place."""
-    turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
+    turn_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
     at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
     none = np.zeros(len(at_m))
     heading_deg = np.tile(turn_deg, len(place_m))
@@ -200,11 +205,11 @@ def _cost(off: Float64Array) -> Float64Array:
 
     They are infinite where no photo fits.
     """
-    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
+    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_SEARCH.stranger).sum(axis=0)
     return np.where(np.isinf(off).all(axis=0), np.inf, cost)
 
 
 def _share(off: Float64Array) -> Float64Array:
     """Return the probabilities (N, M) that photos were taken at places."""
-    odds = _STRANGER - off / TEMPERATURE
+    odds = _SEARCH.stranger - off / TEMPERATURE
     return 1.0 / (1.0 + np.exp(-np.clip(odds, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))
