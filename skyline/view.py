@@ -285,11 +285,11 @@ class Viewer(Releasable):
         )
 
     def pose_of(self, noted: NotedPose) -> tuple[Pose, str]:
-        """Return a noted pose on the terrain, and a sentence if its eye is lifted, or "".
+        """Return a noted pose on the terrain, and a notice, or "".
 
-        An eye whose elevation is lower than a camera is held is lifted. Raises `OffMapError` for a
-        pose off the map and for an eye far below the ground, and `InputError` for an eye higher
-        than aeroplanes.
+        The notice is a sentence about an eye that is lifted. An eye whose elevation is lower than a
+        camera is held is lifted. Raises `OffMapError` for a pose off the map and for an eye far
+        below the ground, and `InputError` for an eye higher than aeroplanes.
         """
         height_m = DEFAULT_EYE_HEIGHT_M if noted.eye_height_m is None else noted.eye_height_m
         standing = self.pose(
@@ -308,7 +308,7 @@ class Viewer(Releasable):
         return (pose, "") if noted.eye_elevation_m is None else self._lifted(pose)
 
     def _lifted(self, pose: Pose) -> tuple[Pose, str]:
-        """Return a pose as `held` does, and a sentence if its eye was too low, or ""."""
+        """Return the pose as held, with a notice if it was lifted."""
         held = self.held(pose)
         height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
         if height_m >= LEAST_EYE_HEIGHT_M - _ROUNDED_M:
