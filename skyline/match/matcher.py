@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,6 @@ from skyline.geodesy.frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
-from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
@@ -228,13 +227,16 @@ class Matcher(Releasable):
         started = time.perf_counter()
         _check_top(top)
         read = self._read(photos, fov_deg, narrowings)
-        usable = [number for number, photo in enumerate(read) if photo.known is not None]
-        found = self._found_together(read, usable, top, report_progress)
+        usable = {
+            number: photo.known for number, photo in enumerate(read) if photo.known is not None
+        }
+        found = self._found_together(usable, top, report_progress)
         verdict = Verdict.of_joint_search(
             list(found.values()),
             (
-                (read[number].name, self._other_projection(read[number], candidates[0]))
-                for number, candidates in found.items()
+                (read[number].name, self._method.other_projection(rays, candidates[0], prior))
+                for number, (rays, prior) in usable.items()
+                if (candidates := found.get(number))
             ),
             self._config,
         )
@@ -281,16 +283,15 @@ class Matcher(Releasable):
         return read
 
     def _found_together(
-        self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
+        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: ReportProgress
     ) -> dict[int, tuple[Pose, ...]]:
         """Return the candidates of the photos that agree, by number.
 
-        ``usable`` are the numbers of the photos that show enough skyline.
+        ``usable`` has the photos that show enough skyline, by number.
         """
-        known = [one.known for one in photos if one.known is not None]
-        if len(known) < 2:
+        if len(usable) < 2:
             return {}
-        together, agrees = self._method.search_together(known, top, report)
+        together, agrees = self._method.search_together(list(usable.values()), top, report)
         return {
             number: poses.on_map(self.frame)
             for number, poses, belongs in zip(usable, together, agrees, strict=True)
@@ -362,10 +363,6 @@ class Matcher(Releasable):
         rays_about_start, _ = self._rays_and_prior(about_start, None)
         poses = self._method.fitted(rays, start, prior, rays_about_start)
         return next(iter(poses.on_map(self.frame)), None)
-
-    def _other_projection(self, photo: "_Photo", best: Pose) -> OtherProjection | None:
-        """Return a photo's likeliest other projection; None where none is known."""
-        return photo.known and self._method.other_projection(photo.known[0], best, photo.known[1])
 
     def _rays_and_prior(
         self, skyline: PhotoSkyline, narrowing: Narrowing | None
